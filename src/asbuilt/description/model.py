@@ -1,0 +1,212 @@
+"""The robot: joints and links in topological order, gravity, limits and the names of everything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.errors import DescriptionError
+
+Array = NDArray[np.float64]
+JointKind = Literal["revolute", "continuous", "prismatic"]
+Letters = tuple[tuple[tuple[float, str], ...], ...]
+"""A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g. `(((1.0, "a2"),), (), ((1.0, "b2"),))`."""
+
+STANDARD_GRAVITY = 9.81
+ROOT = -1
+"""Parent index of a joint that hangs on the root link."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """Limits of one joint: rad or m for position and its derivatives, N m or N for torque; infinite where unknown."""
+
+    lower: float = -np.inf
+    upper: float = np.inf
+    velocity: float = np.inf
+    acceleration: float = np.inf
+    jerk: float = np.inf
+    torque: float = np.inf
+
+
+@dataclass(frozen=True, slots=True)
+class DriveValues:
+    """What the description says of one drive: armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent."""
+
+    armature: float | None = None
+    viscous: float | None = None
+    coulomb: float | None = None
+    offset: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Connect a parent link to the link of the same index.
+
+    The pose of the link in its parent link is `before @ motion(q) @ after`; the motion is a rotation about z or a translation along z.
+    """
+
+    name: str
+    kind: JointKind
+    parent: int
+    before: Array
+    after: Array
+    limits: JointLimits = JointLimits()
+    drive: DriveValues = DriveValues()
+    before_letters: Letters | None = None
+    after_letters: Letters | None = None
+
+    @property
+    def is_revolute(self) -> bool:
+        """Whether the joint turns (also without end) rather than slides."""
+        return self.kind != "prismatic"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """One moving rigid body: `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
+
+    `inertia_known` is False where the description gave none and zeros stand in.
+    """
+
+    name: str
+    inertia: LinkInertia
+    inertia_known: bool = True
+    parts: tuple[tuple[str, LinkInertia], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """A named frame fixed to a link (`link` = ROOT for the root link), such as a flange or a merged link; `placement` is 4 x 4."""
+
+    name: str
+    link: int
+    placement: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """The kinematic arrays that the batched kernels take; n joints.
+
+    `parent` (n,) int64, -1 for the root; `revolute` (n,) bool; `before_rotation`, `after_rotation` (n, 3, 3);
+    `before_translation`, `after_translation` (n, 3); `gravity` (3,) m/s^2 in the root frame.
+    """
+
+    parent: NDArray[np.int64]
+    revolute: NDArray[np.bool_]
+    before_rotation: Array
+    before_translation: Array
+    after_rotation: Array
+    after_translation: Array
+    gravity: Array
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """Describe a robot: joint i moves link i; every parent precedes its children; fixed joints are already merged.
+
+    `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value of each letter that the joints use.
+    `source` says where the description came from, `citation` whose facts they are.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    links: tuple[Link, ...]
+    gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
+    root_link: str = "root"
+    frames: tuple[Frame, ...] = ()
+    lengths: Mapping[str, float] = field(default_factory=dict)
+    source: str = ""
+    citation: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        gravity = np.array(self.gravity, dtype=np.float64)
+        if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
+            raise DescriptionError(f"gravity of {self.name} must be three finite numbers, got {np.asarray(self.gravity).tolist()}")
+        gravity.setflags(write=False)
+        object.__setattr__(self, "gravity", gravity)
+        if not self.joints:
+            raise DescriptionError(f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic joint")
+        if len(self.joints) != len(self.links):
+            raise DescriptionError(f"{self.name}: {len(self.joints)} joints but {len(self.links)} links; joint i must move link i")
+        for names, what in (([j.name for j in self.joints], "joint"), ([link.name for link in self.links], "link")):
+            repeated = sorted({name for name in names if names.count(name) > 1})
+            if repeated:
+                raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
+        for i, joint in enumerate(self.joints):
+            if not ROOT <= joint.parent < i:
+                raise DescriptionError(f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link (index {joint.parent})")
+            for side, placement in (("before", joint.before), ("after", joint.after)):
+                if placement.shape != (4, 4) or not np.all(np.isfinite(placement)):
+                    raise DescriptionError(f"{self.name}: placement {side} joint {joint.name!r} must be a finite 4 x 4 matrix")
+                placement.setflags(write=False)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints, which is the number of links."""
+        return len(self.joints)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Joint names in model order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def link_names(self) -> tuple[str, ...]:
+        """Link names in model order."""
+        return tuple(link.name for link in self.links)
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """Index of each joint's parent link, ROOT for the root."""
+        return tuple(joint.parent for joint in self.joints)
+
+    @property
+    def parameters(self) -> Array:
+        """Standard inertial parameters of all links, shape (10 n,), link by link."""
+        return np.concatenate([link.inertia.parameters for link in self.links])
+
+    @property
+    def geometry(self) -> Geometry:
+        """The arrays that the kernels take."""
+        return Geometry(
+            parent=np.array(self.parents, dtype=np.int64),
+            revolute=np.array([joint.is_revolute for joint in self.joints]),
+            before_rotation=np.ascontiguousarray([joint.before[:3, :3] for joint in self.joints]),
+            before_translation=np.ascontiguousarray([joint.before[:3, 3] for joint in self.joints]),
+            after_rotation=np.ascontiguousarray([joint.after[:3, :3] for joint in self.joints]),
+            after_translation=np.ascontiguousarray([joint.after[:3, 3] for joint in self.joints]),
+            gravity=np.array(self.gravity),
+        )
+
+    def ancestors(self, joint: int) -> tuple[int, ...]:
+        """Return the joints from the root to `joint`, itself included, in order."""
+        chain: list[int] = []
+        while joint != ROOT:
+            chain.append(joint)
+            joint = self.joints[joint].parent
+        return tuple(reversed(chain))
+
+    def with_parameters(self, parameters: ArrayLike) -> RobotModel:
+        """Return the same robot with other standard inertial parameters, shape (10 n,)."""
+        values = np.asarray(parameters, dtype=np.float64)
+        if values.shape != (10 * self.n_joints,):
+            raise DescriptionError(f"{self.name} has {10 * self.n_joints} inertial parameters, got shape {values.shape}")
+        inertias = [LinkInertia(values[10 * i : 10 * i + 10]) for i in range(self.n_joints)]
+        links = tuple(replace(link, inertia=inertia, inertia_known=True, parts=()) for link, inertia in zip(self.links, inertias, strict=True))
+        return replace(self, links=links)
+
+    def with_gravity(self, gravity: ArrayLike) -> RobotModel:
+        """Return the same robot mounted so that free fall accelerates by `gravity` [m/s^2] in the root frame."""
+        return replace(self, gravity=np.asarray(gravity, dtype=np.float64))
+
+    def with_limits(self, limits: Sequence[JointLimits]) -> RobotModel:
+        """Return the same robot with other joint limits, one per joint."""
+        joints = tuple(replace(joint, limits=limit) for joint, limit in zip(self.joints, limits, strict=True))
+        return replace(self, joints=joints)

@@ -1,0 +1,20 @@
+"""Fixtures for every room."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder with recordings and descriptions of real robots that are not part of this repository."""
+    if not (SHARED / "data").is_dir():
+        pytest.skip("the folder ../shared with recordings of real robots is not here")
+    return SHARED
