@@ -1,0 +1,24 @@
+"""Friction of constant size against the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.dynamics.drives.term import Array, DriveTerm
+
+
+@dataclass(frozen=True, slots=True)
+class Coulomb(DriveTerm):
+    """Add `Fc sign(qd)`, exactly 0 at standstill."""
+
+    key = "coulomb"
+    position = 30
+    letters = ("Fc",)
+    revolute_units = ("N m",)
+    prismatic_units = ("N",)
+
+    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
+        """Write `sign(qd)`."""
+        np.sign(qd, out=out[0])

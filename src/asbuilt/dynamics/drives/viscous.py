@@ -1,0 +1,22 @@
+"""Friction in proportion to velocity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from asbuilt.dynamics.drives.term import Array, DriveTerm
+
+
+@dataclass(frozen=True, slots=True)
+class Viscous(DriveTerm):
+    """Add `Fv qd`."""
+
+    key = "viscous"
+    position = 20
+    letters = ("Fv",)
+    revolute_units = ("N m s/rad",)
+    prismatic_units = ("N s/m",)
+
+    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
+        """Write `qd`."""
+        out[0] = qd

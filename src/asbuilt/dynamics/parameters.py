@@ -1,0 +1,41 @@
+"""Names, units and values of the standard parameters: ten per link, link by link, then those of the drives, joint by joint."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.inertia import PARAMETER_NAMES, PARAMETER_UNITS
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+
+Array = NDArray[np.float64]
+
+
+def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:
+    """Return the number of standard parameters, `(10 + columns_per_joint) n_joints`."""
+    return (len(PARAMETER_NAMES) + drive.columns_per_joint) * model.n_joints
+
+
+def parameter_ids(model: RobotModel, drive: DriveSet = NO_DRIVE) -> NDArray[np.int64]:
+    """Return the ids of the standard parameters, 1 ... n_standard."""
+    return np.arange(1, parameter_count(model, drive) + 1)
+
+
+def parameter_names(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
+    """Return the names of the standard parameters: `Ixx1 ... m1 Ixx2 ... mn`, then `Ia1 Fv1 Fc1 Fo1 Ia2 ...` as chosen."""
+    numbers = range(1, model.n_joints + 1)
+    links = tuple(f"{name}{number}" for number in numbers for name in PARAMETER_NAMES)
+    return links + tuple(name for number in numbers for name in drive.names(number))
+
+
+def parameter_units(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
+    """Return the unit of each standard parameter; a drive parameter's depends on whether its joint turns or slides."""
+    drives = tuple(unit for joint in model.joints for unit in drive.units(joint.kind))
+    return PARAMETER_UNITS * model.n_joints + drives
+
+
+def parameter_values(model: RobotModel, drive: DriveSet = NO_DRIVE) -> Array:
+    """Return the values the description gives, shape (n_standard,); NaN for a drive value on which it is silent."""
+    drives = [value for joint in model.joints for value in drive.values(joint.drive)]
+    return np.concatenate([model.parameters, np.array([np.nan if value is None else value for value in drives], dtype=np.float64)])
