@@ -100,8 +100,8 @@ def share(fraction: float | None, digits: int = 1) -> str:
 def significant(value: float | None, digits: int = 3) -> str:
     """Return a number with so many significant digits, written out where it is of everyday size.
 
-    >>> significant(61.2943), significant(0.000123456), significant(1234567.0), significant(None)
-    ('61.3', '0.000123', '1.23e+06', '-')
+    >>> significant(61.2943), significant(0.000123456), significant(69386.0), significant(1234567.0), significant(None)
+    ('61.3', '0.000123', '69400', '1.23e+06', '-')
     """
     if value is None or not math.isfinite(value):
         return MISSING
@@ -110,7 +110,7 @@ def significant(value: float | None, digits: int = 3) -> str:
     exponent = int(f"{value:.{digits - 1}e}".split("e")[1])
     if not -5 < exponent < 6:
         return f"{value:.{digits - 1}e}"
-    return f"{value:.{max(0, digits - 1 - exponent)}f}"
+    return f"{float(f'{value:.{digits - 1}e}'):.{max(0, digits - 1 - exponent)}f}"
 
 
 def deviation(sigmas: float | None, threshold: float = SIGNIFICANT_SIGMAS) -> str:

@@ -1,0 +1,169 @@
+"""What the torque error looks like: is it white, how much of it is independent, where in frequency and velocity does it live."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import welch
+from scipy.special import chdtrc
+
+Array = NDArray[np.float64]
+Runs = tuple[tuple[int, int], ...]
+
+GAP = 1.5
+"""A step in time of this many median steps, or one that does not advance, starts a new run."""
+
+
+def contiguous_runs(t: Array) -> Runs:
+    """Return the (start, stop) index ranges of `t` (N,) between which time jumps.
+
+    >>> contiguous_runs(np.array([0.0, 0.1, 0.2, 1.0, 1.1, 0.0]))
+    ((0, 3), (3, 5), (5, 6))
+    """
+    if len(t) == 0:
+        return ()
+    steps = np.diff(t)
+    forward = steps[steps > 0]
+    limit = GAP * float(np.median(forward)) if len(forward) else np.inf
+    cuts = np.flatnonzero((steps <= 0) | (steps > limit)) + 1
+    edges = [0, *cuts.tolist(), len(t)]
+    return tuple(pairwise(edges))
+
+
+def autocorrelation(residual: Array, runs: Runs, max_lag: int) -> Array:
+    """Return the autocorrelation at lags 0..max_lag of `residual` (N,), pairs never spanning two runs, shape (max_lag + 1,).
+
+    rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed; lags that no run reaches are zero.
+    """
+    e = residual - residual.mean()
+    energy = float(e @ e)
+    rho = np.zeros(max_lag + 1)
+    if energy == 0:
+        rho[0] = 1.0
+        return rho
+    for start, stop in runs:
+        x = e[start:stop]
+        size = 1 << (2 * len(x) - 1).bit_length()
+        lags = min(max_lag + 1, len(x))
+        rho[:lags] += np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[:lags]
+    return rho / energy
+
+
+def durbin_watson(residual: Array, runs: Runs) -> float:
+    """Return sum (e_t - e_(t-1))^2 / sum e_t^2, 2 for a white residual, near 0 for a slow one (Durbin and Watson, 1950)."""
+    energy = float(residual @ residual)
+    steps = sum(float(np.sum(np.diff(residual[start:stop]) ** 2)) for start, stop in runs)
+    return steps / energy if energy > 0 else float("nan")
+
+
+def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
+    """Return the statistic Q = n (n + 2) sum_k rho_k^2 / (n - k) over lags 1..lags and its probability for a white residual.
+
+    Source: Ljung and Box, Biometrika 65 (1978), equation 1.3.
+    """
+    k = np.arange(1, min(lags, len(rho) - 1, n_samples - 1) + 1)
+    if len(k) == 0:
+        return 0.0, 1.0
+    q = float(n_samples * (n_samples + 2) * np.sum(rho[k] ** 2 / (n_samples - k)))
+    return q, float(chdtrc(len(k), q))
+
+
+def effective_samples(rho: Array, n_samples: int) -> float:
+    """Return n / (1 + 2 sum_k rho_k), summed while neighbouring pairs of lags are positive (Geyer 1992, initial positive sequence)."""
+    usable = len(rho) // 2 * 2
+    pairs = rho[:usable].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0)
+    kept = pairs[: negative[0]] if len(negative) else pairs
+    return float(np.clip(n_samples / max(2.0 * kept.sum() - 1.0, 1.0 / n_samples), 1.0, n_samples))
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualAnalysis:
+    """Describe the torque error of each joint.
+
+    `mean`, `rms`, `durbin_watson`, `ljung_box`, `probability_white`, `effective_samples` have shape (n,), `autocorrelation` (lags + 1, n) at `lags` [s],
+    `spectrum` (F, n) [torque^2 / Hz] at `frequencies` [Hz].
+    """
+
+    joint_names: tuple[str, ...]
+    n_samples: int
+    lags: Array
+    mean: Array
+    rms: Array
+    durbin_watson: Array
+    ljung_box: Array
+    probability_white: Array
+    effective_samples: Array
+    autocorrelation: Array
+    frequencies: Array
+    spectrum: Array
+
+
+def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...], *, max_lag: float = 2.0) -> ResidualAnalysis:
+    """Analyse the torque error `residual` (N, n) at times `t` (N,) [s] up to a lag of `max_lag` seconds.
+
+    Ljung-Box uses at most 20 lags; the spectrum is Welch's, averaged over runs by their length.
+    """
+    runs = contiguous_runs(t)
+    longest = max(stop - start for start, stop in runs)
+    forward = np.diff(t)[np.diff(t) > 0]
+    step = float(np.median(forward)) if len(forward) else 1.0
+    n_lags = max(1, min(round(max_lag / step), longest - 1))
+    rho = np.column_stack([autocorrelation(column, runs, n_lags) for column in residual.T])
+    tests = [ljung_box(column, len(t), 20) for column in rho.T]
+    frequencies, spectrum = _spectrum(residual, runs, 1.0 / step)
+    return ResidualAnalysis(
+        joint_names=joint_names,
+        n_samples=len(t),
+        lags=step * np.arange(n_lags + 1, dtype=np.float64),
+        mean=residual.mean(axis=0),
+        rms=np.sqrt(np.mean(residual**2, axis=0)),
+        durbin_watson=np.array([durbin_watson(column, runs) for column in residual.T]),
+        ljung_box=np.array([q for q, _ in tests]),
+        probability_white=np.array([p for _, p in tests]),
+        effective_samples=np.array([effective_samples(column, len(t)) for column in rho.T]),
+        autocorrelation=rho,
+        frequencies=frequencies,
+        spectrum=spectrum,
+    )
+
+
+def _spectrum(residual: Array, runs: Runs, rate: float) -> tuple[Array, Array]:
+    """Return frequencies (F,) and one-sided density (F, n), Welch with Hann windows of at most 1024 samples inside each run."""
+    lengths = [stop - start for start, stop in runs]
+    window = min(1024, max(lengths))
+    total, weight = np.zeros((window // 2 + 1, residual.shape[1])), 0
+    frequencies = np.arange(window // 2 + 1, dtype=np.float64) * rate / window
+    for (start, stop), length in zip(runs, lengths, strict=True):
+        if length < window:
+            continue
+        _, density = welch(residual[start:stop], fs=rate, nperseg=window, axis=0)
+        total += length * density
+        weight += length
+    return frequencies, total / max(weight, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class VelocityCurve:
+    """A torque against joint velocity in bins of equal width: centres, quartiles and counts, each (bins,); empty bins are left out."""
+
+    velocity: Array
+    lower: Array
+    median: Array
+    upper: Array
+    count: NDArray[np.int64]
+
+
+def velocity_curve(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve:
+    """Sort `torque` (N,) of one joint by its velocity `qd` (N,) into bins, none of which spans zero velocity."""
+    largest = float(np.max(np.abs(qd), initial=0.0)) or 1.0
+    half = max(1, bins // 2)
+    index = np.clip(np.floor(qd / largest * half).astype(np.int64), -half, half - 1) + half
+    present, count = np.unique(index, return_counts=True)
+    order = np.argsort(index, kind="stable")
+    groups = np.split(torque[order], np.cumsum(count)[:-1])
+    quartiles = np.array([np.percentile(group, [25, 50, 75]) for group in groups]).reshape(-1, 3)
+    return VelocityCurve((present - half + 0.5) * largest / half, quartiles[:, 0], quartiles[:, 1], quartiles[:, 2], count)
