@@ -16,6 +16,12 @@ PARAMETER_NAMES = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "
 
 PARAMETER_UNITS = ("kg m^2",) * 6 + ("kg m",) * 3 + ("kg",)
 
+CONSISTENCY_TOLERANCE = 1e-9
+"""A moment may miss a condition of physical consistency by this much of the link's trace of inertia: the trace of rounding, not of physics."""
+
+_PINOCCHIO_ORDER = np.array([9, 6, 7, 8, 0, 1, 3, 2, 4, 5])
+_TRIANGLES = (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy"))
+
 
 @dataclass(frozen=True, eq=False)
 class LinkInertia:
@@ -71,3 +77,153 @@ class LinkInertia:
         """Inertia tensor about the link origin [kg m^2], shape (3, 3)."""
         xx, xy, xz, yy, yz, zz = self.parameters[:6]
         return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+    @property
+    def com(self) -> Array:
+        """Centre of mass [m], shape (3,); the origin where the link has no mass."""
+        return self.first_moment / self.mass if self.mass != 0.0 else np.zeros(3)
+
+    @property
+    def inertia_about_com(self) -> Array:
+        """Inertia tensor about the centre of mass, in link axes [kg m^2], shape (3, 3)."""
+        c = self.com
+        return self.inertia - self.mass * (c @ c * np.eye(3) - np.outer(c, c))
+
+    @property
+    def principal_moments(self) -> Array:
+        """Principal moments of inertia about the centre of mass, ascending [kg m^2], shape (3,)."""
+        return np.linalg.eigvalsh(self.inertia_about_com)
+
+    @property
+    def pseudo_inertia(self) -> Array:
+        """Pseudo-inertia `[[Sigma, h], [h^T, m]]` with `Sigma = tr(I)/2 1 - I`, shape (4, 4) (Wensing, Kim and Slotine, 2018, eq. 10)."""
+        return pseudo_inertias(self.parameters)
+
+    @classmethod
+    def from_pseudo_inertia(cls, pseudo_inertia: ArrayLike) -> LinkInertia:
+        """Build from the 4 x 4 pseudo-inertia: `I = tr(Sigma) 1 - Sigma` (Wensing, Kim and Slotine, 2018)."""
+        J = np.asarray(pseudo_inertia, dtype=np.float64)
+        if J.shape != (4, 4):
+            raise InertiaError(f"a pseudo-inertia is a 4 x 4 matrix, got shape {J.shape}")
+        asymmetry = float(np.abs(J - J.T).max())
+        if asymmetry > CONSISTENCY_TOLERANCE * max(float(np.abs(J).max()), np.finfo(float).tiny):
+            raise InertiaError(f"a pseudo-inertia is symmetric; this one differs from its transpose by {asymmetry:.3g}")
+        return cls(_parameters_of(J))
+
+    @property
+    def log_cholesky(self) -> Array:
+        """Log-Cholesky parameters `alpha d1 d2 d3 s12 s23 s13 t1 t2 t3`, shape (10,).
+
+        `pseudo_inertia = U U^T`, `U = exp(alpha) [[exp(d1), s12, s13, t1], [0, exp(d2), s23, t2], [0, 0, exp(d3), t3], [0, 0, 0, 1]]`
+        (Rucker and Wensing, 2022, eq. 10). Raises `InertiaError` where the pseudo-inertia is not positive definite.
+        """
+        flipped = self.pseudo_inertia[::-1, ::-1]
+        try:
+            U = np.linalg.cholesky(flipped)[::-1, ::-1]
+        except np.linalg.LinAlgError:
+            reason = self.inconsistency() or "its mass lies in a plane, on a line or in a point"
+            raise InertiaError(f"log-Cholesky parameters exist only for positive definite pseudo-inertias; {reason}") from None
+        scale = U[3, 3]
+        S = U / scale
+        return np.array([np.log(scale), *np.log(np.diag(S)[:3]), S[0, 1], S[1, 2], S[0, 2], S[0, 3], S[1, 3], S[2, 3]])
+
+    @classmethod
+    def from_log_cholesky(cls, theta: ArrayLike) -> LinkInertia:
+        """Build from log-Cholesky parameters, shape (10,); any ten finite numbers give a physically consistent link (Rucker and Wensing, 2022)."""
+        values = np.asarray(theta, dtype=np.float64)
+        if values.shape != (10,):
+            raise InertiaError(f"log-Cholesky parameters are 10 numbers (alpha d1 d2 d3 s12 s23 s13 t1 t2 t3), got shape {values.shape}")
+        alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = values
+        U = np.exp(alpha) * np.array([[np.exp(d1), s12, s13, t1], [0.0, np.exp(d2), s23, t2], [0.0, 0.0, np.exp(d3), t3], [0.0, 0.0, 0.0, 1.0]])
+        return cls(_parameters_of(U @ U.T))
+
+    def to_pinocchio_order(self) -> Array:
+        """Return the ten parameters as Pinocchio's `toDynamicParameters` has them: `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz` (about the origin)."""
+        return self.parameters[_PINOCCHIO_ORDER]
+
+    @classmethod
+    def from_pinocchio_order(cls, parameters: ArrayLike) -> LinkInertia:
+        """Build from `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz`, the inverse of `to_pinocchio_order`."""
+        given = np.asarray(parameters, dtype=np.float64)
+        if given.shape != (10,):
+            raise InertiaError(f"Pinocchio's dynamic parameters are 10 numbers, got shape {given.shape}")
+        ordered = np.empty(10)
+        ordered[_PINOCCHIO_ORDER] = given
+        return cls(ordered)
+
+    def moved(self, placement: ArrayLike) -> LinkInertia:
+        """Return the same body seen from another frame; `placement` (4, 4) is the pose of the present frame in the new one: `J' = T J T^T`."""
+        T = np.asarray(placement, dtype=np.float64)
+        return LinkInertia(_parameters_of(T @ self.pseudo_inertia @ T.T))
+
+    def __add__(self, other: LinkInertia) -> LinkInertia:
+        """Return the inertia of two bodies welded together, both given in the same frame."""
+        return LinkInertia(self.parameters + other.parameters)
+
+    def __sub__(self, other: LinkInertia) -> LinkInertia:
+        """Return what is left when a part, given in the same frame, is taken off."""
+        return LinkInertia(self.parameters - other.parameters)
+
+    def inconsistency(self) -> str | None:
+        """Return why no rigid body has these parameters, with the amount, or None where one has.
+
+        The pseudo-inertia must be positive semidefinite, that is: mass >= 0, and the moments about the centre of mass are
+        non-negative and satisfy the triangle inequalities in every axes (Wensing, Kim and Slotine, 2018).
+        """
+        if not self.parameters.any():
+            return None
+        if self.mass <= 0.0:
+            return f"mass is {self.mass:.4g} kg; it must be positive"
+        tensor = self.inertia_about_com
+        slack = CONSISTENCY_TOLERANCE * float(np.trace(np.abs(self.inertia)))
+        moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(tensor), strict=True))
+        for name, moment in moments.items():
+            if moment < -slack:
+                return f"{name} about the centre of mass is {moment:.3g} kg m^2; it must not be negative"
+        for one, two, three in _TRIANGLES:
+            excess = moments[three] - moments[one] - moments[two]
+            if excess > slack:
+                return f"{one} + {two} < {three} by {excess:.2g} kg m^2 (about the centre of mass)"
+        small, middle, large = self.principal_moments
+        if small < -slack:
+            return f"a principal moment of inertia about the centre of mass is {small:.3g} kg m^2; it must not be negative"
+        if large - small - middle > slack:
+            return (
+                f"of the principal moments about the centre of mass ({small:.4g}, {middle:.4g}, {large:.4g} kg m^2) "
+                f"the largest exceeds the sum of the others by {large - small - middle:.2g}"
+            )
+        return None
+
+    @property
+    def is_consistent(self) -> bool:
+        """Whether a rigid body with these parameters can exist (the pseudo-inertia is positive semidefinite)."""
+        return self.inconsistency() is None
+
+
+def pseudo_inertias(parameters: ArrayLike) -> Array:
+    """Return the pseudo-inertias of ten-vectors, shape (..., 10) -> (..., 4, 4) (Wensing, Kim and Slotine, 2018)."""
+    chi = np.asarray(parameters, dtype=np.float64)
+    xx, xy, xz, yy, yz, zz, mx, my, mz, m = np.moveaxis(chi, -1, 0)
+    rows = (
+        ((yy + zz - xx) / 2.0, -xy, -xz, mx),
+        (-xy, (xx + zz - yy) / 2.0, -yz, my),
+        (-xz, -yz, (xx + yy - zz) / 2.0, mz),
+        (mx, my, mz, m),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _parameters_of(pseudo_inertia: Array) -> Array:
+    J = pseudo_inertia
+    a, b, c = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
+    entries = (b + c, -J[..., 0, 1], -J[..., 0, 2], a + c, -J[..., 1, 2], a + b, J[..., 0, 3], J[..., 1, 3], J[..., 2, 3], J[..., 3, 3])
+    return np.stack(entries, axis=-1)
+
+
+def shift_matrix(placement: ArrayLike) -> Array:
+    """Return the 10 x 10 matrix S with `chi_parent = S chi_child` for a child frame at `placement` (4, 4) in its parent.
+
+    `S` is the map `J -> T J T^T` of pseudo-inertias, written for ten-vectors; it holds Huygens-Steiner and the rotation of the tensor.
+    """
+    T = np.asarray(placement, dtype=np.float64)
+    return _parameters_of(T @ pseudo_inertias(np.eye(10)) @ T.T).T

@@ -1,0 +1,61 @@
+"""One way in for every robot description."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import DescriptionError
+
+SUFFIXES = (".toml", ".csv", ".urdf", ".xml", ".mjcf")
+
+
+def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
+    """Load a bundled robot by name, or a description by path: `.toml`, `.csv` (DH and mass table), `.urdf`, `.xml` (MJCF or URDF, by content).
+
+    Raises `DescriptionError` where there is neither such a robot nor such a file, or the file makes no sense.
+
+    >>> load_robot("two-link").joint_names
+    ('joint_1', 'joint_2')
+    """
+    text = os.fspath(name_or_path)
+    if text in robot_names():
+        return bundled_robot(text)
+    path = Path(text)
+    if path.is_dir():
+        raise DescriptionError(f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled robot ({', '.join(robot_names())})")
+    if not path.is_file():
+        if path.suffix.lower() in (*SUFFIXES, ".xacro"):
+            raise DescriptionError(f"there is no file {text}; give the path of a description ({', '.join(SUFFIXES)})")
+        raise DescriptionError(
+            f"there is no bundled robot and no file {text!r}{nearest(text)}; bundled are {', '.join(robot_names())}; "
+            f"a file may be {', '.join(SUFFIXES)}"
+        )
+    return _read(path)
+
+
+def _read(path: Path) -> RobotModel:
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
+        from asbuilt.description.toml import read_robot_toml
+
+        return read_robot_toml(path)
+    if suffix == ".csv":
+        from asbuilt.description.dh_table import read_dh_table
+
+        return read_dh_table(path)
+    try:
+        head = path.read_bytes()
+    except OSError as error:
+        raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
+    if b"<mujoco" in head:
+        from asbuilt.description.mjcf import read_mjcf
+
+        return read_mjcf(path)
+    if b"<" in head:
+        from asbuilt.description.urdf import read_urdf
+
+        return read_urdf(path)
+    raise DescriptionError(f"{path} is not a robot description that asbuilt knows; it reads TOML, a DH table (CSV), URDF and MJCF (XML)")

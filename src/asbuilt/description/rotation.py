@@ -1,0 +1,140 @@
+"""Rotations with exact right angles, and rigid placements."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+QUARTER = math.pi / 2.0
+EXACT_TOLERANCE = 1e-12
+"""Angles [rad] this near a multiple of pi/2, and matrix entries this near 0 or +-1, count as exact."""
+
+READING_TOLERANCE = 1e-5
+"""Angles [rad] that a file gives this near a multiple of pi/2 (1.5708, 1.571e0 is not) are taken as that multiple."""
+
+NOTED_CHANGE = 1e-9
+"""A change of an angle [rad] beyond this is worth a note."""
+
+_QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
+
+
+def right_angle(angle: float, tolerance: float = READING_TOLERANCE) -> float:
+    """Return the multiple of pi/2 that `angle` [rad] stands for, or `angle` itself where none is within `tolerance`.
+
+    >>> right_angle(1.5708) == math.pi / 2
+    True
+    >>> right_angle(1.57)
+    1.57
+    """
+    nearest = round(angle / QUARTER) * QUARTER
+    return nearest if abs(angle - nearest) <= tolerance else angle
+
+
+def straightened(angle: float, what: str, notes: list[str]) -> float:
+    """Return `right_angle(angle)` and add a note that names `what` where this moves it by more than 1e-9 rad."""
+    exact = right_angle(angle)
+    if abs(exact - angle) > NOTED_CHANGE:
+        notes.append(f"{what} is given as {angle:.10g} rad and taken as the right angle {exact:.10g}")
+    return exact
+
+
+def cosine_sine(angle: float) -> tuple[float, float]:
+    """Return `(cos, sin)` of an angle [rad]; exact zeros and ones at multiples of pi/2."""
+    quarters = round(angle / QUARTER)
+    if abs(angle - quarters * QUARTER) <= EXACT_TOLERANCE:
+        return _QUARTER_COSINE[quarters % 4], _QUARTER_COSINE[(quarters - 1) % 4]
+    return math.cos(angle), math.sin(angle)
+
+
+def rotation_x(angle: float) -> Array:
+    """Return the 3 x 3 rotation about x by `angle` [rad]."""
+    c, s = cosine_sine(angle)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+
+
+def rotation_y(angle: float) -> Array:
+    """Return the 3 x 3 rotation about y by `angle` [rad]."""
+    c, s = cosine_sine(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation_z(angle: float) -> Array:
+    """Return the 3 x 3 rotation about z by `angle` [rad]."""
+    c, s = cosine_sine(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def rotation_from_rpy(rpy: ArrayLike) -> Array:
+    """Return `Rz(yaw) Ry(pitch) Rx(roll)` for roll, pitch, yaw [rad] about the fixed axes, as URDF has it."""
+    roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
+    return snapped(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
+
+
+def rpy_from_rotation(rotation: ArrayLike) -> Array:
+    """Return roll, pitch, yaw [rad] with `rotation_from_rpy(rpy) = rotation`; yaw is 0 where the pitch is +-pi/2."""
+    R = np.asarray(rotation, dtype=np.float64)
+    cosine = math.hypot(R[0, 0], R[1, 0])
+    pitch = math.atan2(-R[2, 0], cosine)
+    if cosine > EXACT_TOLERANCE:
+        return np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])])
+    return np.array([math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0])
+
+
+def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
+    """Return the rotation of a quaternion `w x y z`, which need not have unit length."""
+    quaternion = np.asarray(wxyz, dtype=np.float64)
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    return snapped(
+        np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+    )
+
+
+def rotation_onto(axis: ArrayLike) -> Array:
+    """Return a rotation that carries z onto the unit vector `axis`: exact for the six coordinate directions."""
+    x, y, z = snapped(np.asarray(axis, dtype=np.float64))
+    if math.hypot(x, y) == 0.0:
+        return np.eye(3) if z > 0.0 else rotation_x(math.pi)
+    return snapped(rotation_z(math.atan2(y, x)) @ rotation_y(math.atan2(math.hypot(x, y), z)))
+
+
+def snapped(matrix: ArrayLike, tolerance: float = EXACT_TOLERANCE) -> Array:
+    """Return `matrix` with every entry within `tolerance` of 0, 1 or -1 replaced by that number."""
+    result = np.array(matrix, dtype=np.float64)
+    nearest = np.rint(result)
+    near = (np.abs(result - nearest) <= tolerance) & (np.abs(nearest) <= 1.0)
+    result[near] = nearest[near] + 0.0
+    return result
+
+
+def placement(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
+    """Return the 4 x 4 homogeneous matrix of a rotation (default: none) followed by a translation [m] (default: none)."""
+    T = np.eye(4)
+    if rotation is not None:
+        T[:3, :3] = rotation
+    if translation is not None:
+        T[:3, 3] = translation
+    return T
+
+
+def composed(*placements: Array) -> Array:
+    """Return the product of placements with right angles kept exact."""
+    T = np.eye(4)
+    for factor in placements:
+        T = T @ factor
+        T[:3, :3] = snapped(T[:3, :3])
+    return T
+
+
+def inverted(T: Array) -> Array:
+    """Return the inverse of a placement, `(R^T, -R^T p)`."""
+    return placement(T[:3, :3].T, -T[:3, :3].T @ T[:3, 3])

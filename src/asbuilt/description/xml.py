@@ -1,0 +1,100 @@
+"""XML from strangers: parsed without entities or external references, every attribute checked where it is read."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from asbuilt.errors import DescriptionError
+
+LARGEST_DESCRIPTION = 50_000_000
+"""Bytes; a description of a robot without its meshes is thousands of times smaller."""
+
+
+def described_text(path_or_text: str | Path) -> tuple[bytes, str]:
+    """Return the content and a name for error messages of a description given as a path or as the text itself."""
+    if isinstance(path_or_text, str) and "<" in path_or_text:
+        return path_or_text.encode(), "the description"
+    path = Path(path_or_text)
+    try:
+        size = path.stat().st_size
+        if size > LARGEST_DESCRIPTION:
+            raise DescriptionError(f"{path} has {size / 1e6:.0f} MB; a robot description has at most {LARGEST_DESCRIPTION / 1e6:.0f} MB")
+        return path.read_bytes(), str(path)
+    except (OSError, ValueError) as error:
+        raise DescriptionError(f"{path} cannot be read: {error}") from None
+
+
+def parsed_xml(content: bytes, source: str) -> Element:
+    """Return the root element; entities, external references and malformed text raise `DescriptionError`."""
+    try:
+        root: Element = fromstring(content)
+    except DefusedXmlException as error:
+        what = type(error).__name__.removesuffix("Forbidden").lower()
+        raise DescriptionError(
+            f"{source}: the XML declares or refers to {what} ({error}); a robot description needs none, and they can hide an attack: remove them"
+        ) from None
+    except ParseError as error:
+        raise DescriptionError(f"{source}: this is not well-formed XML: {error}") from None
+    except (ValueError, LookupError) as error:
+        raise DescriptionError(f"{source}: the XML cannot be decoded: {error}") from None
+    for element in root.iter():
+        if not isinstance(element.tag, str):
+            continue
+        namespace, _, tag = element.tag.rpartition("}")
+        if "xacro" in namespace:
+            raise DescriptionError(f"{source}: the file holds <xacro:{tag}>, so it is not expanded yet: run  xacro FILE > robot.urdf  and load that")
+        for attribute, value in element.attrib.items():
+            if "${" in value or "$(" in value:
+                raise DescriptionError(
+                    f"{source}: <{tag}> has {attribute}={value!r}, a xacro expression that is not expanded yet: run  xacro FILE > robot.urdf  and load that"
+                )
+        element.tag = tag
+    return root
+
+
+def required(element: Element, attribute: str, place: str) -> str:
+    """Return an attribute that must be there; raises `DescriptionError` with place and attribute."""
+    value = element.get(attribute)
+    if value is None or not value.strip():
+        raise DescriptionError(f"{place}: <{element.tag}> has no {attribute}; add {attribute}=...")
+    return value.strip()
+
+
+def number(element: Element, attribute: str, place: str, default: float | None = None) -> float:
+    """Return a finite number from an attribute; raises `DescriptionError` where it is missing (without default), no number or not finite."""
+    if default is not None and element.get(attribute) is None:
+        return default
+    return _finite(required(element, attribute, place), f"{place}: {attribute} of <{element.tag}>")
+
+
+def numbers(element: Element, attribute: str, count: int, place: str) -> list[float]:
+    """Return `count` finite numbers separated by blanks; raises `DescriptionError` with place and value."""
+    text = required(element, attribute, place)
+    what = f"{place}: {attribute} of <{element.tag}>"
+    cells = text.split()
+    if len(cells) != count:
+        raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
+    return [_finite(cell, what) for cell in cells]
+
+
+def _finite(text: str, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise DescriptionError(f"{what} is {text!r}; it must be a number") from None
+    if not math.isfinite(value):
+        raise DescriptionError(f"{what} is {text}; it must be finite")
+    return value
+
+
+def close_match(name: str, known: Iterable[str]) -> str:
+    """Return `" (did you mean 'link_3'?)"` for the nearest known name, or an empty text."""
+    matches = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean {matches[0]!r}?)" if matches else ""
