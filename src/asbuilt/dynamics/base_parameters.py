@@ -7,17 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.letters import Polynomial, Row, written
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
-from asbuilt.dynamics.transferable import (
-    LENGTH_EXPONENTS,
-    TransferableDirections,
-    characteristic_length,
-    reversed_echelon,
-    transferable_directions,
-)
+from asbuilt.dynamics.regrouping import lettered_regrouping, structural_regrouping
 from asbuilt.errors import IdentifiabilityError
 
 Array = NDArray[np.float64]
@@ -104,92 +98,28 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     Raises `IdentifiabilityError` where the two disagree. Sources: Mayeda, Yoshida & Osuka (1990); Gautier & Khalil (1990); Wensing,
     Niemeyer & Slotine (2024).
     """
-    directions, _ = transferable_directions(model, armature="armature" in drive.keys, offset="offset" in drive.keys)
-    null = _null_vectors(model, drive, directions)
-    scale = _scales(model, drive)
-    echelon, dependent = reversed_echelon(null)
-    n_standard = null.shape[1]
-    columns = np.setdiff1d(np.arange(n_standard), dependent)
-    regrouping = np.zeros((len(columns), n_standard))
-    regrouping[np.arange(len(columns)), columns] = 1.0
-    regrouping[:, dependent] = -echelon[:, columns].T * scale[columns, None] / scale[dependent]
-    regrouping = _rounded(regrouping)
+    found = structural_regrouping(model, drive)
     names = parameter_names(model, drive)
-    units = parameter_units(model, drive)
-    expressions = tuple(_expression(row, column, names) for row, column in zip(regrouping, columns, strict=True))
+    lettered = lettered_regrouping(model, drive, found)
     return BaseParameters(
         robot=model.name,
         drive=drive,
         standard_names=names,
-        standard_units=units,
-        columns=columns,
-        regrouping=regrouping,
-        expressions=expressions,
-        symbolic=expressions,
-        standard=_standard(names, columns, regrouping),
+        standard_units=parameter_units(model, drive),
+        columns=found.columns,
+        regrouping=found.matrix,
+        expressions=tuple(
+            _written({int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)}, column, names)
+            for row, column in zip(found.matrix, found.columns, strict=True)
+        ),
+        symbolic=tuple(_written(row, column, names) for row, column in zip(lettered, found.columns, strict=True)),
+        standard=_standard(names, found.columns, found.matrix),
     )
 
 
-def _scales(model: RobotModel, drive: DriveSet) -> Array:
-    """Return what one unit of each standard parameter is in lengths divided by the robot's size and forces by gravity."""
-    size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
-    links = np.tile(size**LENGTH_EXPONENTS, model.n_joints)
-    drives = np.ones((model.n_joints, drive.columns_per_joint))
-    for i, joint in enumerate(model.joints):
-        for j, letter in enumerate(drive.letters):
-            if letter == "Ia" and joint.is_revolute:
-                drives[i, j] = size**2
-            if letter == "Fo" and strength > 0.0:
-                drives[i, j] = strength
-    return np.concatenate([links, drives.ravel()])
-
-
-def _null_vectors(model: RobotModel, drive: DriveSet, directions: list[TransferableDirections]) -> Array:
-    """Return the null vectors of the torques in scaled standard parameters, shape (n_null, n_standard)."""
-    n, size = model.n_joints, characteristic_length(model)
-    first_drive, per_joint = 10 * n, drive.columns_per_joint
-    rows = []
-    for found in directions:
-        joint = model.joints[found.link]
-        row = np.zeros((len(found.child), first_drive + per_joint * n))
-        row[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift_matrix(_inverse(joint.after, size)).T
-        if joint.parent >= 0:
-            row[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_scaled(joint.before, size)).T
-        for letter, change in (("Ia", found.armature), ("Fo", found.offset)):
-            if letter in drive.letters:
-                row[:, first_drive + per_joint * found.link + drive.letters.index(letter)] = change
-        rows.append(row)
-    return np.vstack(rows)
-
-
-def _scaled(placement: Array, size: float) -> Array:
-    scaled = np.array(placement)
-    scaled[:3, 3] /= size
-    return scaled
-
-
-def _inverse(placement: Array, size: float) -> Array:
-    inverse = np.eye(4)
-    inverse[:3, :3] = placement[:3, :3].T
-    inverse[:3, 3] = -placement[:3, :3].T @ placement[:3, 3] / size
-    return inverse
-
-
-def _rounded(matrix: Array) -> Array:
-    """Return `matrix` with every entry rounded to 14 significant digits, so that 0.16 is not 0.16000000000000003."""
-    return np.array([[float(f"{value:.13e}") if value not in (0.0, 1.0, -1.0) else value for value in row] for row in matrix])
-
-
-def _expression(row: Array, kept: int, names: tuple[str, ...]) -> str:
-    text = names[kept]
-    for column in np.flatnonzero(row):
-        if column == kept:
-            continue
-        value = row[column]
-        sign = "-" if value < 0 else "+"
-        size = f"{abs(value):.10g}"
-        text += f" {sign} {names[column]}" if size == "1" else f" {sign} {size}*{names[column]}"
-    return text
+def _written(row: Row, kept: int, names: tuple[str, ...]) -> str:
+    order = sorted(row, key=lambda j: (j != kept, j))
+    return written([(names[j], row[j]) for j in order])
 
 
 def _standard(names: tuple[str, ...], columns: Indices, regrouping: Array) -> tuple[StandardParameter, ...]:

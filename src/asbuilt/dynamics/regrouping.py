@@ -1,0 +1,142 @@
+"""The regrouping of standard into base parameters, as the structure of a robot dictates it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.inertia import shift_matrix
+from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import inverted, placement
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.letters import Polynomial, Row, dependent_columns, null_rows, same_build
+from asbuilt.dynamics.parameters import parameter_count
+from asbuilt.dynamics.transferable import (
+    LENGTH_EXPONENTS,
+    LinkMotion,
+    TransferableDirections,
+    characteristic_length,
+    reversed_echelon,
+    transferable_directions,
+)
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+LETTER_TOLERANCE = 1e-9
+"""A factor in letters must equal the number it stands for to this, relative to the largest factor in its row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Regrouping:
+    """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y = Y[:, columns] @ matrix`.
+
+    `directions` and `motions` are those of the links, from which the matrix follows.
+    """
+
+    columns: Indices
+    matrix: Array
+    directions: tuple[TransferableDirections, ...]
+    motions: tuple[LinkMotion, ...]
+
+
+def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
+    """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
+    directions, motions = transferable_directions(model, armature="Ia" in drive.letters, offset="Fo" in drive.letters)
+    null = _null_vectors(model, drive, directions)
+    scales = _scales(model, drive)
+    echelon, dependent = reversed_echelon(null)
+    columns = np.setdiff1d(np.arange(null.shape[1]), dependent)
+    matrix = np.zeros((len(columns), null.shape[1]))
+    matrix[np.arange(len(columns)), columns] = 1.0
+    matrix[:, dependent] = -echelon[:, columns].T * scales[columns, None] / scales[dependent]
+    for b, j in zip(*np.nonzero(matrix), strict=True):
+        matrix[b, j] = _without_noise(matrix[b, j])
+    return Regrouping(columns, matrix, tuple(directions), tuple(motions))
+
+
+def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
+    """Return the rows of the regrouping with letters for lengths, as sums over standard parameters.
+
+    Each row is checked against numbers, for the robot itself and for one of the same build with other lengths; a row that
+    fails - its factors are no polynomials, or only right for these lengths - keeps its numbers.
+    """
+    n_standard = found.matrix.shape[1]
+    numbers: list[Row] = [{int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)} for row in found.matrix]
+    if not model.lengths:
+        return numbers
+    pivots = np.setdiff1d(np.arange(n_standard), found.columns)
+    combined = dependent_columns(null_rows(model, found.directions, _drive_columns(model, drive)), [int(pivot) for pivot in pivots])
+    if combined is None:
+        return numbers
+    rows: dict[int, Row] = {int(column): {int(column): Polynomial.number(1.0)} for column in found.columns}
+    for j, members in combined.items():
+        for b, factor in members.items():
+            rows[b][j] = factor
+    other = {letter: value * (1.2 + 0.3 * np.sin(k + 1.0)) for k, (letter, value) in enumerate(model.lengths.items())}
+    elsewhere = structural_regrouping(same_build(model, other), drive)
+    if not np.array_equal(elsewhere.columns, found.columns):
+        return numbers
+    checks = ((found.matrix, model.lengths), (elsewhere.matrix, other))
+    return [
+        lettered if all(_agree(lettered, matrix[b], lengths) for matrix, lengths in checks) else numbers[b]
+        for b, lettered in enumerate(dict(sorted(row.items())) for row in rows.values())
+    ]
+
+
+def _agree(lettered: Row, row: Array, lengths: Mapping[str, float]) -> bool:
+    values = np.zeros(len(row))
+    for j, factor in lettered.items():
+        values[j] = factor.value(lengths)
+    return bool(np.abs(values - row).max() <= LETTER_TOLERANCE * np.abs(row).max())
+
+
+def _without_noise(value: float) -> float:
+    """Return the number to 14 significant digits: 0.16 for 0.16000000000000003."""
+    return float(f"{value:.13e}")
+
+
+def _drive_columns(model: RobotModel, drive: DriveSet) -> dict[tuple[str, int], int]:
+    per_joint = drive.columns_per_joint
+    return {
+        (letter, i): 10 * model.n_joints + per_joint * i + position
+        for i in range(model.n_joints)
+        for position, letter in enumerate(drive.letters)
+    }
+
+
+def _scales(model: RobotModel, drive: DriveSet) -> Array:
+    """Return one unit of each standard parameter's column in lengths divided by the robot's size and forces divided by gravity."""
+    size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
+    scales = np.ones(parameter_count(model, drive))
+    scales[: 10 * model.n_joints] = np.tile(size**LENGTH_EXPONENTS, model.n_joints)
+    for (letter, i), column in _drive_columns(model, drive).items():
+        if letter == "Ia" and model.joints[i].is_revolute:
+            scales[column] = size**2
+        elif letter == "Fo" and strength > 0.0:
+            scales[column] = strength
+    return scales
+
+
+def _null_vectors(model: RobotModel, drive: DriveSet, directions: list[TransferableDirections]) -> Array:
+    """Return the null vectors of the torques over scaled standard parameters, shape (n_null, n_standard)."""
+    size, where = characteristic_length(model), _drive_columns(model, drive)
+    blocks = []
+    for found in directions:
+        joint = model.joints[found.link]
+        block = np.zeros((len(found.child), parameter_count(model, drive)))
+        block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift_matrix(inverted(_sized(joint.after, size))).T
+        if joint.parent >= 0:
+            block[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
+        for letter, change in (("Ia", found.armature), ("Fo", found.offset)):
+            if (letter, found.link) in where:
+                block[:, where[letter, found.link]] = change
+        blocks.append(block)
+    return np.vstack(blocks)
+
+
+def _sized(transform: Array, size: float) -> Array:
+    return placement(transform[:3, :3], transform[:3, 3] / size)
