@@ -1,0 +1,1 @@
+"""How to move: motions, their limits and their files."""

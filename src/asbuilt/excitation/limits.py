@@ -1,0 +1,216 @@
+"""Limits of the joints: what a robot allows, and how near a motion comes to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drive_torque import described_drive, drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import MotionError
+from asbuilt.excitation.motion import QUANTITIES, Array, Motion, read_only
+
+ALLOWED_EXCESS = 1e-9
+"""A limit counts as violated when it is exceeded by more than this fraction (rounding)."""
+
+ASSUMED_RANGE = {True: np.pi, False: 0.5}
+"""Position limit assumed for generated motions where the description gives none: +-, in rad (revolute) or m (prismatic)."""
+
+ASSUMED_VELOCITY = {True: 1.5, False: 0.5}
+"""Velocity limit assumed where the description gives none, in rad/s or m/s."""
+
+RAMP_TIME = 0.4
+"""Time in which a joint is assumed to reach its velocity limit where the description gives no acceleration limit [s]."""
+
+_UNITS = {
+    "position": ("rad", "m"),
+    "velocity": ("rad/s", "m/s"),
+    "acceleration": ("rad/s^2", "m/s^2"),
+    "jerk": ("rad/s^3", "m/s^3"),
+    "torque": ("N m", "N"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBounds:
+    """Hold the limits of all joints as read-only arrays (n,), infinite where unknown; all but the position limits are symmetric."""
+
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    torque: Array
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper", "velocity", "acceleration", "jerk", "torque"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @classmethod
+    def of(cls, model: RobotModel) -> MotionBounds:
+        """Return the limits that the description gives."""
+        limits = [joint.limits for joint in model.joints]
+        return cls(
+            lower=np.array([limit.lower for limit in limits]),
+            upper=np.array([limit.upper for limit in limits]),
+            velocity=np.array([limit.velocity for limit in limits]),
+            acceleration=np.array([limit.acceleration for limit in limits]),
+            jerk=np.array([limit.jerk for limit in limits]),
+            torque=np.array([limit.torque for limit in limits]),
+        )
+
+    @classmethod
+    def assumed(cls, model: RobotModel, fraction: float = 1.0) -> MotionBounds:
+        """Return limits finite in position, velocity and acceleration, for generated motions, reduced to `fraction` of what is allowed.
+
+        Where the description is silent: +-pi rad or +-0.5 m, 1.5 rad/s or 0.5 m/s, and the velocity limit reached in 0.4 s. Position limits are
+        reduced about their middle.
+        """
+        if not 0 < fraction <= 1:
+            raise MotionError(f"the fraction of the limits to use must lie in 0 ... 1, got {fraction}")
+        given = cls.of(model)
+        turns = np.array([joint.is_revolute for joint in model.joints])
+        reach = np.where(turns, ASSUMED_RANGE[True], ASSUMED_RANGE[False])
+        lower = np.where(np.isfinite(given.lower), given.lower, np.where(np.isfinite(given.upper), given.upper - 2 * reach, -reach))
+        upper = np.where(np.isfinite(given.upper), given.upper, np.where(np.isfinite(given.lower), given.lower + 2 * reach, reach))
+        speed = np.where(turns, ASSUMED_VELOCITY[True], ASSUMED_VELOCITY[False])
+        velocity = np.where(np.isfinite(given.velocity), given.velocity, speed)
+        acceleration = np.where(np.isfinite(given.acceleration), given.acceleration, velocity / RAMP_TIME)
+        middle, half = (lower + upper) / 2, (upper - lower) / 2
+        return replace(
+            given,
+            lower=middle - fraction * half,
+            upper=middle + fraction * half,
+            velocity=fraction * velocity,
+            acceleration=fraction * acceleration,
+            jerk=fraction * given.jerk,
+            torque=fraction * given.torque,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class LimitMargin:
+    """Say how near one joint comes to one limit: `margin = min(upper - x, x - lower) / ((upper - lower) / 2)` where it is smallest.
+
+    For the symmetric limits this is `1 - |x| / limit`. 1 is the middle of the range, 0 the limit, negative beyond it.
+    """
+
+    quantity: str
+    joint: str
+    unit: str
+    time: float
+    value: float
+    limit: float
+    margin: float
+
+    @property
+    def violated(self) -> bool:
+        """Whether the limit is exceeded, by more than rounding."""
+        return self.margin < -ALLOWED_EXCESS
+
+    def __str__(self) -> str:
+        relation = "beyond" if self.violated else "within"
+        return (
+            f"{self.quantity} of {self.joint} is {self.value:.6g} {self.unit} at t = {self.time:.3f} s, "
+            f"{relation} its limit of {self.limit:.6g} {self.unit} by {abs(self.margin):.2%} of the range"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class LimitReport:
+    """Hold the smallest margin of every joint and quantity that has a finite limit."""
+
+    margins: tuple[LimitMargin, ...]
+    rate: float
+
+    @property
+    def worst(self) -> dict[str, LimitMargin | None]:
+        """The smallest margin over the joints, by quantity; None where no joint has a limit."""
+        found: dict[str, LimitMargin | None] = {}
+        for quantity in _UNITS:
+            found[quantity] = min((m for m in self.margins if m.quantity == quantity), key=lambda m: m.margin, default=None)
+        return found
+
+    @property
+    def worst_margin(self) -> dict[str, float | None]:
+        """The numbers of `worst`: fractions of the limit, negative where violated."""
+        return {quantity: None if margin is None else margin.margin for quantity, margin in self.worst.items()}
+
+    @property
+    def violations(self) -> tuple[LimitMargin, ...]:
+        """Every violated limit, the worst first."""
+        return tuple(sorted((margin for margin in self.margins if margin.violated), key=lambda margin: margin.margin))
+
+    @property
+    def is_respected(self) -> bool:
+        """Whether every known limit is respected."""
+        return not self.violations
+
+    def raise_if_violated(self) -> None:
+        """Raise MotionError naming joint, time, value, limit and a cure if a limit is violated."""
+        violations = self.violations
+        if not violations:
+            return
+        worst = violations[0]
+        others = f" ({len(violations) - 1} more limits are violated)" if len(violations) > 1 else ""
+        raise MotionError(f"{worst}; {_cure(violations)}{others}")
+
+    def __str__(self) -> str:
+        lines = [str(margin) for margin in self.worst.values() if margin is not None]
+        return "\n".join(lines) or "the description gives no limits"
+
+
+def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> LimitReport:
+    """Compare a motion, sampled at `rate` [Hz] and at its end, with the limits of the robot.
+
+    The torque is that of the rigid bodies and of the drive terms whose values the description gives. A limit that is infinite is not reported.
+
+    Raises
+    ------
+    MotionError
+        If the motion has another number of joints than the robot.
+    """
+    if motion.n_joints != model.n_joints:
+        raise MotionError(f"the motion moves {motion.n_joints} joints, {model.name} has {model.n_joints}: {', '.join(model.joint_names)}")
+    t = motion.sample_times(rate)
+    t = t if t[-1] >= motion.duration else np.append(t, motion.duration)
+    bounds = MotionBounds.of(model)
+    values = {quantity: motion.derivative(t, order) for order, quantity in enumerate(QUANTITIES)}
+    if np.any(np.isfinite(bounds.torque)):
+        state = (values["position"], values["velocity"], values["acceleration"])
+        rigid = inverse_dynamics(model, *state)
+        drive, drive_values = described_drive(model)
+        values["torque"] = rigid + drive_torque(drive, drive_values, *state, load=rigid)
+    margins = []
+    for quantity, x in values.items():
+        high = bounds.upper if quantity == "position" else getattr(bounds, quantity)
+        low = bounds.lower if quantity == "position" else -high
+        for j in np.flatnonzero(np.isfinite(low) | np.isfinite(high)):
+            half = (high[j] - low[j]) / 2 if np.isfinite(high[j] - low[j]) else 1.0
+            room = np.minimum(high[j] - x[:, j], x[:, j] - low[j])
+            k = int(np.argmin(room))
+            margins.append(
+                LimitMargin(
+                    quantity=quantity,
+                    joint=model.joint_names[j],
+                    unit=_UNITS[quantity][0 if model.joints[j].is_revolute else 1],
+                    time=float(t[k]),
+                    value=float(x[k, j]),
+                    limit=float(high[j] if high[j] - x[k, j] <= x[k, j] - low[j] else low[j]),
+                    margin=float(room[k] / half) if half > 0 else float(np.sign(room[k])),
+                )
+            )
+    return LimitReport(tuple(margins), rate)
+
+
+def _cure(violations: tuple[LimitMargin, ...]) -> str:
+    orders = {quantity: order for order, quantity in enumerate(QUANTITIES) if order > 0}
+    needed = [abs(v.value / v.limit) ** (1 / orders[v.quantity]) for v in violations if v.quantity in orders]
+    cures = [f"slow the motion down: motion.slowed({np.ceil(100 * max(needed)) / 100:g})"] if needed else []
+    if any(v.quantity == "position" for v in violations):
+        cures.append("choose poses or amplitudes inside the position limits")
+    if any(v.quantity == "torque" for v in violations):
+        cures.append("for the torque, move slower or choose poses that carry less weight")
+    return "; ".join(cures)

@@ -1,0 +1,126 @@
+"""Motions as CSV files: `t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import ArrayLike
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import MotionError
+from asbuilt.excitation.motion import Array, Motion, Trajectory
+from asbuilt.excitation.quintic import QuinticMotion
+from asbuilt.excitation.spline import SplineMotion
+
+PREFIXES = ("q_", "qd_", "qdd_")
+"""Column names are a prefix and a joint name."""
+
+
+class SampledMotion(QuinticMotion):
+    """Move through samples of position, velocity and acceleration; between two samples along the quintic that matches both.
+
+    `joint_names` (n,) names the columns. At the sample times the motion has exactly the given values.
+    """
+
+    parametrisation = "sampled"
+    joint_names: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, t: ArrayLike, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, joint_names: Sequence[str] = ()) -> SampledMotion:
+        """Build from times (N,), shifted to start at 0, and samples (N, n)."""
+        motion = cls.through(q, t, qd, qdd)
+        motion.joint_names = tuple(joint_names) or tuple(f"joint_{j}" for j in range(1, motion.n_joints + 1))
+        return motion
+
+
+def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, joint_names: Sequence[str], rate: float = 1000.0) -> Path:
+    """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV; numbers have the digits that read back to the same double.
+
+    The file appears whole or not at all. Raises MotionError if names and joints do not go together or the place is not writable.
+    """
+    trajectory = motion.sample(rate) if isinstance(motion, Motion) else motion
+    names = tuple(joint_names)
+    if len(names) != trajectory.n_joints or len(set(names)) != len(names):
+        raise MotionError(f"a motion of {trajectory.n_joints} joints needs as many different names, got {', '.join(names) or 'none'}")
+    columns = {"t": trajectory.t}
+    for prefix, values in zip(PREFIXES, (trajectory.q, trajectory.qd, trajectory.qdd), strict=True):
+        columns |= {prefix + name: values[:, j] for j, name in enumerate(names)}
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
+            partial = Path(folder) / target.name
+            pl.DataFrame(columns).write_csv(partial)
+            partial.replace(target)
+    except OSError as error:
+        raise MotionError(f"cannot write the motion to {target}: {error.strerror or error}; choose a folder you may write to") from error
+    return target
+
+
+def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -> SampledMotion:
+    """Read a motion from CSV; with a `model`, joints are put into its order by name.
+
+    Velocities and accelerations may be missing; they are then those of the natural quintic spline through the positions.
+
+    Raises
+    ------
+    MotionError
+        If the file is not a motion: unreadable, no `t` or `q_` columns, text or empty cells, times that do not rise, joints that the
+        robot does not have.
+    """
+    source = Path(path)
+    try:
+        table = pl.read_csv(source, infer_schema_length=None)
+    except (OSError, pl.exceptions.PolarsError) as error:
+        raise MotionError(f"cannot read the motion {source}: {error}") from error
+    names = tuple(column.removeprefix("q_") for column in table.columns if column.startswith("q_"))
+    if "t" not in table.columns or not names:
+        raise MotionError(f"{source} is not a motion: it needs a column t and columns q_<joint>; it has {', '.join(table.columns[:12])}")
+    if model is not None:
+        missing = [name for name in model.joint_names if name not in names]
+        unknown = [name for name in names if name not in model.joint_names]
+        if missing or unknown:
+            raise MotionError(
+                f"{source} does not fit {model.name}: missing joints {', '.join(missing) or 'none'}, unknown joints {', '.join(unknown) or 'none'}; "
+                f"the robot has {', '.join(model.joint_names)}"
+            )
+        names = model.joint_names
+    given = [prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)]
+    t = _numbers(table, ["t"], source)[:, 0]
+    if t.size < 2 or not np.all(np.diff(t) > 0):
+        row = int(np.argmin(np.diff(t) > 0)) + 3 if t.size > 1 else 2
+        raise MotionError(f"{source}: times must rise from line to line and there must be two; they do not at line {row}")
+    q, *rates = (_numbers(table, [prefix + name for name in names], source) for prefix in given)
+    if len(rates) < 2:
+        if t.size < 6:
+            raise MotionError(f"{source} has {t.size} positions without qd_ and qdd_ columns; give these or at least 6 positions")
+        spline = SplineMotion.through(q, t, ends="natural")
+        rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
+    return SampledMotion.of(t, q, rates[0], rates[1], names)
+
+
+def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:
+    for column in columns:
+        if column not in table.columns:
+            raise MotionError(f"{source} has no column {column}; it has {', '.join(table.columns)}")
+        if not table[column].dtype.is_numeric():
+            text = next((k for k, cell in enumerate(table[column]) if not _is_number(cell)), 0)
+            raise MotionError(f"{source}: line {text + 2}, column {column} holds {table[column][text]!r}, not a number")
+    values = table.select(pl.col(column).cast(pl.Float64) for column in columns).to_numpy()
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        raise MotionError(f"{source}: line {bad[0, 0] + 2}, column {columns[bad[0, 1]]} is empty or not finite")
+    return np.asarray(values, dtype=np.float64)
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(str(cell))
+    except ValueError:
+        return False
+    return True
