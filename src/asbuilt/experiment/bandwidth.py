@@ -1,0 +1,39 @@
+"""How fast a recorded motion is: the band that holds nearly all of its velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+Array = NDArray[np.float64]
+
+VELOCITY_SHARE = 0.95
+"""Share of the velocity's power that lies below the motion's bandwidth."""
+WINDOW = 20.0
+"""Length of the averaged spectra's windows [s]; their resolution is its inverse."""
+
+
+def motion_bandwidth(runs: Sequence[Array], rate: float) -> float:
+    """Return the frequency [Hz] below which 95 % of the velocity's power lies, for the fastest of the joints that move.
+
+    `runs` are position arrays (L, n) at one uniform `rate` [Hz]. The velocity's spectrum is (2 pi f)^2 times the position's (Welch, IEEE Trans. Audio and
+    Electroacoustics, 1967). Joints whose velocity is below a hundredth of the fastest joint's are noise, not motion, and do not count.
+    """
+    window = min(round(WINDOW * rate), max(q.shape[0] for q in runs) - 1)
+    total = np.zeros((window // 2 + 1, runs[0].shape[1]))
+    frequency = np.fft.rfftfreq(window, 1.0 / rate)
+    for q in runs:
+        if q.shape[0] <= window:
+            continue
+        _, density = signal.welch(np.diff(q, axis=0) * rate, rate, nperseg=window, detrend=False, axis=0)
+        total += density * (q.shape[0] - 1)
+    power = total.sum(axis=0)
+    moving = power > 1e-4 * power.max()
+    if not moving.any():
+        return 1.0 / WINDOW
+    share = np.cumsum(total[:, moving], axis=0) / power[moving]
+    reached = (share >= VELOCITY_SHARE).argmax(axis=0)
+    return float(max(frequency[reached.max()], 1.0 / WINDOW))
