@@ -61,9 +61,15 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
     repeated = [name for name in names if names.count(name) > 1]
     if repeated:
         places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
-        raise RecordingError(f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times (columns {places}); rename one of them")
+        raise RecordingError(
+            f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times (columns {places}); rename one of them"
+        )
     data = _fields(lines[skip], separator)
-    text = tuple(name for name, cell in itertools.zip_longest(names, data, fillvalue="") if name and not _is_number(cell, decimal_comma) and cell not in _MISSING)
+    text = tuple(
+        name
+        for name, cell in itertools.zip_longest(names, data, fillvalue="")
+        if name and not _is_number(cell, decimal_comma) and cell not in _MISSING
+    )
     if len(text) == len(names):
         raise RecordingError(f"{path} is not a recording: line {skip + 1} holds no number ({lines[skip].strip()[:60]!r})")
     return Dialect(separator, decimal_comma, skip, tuple(names), not has_header, text)
@@ -109,7 +115,12 @@ def read_delimited(path: Path, *, header: bool | None = None, separator: str | N
         columns[name] = series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
     for name, values in _times_from_text(frame, dialect.text_columns).items():
         columns[name] = values
-    return Table(source=str(path), columns=columns, headless=dialect.headless, text_columns=tuple(n for n in dialect.text_columns if n not in columns))
+    return Table(
+        source=str(path),
+        columns=columns,
+        headless=dialect.headless,
+        text_columns=tuple(n for n in dialect.text_columns if n not in columns),
+    )
 
 
 def bad_cell(path: Path, dialect: Dialect, error: Exception) -> str:
@@ -158,7 +169,9 @@ def _first_lines(path: Path, count: int = 64) -> list[str]:
     if b"\0" in start:
         raise RecordingError(f"{path} is not a recording: it holds binary data, not text")
     if start.lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<robot", b"{")):
-        raise RecordingError(f"{path} is not a recording: it starts with {start.lstrip()[:20].decode('utf-8', 'replace')!r}; a table of numbers is expected")
+        raise RecordingError(
+            f"{path} is not a recording: it starts with {start.lstrip()[:20].decode('utf-8', 'replace')!r}; a table of numbers is expected"
+        )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         return list(itertools.islice(file, count))
 

@@ -24,7 +24,9 @@ def read_npz(path: Path) -> Table:
     try:
         archive = np.load(path, allow_pickle=False)
         if isinstance(archive, np.ndarray):
-            raise RecordingError(f"{path} holds one array of shape {archive.shape} without names; save named arrays: np.savez(path, t=t, q=q, tau=tau)")
+            raise RecordingError(
+                f"{path} holds one array of shape {archive.shape} without names; save named arrays: np.savez(path, t=t, q=q, tau=tau)"
+            )
         with archive:
             for name in archive.files:
                 try:
@@ -34,7 +36,9 @@ def read_npz(path: Path) -> Table:
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         if isinstance(error, RecordingError):
             raise
-        raise RecordingError(f"{path} is not a recording: NumPy cannot read it as an .npz archive ({error}); save it with np.savez") from error
+        raise RecordingError(
+            f"{path} is not a recording: NumPy cannot read it as an .npz archive ({error}); save it with np.savez"
+        ) from error
     if not variables:
         reason = f"its arrays are pickled objects ({', '.join(pickled)}), which are not read for safety" if pickled else "it holds no array"
         raise RecordingError(f"{path} is not a recording: {reason}; save plain number arrays with np.savez(path, t=t, q=q, tau=tau)")

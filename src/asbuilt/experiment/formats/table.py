@@ -49,7 +49,11 @@ def table_from_variables(source: str, variables: Mapping[str, Array]) -> Table:
         If no variable is numeric, or no two agree on a length.
     """
     arrays = {name: np.squeeze(np.asarray(value)) for name, value in variables.items()}
-    arrays = {name: a for name, a in arrays.items() if a.ndim in (1, 2) and a.size > 1 and np.issubdtype(a.dtype, np.number) and not np.iscomplexobj(a)}
+    arrays = {
+        name: a
+        for name, a in arrays.items()
+        if a.ndim in (1, 2) and a.size > 1 and np.issubdtype(a.dtype, np.number) and not np.iscomplexobj(a)
+    }
     if not arrays:
         found = ", ".join(variables) or "nothing"
         raise RecordingError(f"{source} is not a recording: it holds no numeric vector or matrix (found {found})")

@@ -1,0 +1,233 @@
+"""What a column of a log means, told from its name."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current"]
+
+_WORDS: dict[str, Quantity] = {
+    **dict.fromkeys(("time", "times", "timestamp", "timestamps", "stamp", "stamps", "clock"), "time"),
+    **dict.fromkeys(("position", "positions", "pos", "angle", "angles", "theta", "qpos"), "position"),
+    **dict.fromkeys(
+        ("velocity", "velocities", "vel", "vels", "speed", "speeds", "qvel", "omega", "qdot", "thetadot", "dtheta"), "velocity"
+    ),
+    **dict.fromkeys(("acceleration", "accelerations", "accel", "acc", "qacc", "qddot", "thetaddot", "ddtheta"), "acceleration"),
+    **dict.fromkeys(("torque", "torques", "effort", "efforts", "tau", "taus", "moment", "moments", "trq"), "torque"),
+    **dict.fromkeys(("current", "currents", "amps", "ampere", "amperes"), "current"),
+}
+_LETTERS: dict[str, Quantity] = {
+    "t": "time",
+    "q": "position",
+    "qd": "velocity",
+    "dq": "velocity",
+    "qp": "velocity",
+    "qdd": "acceleration",
+    "ddq": "acceleration",
+    "qpp": "acceleration",
+    "i": "current",
+}
+_PAIRS: dict[tuple[str, ...], Quantity] = {
+    ("q", "dot", "dot"): "acceleration",
+    ("q", "ddot"): "acceleration",
+    ("q", "dot"): "velocity",
+    ("theta", "dot"): "velocity",
+    ("d", "q"): "velocity",
+    ("dd", "q"): "acceleration",
+}
+_DESIRED = {
+    "target",
+    "targets",
+    "desired",
+    "des",
+    "cmd",
+    "command",
+    "commanded",
+    "ref",
+    "reference",
+    "setpoint",
+    "goal",
+    "d",
+    "error",
+    "err",
+}
+_OTHER = {
+    "temperature",
+    "temp",
+    "voltage",
+    "tcp",
+    "cartesian",
+    "cart",
+    "ee",
+    "force",
+    "forces",
+    "wrench",
+    "gripper",
+    "mode",
+    "status",
+    "limit",
+    "std",
+}
+_EXTERNAL = {"ext", "external", "extern"}
+_MEASURED = {
+    "actual",
+    "measured",
+    "meas",
+    "msr",
+    "filtered",
+    "filt",
+    "hat",
+    "raw",
+    "joint",
+    "joints",
+    "states",
+    "state",
+    "axis",
+    "j",
+    "header",
+    "log",
+    "data",
+}
+_MOTOR = {"motor", "motors"}
+_SENSOR = {"sensor", "sensors"}
+_UNITS: dict[str, float] = {
+    "rad": 1.0, "deg": math.pi / 180, "degree": math.pi / 180, "degrees": math.pi / 180, "°": math.pi / 180, "mrad": 1e-3,
+    "m": 1.0, "mm": 1e-3, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "n": 1.0,
+    "nm": 1.0, "n m": 1.0, "n*m": 1.0, "n.m": 1.0, "mnm": 1e-3, "mn m": 1e-3, "knm": 1e3, "kn m": 1e3, "ncm": 1e-2, "n cm": 1e-2,
+    "a": 1.0, "ma": 1e-3,
+}  # fmt: skip
+_UNIT_SUFFIX = re.compile(r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma)(?:_?(?:p|per)?_?s\d?)?(?=[_ .]?\d*$)")
+_TOKEN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+
+
+@dataclass(frozen=True)
+class Role:
+    """What one column holds: `joint` is what the name says of the joint ("" where it only counts), `index` its last number, `scale` to SI.
+
+    `kind` tells apart columns of one quantity: "", "external", "motor" or "sensor".
+    """
+
+    quantity: Quantity
+    joint: str = ""
+    index: int | None = None
+    kind: str = ""
+    scale: float = 1.0
+    unit: str = ""
+
+
+def unit_scale(unit: str) -> float | None:
+    """Return the factor from `unit`, such as "deg/s" or "mN m", to SI; None where it is unknown.
+
+    Examples
+    --------
+    >>> unit_scale("mNm"), unit_scale("rad/s"), unit_scale("furlong")
+    (0.001, 1.0, None)
+    """
+    numerator = unit.strip().split("/")[0].strip()
+    return _UNITS.get(numerator.lower())
+
+
+def words_of(name: str) -> list[str]:
+    """Split a name into lower-case words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
+    return [word.lower() for word in _TOKEN.findall(name.replace("τ", "tau").replace("θ", "theta"))]
+
+
+def recognise(name: str) -> Role | None:
+    """Return the role that a column's name tells, or None where it tells none (or a desired value, a temperature, ...).
+
+    Examples
+    --------
+    >>> recognise("q_0")
+    Role(quantity='position', joint='', index=0, kind='', scale=1.0, unit='')
+    >>> recognise("joint_3_torque").quantity, recognise("elbow_joint_vel").joint, recognise("target_q_1")
+    ('torque', 'elbow_joint', None)
+    """
+    bare, index, unit = _without_brackets(name.replace("τ", "tau").replace("θ", "theta"))
+    spans = [(m.group().lower(), m.start(), m.end()) for m in _TOKEN.finditer(bare)]
+    words = [word for word, _, _ in spans]
+    quantity, used = _quantity(words)
+    if quantity is None or (set(words) - {words[k] for k in used}) & (_DESIRED | _OTHER):
+        return None
+    rest = [k for k in range(len(words)) if k not in used]
+    scale = unit_scale(unit) if unit else None
+    left = {words[k] for k in rest}
+    kind = "external" if left & _EXTERNAL else "motor" if left & _MOTOR and quantity == "torque" else "sensor" if left & _SENSOR else ""
+    if quantity == "torque" and len(rest) > 0 and words[rest[0]] == "j" and used and rest[0] == used[-1] + 1:
+        rest = rest[1:]
+    rest = [k for k in rest if words[k] not in _EXTERNAL | _MOTOR | _SENSOR]
+    numbers = [k for k in rest if words[k].isdigit()]
+    if index is None and numbers:
+        index = int(words[numbers[-1]])
+    named = [k for k in rest if words[k] not in _MEASURED and not words[k].isdigit()]
+    joint = ""
+    if named or len(numbers) > 1:
+        first, last = rest[0], rest[-1]
+        while (
+            words[first] in {"actual", "measured", "meas", "msr", "filtered", "filt", "raw", "header", "log", "data", "states", "state"}
+            and first < last
+        ):
+            first += 1
+        contiguous = not any(k in used for k in range(first, last + 1))
+        joint = bare[spans[first][1] : spans[last][2]] if contiguous else "_".join(bare[spans[k][1] : spans[k][2]] for k in rest)
+        for prefix in ("joint_states/", "joint_states_", "joint_state_"):
+            joint = joint.removeprefix(prefix)
+    elif "joint" in left and numbers and not unit and rest == list(range(rest[0], rest[-1] + 1)):
+        joint = bare[spans[rest[0]][1] : spans[rest[-1]][2]] if words[rest[0]] == "joint" and words[rest[-1]].isdigit() else ""
+    return Role(quantity, joint, index, kind, 1.0 if scale is None else scale, unit)
+
+
+def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
+    """Return the quantity that a file name ends or begins with, and the rest of the name: "run1_positions" -> ("position", "run1")."""
+    words = words_of(stem)
+    for k in (len(words) - 1, 0):
+        if words and words[k] in _WORDS and _WORDS[words[k]] != "time":
+            return _WORDS[words[k]], "_".join(words[:k] + words[k + 1 :])
+        if words and words[k] in _LETTERS and words[k] not in {"t", "i"}:
+            return _LETTERS[words[k]], "_".join(words[:k] + words[k + 1 :])
+    return None, "_".join(words)
+
+
+def _without_brackets(name: str) -> tuple[str, int | None, str]:
+    """Split "position[3] (deg)" into the bare name, the index and the unit."""
+    index: int | None = None
+    unit = ""
+    for content in re.findall(r"[\[(]([^\])]*)[\])]", name):
+        if content.strip().isdigit():
+            index = int(content)
+        elif unit_scale(content) is not None:
+            unit = content.strip()
+    bare = re.sub(r"[\[(][^\])]*[\])]", "", name)
+    suffix = _UNIT_SUFFIX.search(bare)
+    if suffix and not unit:
+        return bare[: suffix.start()] + bare[suffix.end() :], index, suffix.group(1)
+    return bare, index, unit
+
+
+def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
+    """Return the quantity that the words name and which words say so."""
+    for k in range(len(words)):
+        for pair, quantity in _PAIRS.items():
+            if tuple(words[k : k + len(pair)]) == pair:
+                return quantity, list(range(k, k + len(pair)))
+    strong = [k for k, word in enumerate(words) if word in _WORDS]
+    if strong:
+        k = next((i for i in reversed(strong) if _WORDS[words[i]] != "time"), strong[-1])
+        letters = [
+            i
+            for i, word in enumerate(words)
+            if word in {"q"} and _WORDS[words[k]] in {"position"} and abs(i - k) == 1 and not _follows_number(words, i)
+        ]
+        return _WORDS[words[k]], sorted([k, *letters])
+    if "sec" in words and "stamp" in words:
+        return "time", [words.index("stamp")]
+    for k, word in enumerate(words):
+        if word in _LETTERS and (word not in {"t", "i"} or len(words) == 1 or (k + 1 < len(words) and words[k + 1].isdigit())):
+            return _LETTERS[word], [k]
+    return None, []
+
+
+def _follows_number(words: list[str], k: int) -> bool:
+    return k + 1 < len(words) and words[k + 1].isdigit()
