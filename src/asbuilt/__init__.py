@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from asbuilt.experiment.checks import check_recording
     from asbuilt.experiment.readers import read_recording
     from asbuilt.experiment.recording import Recording
-    from asbuilt.experiment.samples import Samples, SignalChain, prepare_samples
+    from asbuilt.experiment.samples import Samples
+    from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
     from asbuilt.experiment.simulation import simulate_recording
     from asbuilt.identification.result import IdentificationResult
     from asbuilt.validation.comparison import compare
@@ -41,7 +42,7 @@ _HOME = {
     "Recording": "experiment.recording",
     "RobotModel": "description.model",
     "Samples": "experiment.samples",
-    "SignalChain": "experiment.samples",
+    "SignalChain": "experiment.signal_chain",
     "StudyOptions": "validation.study",
     "check_recording": "experiment.checks",
     "compare": "validation.comparison",
@@ -53,7 +54,7 @@ _HOME = {
     "load_robot": "description.load",
     "mass_matrix": "dynamics.newton_euler",
     "observation_matrix": "dynamics.regressor",
-    "prepare_samples": "experiment.samples",
+    "prepare_samples": "experiment.signal_chain",
     "read_recording": "experiment.readers",
     "regressor": "dynamics.regressor",
     "simulate_recording": "experiment.simulation",
