@@ -15,7 +15,13 @@ from asbuilt.errors import DescriptionError
 
 GEOMETRY_COLUMNS = ("b", "a", "alpha_deg")
 MASS_COLUMNS = ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
-KINDS: dict[str, JointKind] = {"r": "revolute", "revolute": "revolute", "continuous": "continuous", "p": "prismatic", "prismatic": "prismatic"}
+KINDS: dict[str, JointKind] = {
+    "r": "revolute",
+    "revolute": "revolute",
+    "continuous": "continuous",
+    "p": "prismatic",
+    "prismatic": "prismatic",
+}
 
 
 def looks_like_dh_table(header: str) -> bool:
@@ -61,7 +67,9 @@ def _check_columns(path: Path, columns: list[str]) -> None:
         raise DescriptionError(f"{path}: column {repeated[0]!r} appears twice")
     missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
     if missing:
-        raise DescriptionError(f"{path}: column {', '.join(missing)} is missing; the table needs {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}")
+        raise DescriptionError(
+            f"{path}: column {', '.join(missing)} is missing; the table needs {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}"
+        )
     known = {"link", *GEOMETRY_COLUMNS, *MASS_COLUMNS, "theta_deg", "kind"}
     unknown = [name for name in columns if name not in known]
     if unknown:

@@ -134,7 +134,9 @@ class LinkInertia:
         if values.shape != (10,):
             raise InertiaError(f"log-Cholesky parameters are 10 numbers (alpha d1 d2 d3 s12 s23 s13 t1 t2 t3), got shape {values.shape}")
         alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = values
-        U = np.exp(alpha) * np.array([[np.exp(d1), s12, s13, t1], [0.0, np.exp(d2), s23, t2], [0.0, 0.0, np.exp(d3), t3], [0.0, 0.0, 0.0, 1.0]])
+        U = np.exp(alpha) * np.array(
+            [[np.exp(d1), s12, s13, t1], [0.0, np.exp(d2), s23, t2], [0.0, 0.0, np.exp(d3), t3], [0.0, 0.0, 0.0, 1.0]]
+        )
         return cls(_parameters_of(U @ U.T))
 
     def to_pinocchio_order(self) -> Array:

@@ -43,7 +43,12 @@ def parsed_length(text: str, lengths: Mapping[str, float]) -> tuple[tuple[float,
 def rotated_letters(rotation: Array, letters: Letters) -> Letters:
     """Return the letters of `R p` for the letters of p; factors that vanish are left out."""
     return tuple(
-        tuple((float(rotation[row, column] * factor), letter) for column in range(3) for factor, letter in letters[column] if rotation[row, column] != 0.0)
+        tuple(
+            (float(rotation[row, column] * factor), letter)
+            for column in range(3)
+            for factor, letter in letters[column]
+            if rotation[row, column] != 0.0
+        )
         for row in range(3)
     )
 

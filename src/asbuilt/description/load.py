@@ -25,7 +25,9 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
         return bundled_robot(text)
     path = Path(text)
     if path.is_dir():
-        raise DescriptionError(f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled robot ({', '.join(robot_names())})")
+        raise DescriptionError(
+            f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled robot ({', '.join(robot_names())})"
+        )
     if not path.is_file():
         if path.suffix.lower() in (*SUFFIXES, ".xacro"):
             raise DescriptionError(f"there is no file {text}; give the path of a description ({', '.join(SUFFIXES)})")

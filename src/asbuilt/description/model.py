@@ -141,7 +141,9 @@ class RobotModel:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
         for i, joint in enumerate(self.joints):
             if not ROOT <= joint.parent < i:
-                raise DescriptionError(f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link (index {joint.parent})")
+                raise DescriptionError(
+                    f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link (index {joint.parent})"
+                )
             for side, placement in (("before", joint.before), ("after", joint.after)):
                 if placement.shape != (4, 4) or not np.all(np.isfinite(placement)):
                     raise DescriptionError(f"{self.name}: placement {side} joint {joint.name!r} must be a finite 4 x 4 matrix")
@@ -199,7 +201,9 @@ class RobotModel:
         if values.shape != (10 * self.n_joints,):
             raise DescriptionError(f"{self.name} has {10 * self.n_joints} inertial parameters, got shape {values.shape}")
         inertias = [LinkInertia(values[10 * i : 10 * i + 10]) for i in range(self.n_joints)]
-        links = tuple(replace(link, inertia=inertia, inertia_known=True, parts=()) for link, inertia in zip(self.links, inertias, strict=True))
+        links = tuple(
+            replace(link, inertia=inertia, inertia_known=True, parts=()) for link, inertia in zip(self.links, inertias, strict=True)
+        )
         return replace(self, links=links)
 
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:

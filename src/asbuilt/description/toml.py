@@ -20,7 +20,9 @@ from asbuilt.errors import AsbuiltError, DescriptionError
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0)]
 Vector = tuple[Finite, Finite, Finite]
-Length = Annotated[float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) and not isinstance(value, bool) else value)]
+Length = Annotated[
+    float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) and not isinstance(value, bool) else value)
+]
 AngleUnit = Literal["rad", "deg"]
 
 
@@ -54,7 +56,9 @@ class PlacementTable(_Table):
             R = np.array(self.rotation)
             error = float(np.abs(R @ R.T - np.eye(3)).max())
             if error > 1e-6 or np.linalg.det(R) < 0.0:
-                raise ValueError(f"rotation is not a rotation matrix: R R^T differs from 1 by {error:.2g} and det R = {np.linalg.det(R):.6g}")
+                raise ValueError(
+                    f"rotation is not a rotation matrix: R R^T differs from 1 by {error:.2g} and det R = {np.linalg.det(R):.6g}"
+                )
         return self
 
 
@@ -129,8 +133,8 @@ class LimitsTable(_Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> LimitsTable:
-        if not self.lower < self.upper:
-            raise ValueError(f"lower = {self.lower} must be less than upper = {self.upper}")
+        if not self.lower <= self.upper:
+            raise ValueError(f"lower = {self.lower} must not exceed upper = {self.upper}")
         return self
 
 
@@ -266,7 +270,9 @@ def _link_index(name: str, file: RobotFile, known: list[str], what: str) -> int:
     if name == file.root_link:
         return ROOT
     if name not in known:
-        raise DescriptionError(f"{what} is {name!r}, which is not the root link nor an earlier link; known here: {', '.join([file.root_link, *known])}")
+        raise DescriptionError(
+            f"{what} is {name!r}, which is not the root link nor an earlier link; known here: {', '.join([file.root_link, *known])}"
+        )
     return known.index(name)
 
 

@@ -81,7 +81,7 @@ def read_urdf(path_or_text: str | Path) -> RobotModel:
         root_link=top,
         frames=tuple(tree.frames),
         source="URDF text" if source == "the description" else source,
-        notes=tuple(notes),
+        notes=tuple(note.replace(f"{source}, ", "") for note in notes),
     )
 
 
@@ -121,7 +121,9 @@ def _inertia(inertial: Element, place: str, notes: list[str]) -> LinkInertia:
     mass, tensor = inertial.find("mass"), inertial.find("inertia")
     if mass is None or tensor is None:
         missing = "mass" if mass is None else "inertia"
-        raise DescriptionError(f"{place}: <{missing}> is missing; give <mass value=.../> and <inertia ixx=... .../>, or leave <inertial> out")
+        raise DescriptionError(
+            f"{place}: <{missing}> is missing; give <mass value=.../> and <inertia ixx=... .../>, or leave <inertial> out"
+        )
     xx, yy, zz = (number(tensor, name, place) for name in ("ixx", "iyy", "izz"))
     xy, xz, yz = (number(tensor, name, place) for name in ("ixy", "ixz", "iyz"))
     about_com = LinkInertia.from_com(number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -231,7 +233,9 @@ def _axis(connection: _Connection, notes: list[str]) -> Array:
     given = np.array([1.0, 0.0, 0.0] if element is None else numbers(element, "xyz", 3, connection.place))
     length = float(np.linalg.norm(given))
     if length == 0.0:
-        raise DescriptionError(f'{connection.place}: the axis is {given.tolist()} and has no direction; give a unit vector such as xyz="0 0 1"')
+        raise DescriptionError(
+            f'{connection.place}: the axis is {given.tolist()} and has no direction; give a unit vector such as xyz="0 0 1"'
+        )
     if abs(length - 1.0) > AXIS_TOLERANCE:
         notes.append(f"{connection.place}: the axis {given.tolist()} has length {length:.6g} and is scaled to 1")
     return given / length

@@ -49,7 +49,9 @@ def parsed_xml(content: bytes, source: str) -> Element:
             continue
         namespace, _, tag = element.tag.rpartition("}")
         if "xacro" in namespace:
-            raise DescriptionError(f"{source}: the file holds <xacro:{tag}>, so it is not expanded yet: run  xacro FILE > robot.urdf  and load that")
+            raise DescriptionError(
+                f"{source}: the file holds <xacro:{tag}>, so it is not expanded yet: run  xacro FILE > robot.urdf  and load that"
+            )
         for attribute, value in element.attrib.items():
             if "${" in value or "$(" in value:
                 raise DescriptionError(
