@@ -1,0 +1,141 @@
+"""Read a recording longer than memory, a stretch at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import ArrayLike
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.formats.delimited import bad_cell, find_dialect, scan_delimited
+from asbuilt.experiment.formats.parquet import scan_parquet
+from asbuilt.experiment.formats.table import Array, Table
+from asbuilt.experiment.layout import Layout, find_layout
+from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, apply_sheet, build_recording, clock_origin, find_sheet, read_recording
+from asbuilt.experiment.recording import Recording, TorqueSource
+from asbuilt.experiment.sheet import RecordingSheet
+
+
+def stream_recording(
+    path: PathLike,
+    *,
+    model: RobotModel | None = None,
+    sheet: PathLike | RecordingSheet | None = None,
+    rate: float | None = None,
+    flip_torque: bool = False,
+    gain: ArrayLike | None = None,
+    torque_source: TorqueSource | None = None,
+    chunk_samples: int = 200_000,
+    overlap: int = 0,
+) -> Iterator[Recording]:
+    """Read a recording in stretches of `chunk_samples`, each led in by the last `overlap` samples of the one before.
+
+    Parquet is read in slices and delimited text lazily, so memory depends on the stretch, not on the length; other formats are read whole first.
+    Extra quantities are left out. Options are those of `read_recording`.
+
+    Raises
+    ------
+    RecordingError
+        As `read_recording`; a bad cell is reported when its stretch is reached.
+    """
+    if chunk_samples < 1 or overlap < 0:
+        raise RecordingError(f"chunk_samples must be at least 1 and overlap at least 0, got {chunk_samples} and {overlap}")
+    path = Path(path)
+    if not path.exists():
+        raise RecordingError(f"recording {path} does not exist")
+    described, notes = find_sheet(path, sheet)
+    suffix = path.suffix.lower()
+    blank = described.separator == " " or (suffix in TEXT_SUFFIXES and find_dialect(path).separator == "")
+    if described.files.position is not None or blank or (suffix != ".parquet" and suffix not in TEXT_SUFFIXES):
+        whole = read_recording(
+            path, model=model, sheet=described, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source
+        )
+        yield from _cut(whole, chunk_samples, overlap)
+        return
+    source, names, frames = _frames(path, described, chunk_samples, overlap)
+    layout = find_layout(source, names, model=model, sheet=described)
+    layout = replace(
+        layout, quantities={k: v for k, v in layout.quantities.items() if k in {"position", "velocity", "acceleration", "torque"}}
+    )
+    rate = rate if rate is not None else described.rate
+    windowless = described.model_copy(update={"windows": []})
+    origin: float | None = None
+    start = 0.0
+    for first, frame in frames(layout):
+        table = Table(source=source, columns={name: _numbers(frame[name]) for name in layout.columns})
+        if origin is None and layout.time is not None:
+            t = table.columns[layout.time] * layout.scales[layout.time]
+            origin = clock_origin(t)
+            start = float(t[0]) - origin
+        chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
+        chunk = apply_sheet(
+            replace(chunk, notes=(*notes, *chunk.notes)), windowless, flip_torque=flip_torque, gain=gain, torque_source=torque_source
+        )
+        if described.windows:
+            keep = np.zeros(chunk.n_samples, dtype=bool)
+            for window in described.windows:
+                keep |= (chunk.t >= start + window.start) & (chunk.t < start + window.stop)
+            if not keep.any():
+                continue
+            chunk = chunk.taken(keep)
+        yield chunk
+
+
+class _Frames:
+    """Iterate over (index of the first row, frame of the needed columns)."""
+
+    def __init__(self, path: Path, sheet: RecordingSheet, chunk_samples: int, overlap: int) -> None:
+        self.path, self.sheet, self.chunk_samples, self.overlap = path, sheet, chunk_samples, overlap
+
+    def __call__(self, layout: Layout) -> Iterator[tuple[int, pl.DataFrame]]:
+        if self.path.suffix.lower() == ".parquet":
+            scanned, _, _ = scan_parquet(self.path)
+            total = int(scanned.select(pl.len()).collect().item())
+            for begin in range(0, total, self.chunk_samples):
+                first = max(0, begin - self.overlap)
+                yield first, scanned.select(layout.columns).slice(first, begin + self.chunk_samples - first).collect()
+            return
+        dialect = find_dialect(self.path, header=self.sheet.header, separator=self.sheet.separator)
+        tail: pl.DataFrame | None = None
+        done = 0
+        try:
+            for frame in (
+                scan_delimited(self.path, dialect)
+                .select(layout.columns)
+                .collect_batches(chunk_size=self.chunk_samples, maintain_order=True)
+            ):
+                led = frame if tail is None else pl.concat([tail, frame])
+                yield done - (0 if tail is None else tail.height), led
+                done += frame.height
+                tail = led.tail(self.overlap) if self.overlap else None
+        except pl.exceptions.PolarsError as error:
+            raise RecordingError(bad_cell(self.path, dialect, error)) from error
+
+
+def _frames(path: Path, sheet: RecordingSheet, chunk_samples: int, overlap: int) -> tuple[str, tuple[str, ...], _Frames]:
+    if path.suffix.lower() == ".parquet":
+        names: tuple[str, ...] = scan_parquet(path)[1]
+    else:
+        dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
+        if dialect.headless and sheet.columns.position is None:
+            raise RecordingError(
+                f"{path} has {len(dialect.names)} columns without names; say what they are in a recording sheet: [columns] position = ..."
+            )
+        names = tuple(name for name in dialect.names if name not in dialect.text_columns)
+    return str(path), names, _Frames(path, sheet, chunk_samples, overlap)
+
+
+def _numbers(series: pl.Series) -> Array:
+    if series.dtype != pl.Float64:
+        series = series.cast(pl.Float64)
+    return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()
+
+
+def _cut(recording: Recording, chunk_samples: int, overlap: int) -> Iterator[Recording]:
+    for begin in range(0, recording.n_samples, chunk_samples):
+        yield recording.taken(slice(max(0, begin - overlap), begin + chunk_samples))
