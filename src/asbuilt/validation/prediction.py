@@ -1,0 +1,136 @@
+"""Hold an identified model against a recording: measured torque, the prediction as built and the prediction by design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drive_torque import drive_torque
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.errors import ResultError
+from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
+from asbuilt.identification.torque_prediction import predict_torque
+from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve, analyse_residual, velocity_curve
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.samples import Samples
+    from asbuilt.identification.result import IdentificationResult
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Validation:
+    """Hold torques of a recording, all (N, n) at the times `t` (N,) of the filtered grid, N m or N.
+
+    `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that follow velocity (friction, offset).
+    """
+
+    source: str
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    t: Array
+    velocity: Array
+    measured: Array
+    predicted: Array
+    predicted_cad: Array
+    drive: Array
+    metrics_as_built: TorqueMetrics
+    metrics_cad: TorqueMetrics
+
+    def __post_init__(self) -> None:
+        for values in (self.t, self.velocity, self.measured, self.predicted, self.predicted_cad, self.drive):
+            values.setflags(write=False)
+
+    @property
+    def error(self) -> Array:
+        """Measured torque minus the prediction as built, (N, n)."""
+        return self.measured - self.predicted
+
+    @property
+    def error_cad(self) -> Array:
+        """Measured torque minus the prediction by design, (N, n)."""
+        return self.measured - self.predicted_cad
+
+    @property
+    def friction(self) -> Array:
+        """Measured torque minus the rigid-body part of the prediction as built, (N, n): what the drives took."""
+        return self.error + self.drive
+
+    def residuals(self) -> ResidualAnalysis:
+        """Analyse the error of the prediction as built."""
+        return analyse_residual(self.t, self.error, self.joint_names)
+
+    def friction_curves(self) -> tuple[VelocityCurve, ...]:
+        """Return the torque the drives took against velocity, one curve per joint."""
+        return tuple(velocity_curve(qd, torque) for qd, torque in zip(self.velocity.T, self.friction.T, strict=True))
+
+
+def validate(result: IdentificationResult, samples: Samples, *, cad: RobotModel | None = None) -> Validation:
+    """Predict a recording from the values as built and by design, the torque and both predictions through the same filter.
+
+    `cad` replaces the description that the result carries, such as the manufacturer's; it must have the same joints and geometry. Design
+    values on which it is silent add nothing. Raises ResultError where joints do not fit.
+    """
+    if tuple(samples.joint_names) != tuple(result.joint_names):
+        raise ResultError(
+            f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)}; the result of {result.robot} needs "
+            f"{', '.join(result.joint_names)} in this order"
+        )
+    as_built = result.predict(samples)
+    if cad is None:
+        by_design = result.predict_cad(samples)
+    else:
+        by_design = predict_torque(result.model, result.base, np.nan_to_num(design_values(result, cad), nan=0.0), samples)
+    return Validation(
+        source=samples.source,
+        joint_names=tuple(result.joint_names),
+        units=torque_units(result.model),
+        t=as_built.t,
+        velocity=samples.filtered(samples.qd),
+        measured=as_built.measured,
+        predicted=as_built.predicted,
+        predicted_cad=by_design.predicted,
+        drive=_drive_torque(result, samples),
+        metrics_as_built=torque_metrics(as_built.measured, as_built.predicted, samples.source, result.joint_names),
+        metrics_cad=torque_metrics(as_built.measured, by_design.predicted, samples.source, result.joint_names),
+    )
+
+
+def torque_units(model: RobotModel) -> tuple[str, ...]:
+    """Return the unit of each joint's torque: N m where it turns, N where it slides."""
+    return tuple("N m" if joint.is_revolute else "N" for joint in model.joints)
+
+
+def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
+    """Return the base parameters that another description of the same robot gives, shape (p,); NaN where it is silent.
+
+    Raises ResultError where the two differ in joints or geometry, since base parameters then mean different things.
+    """
+    if cad.n_joints != result.model.n_joints:
+        raise ResultError(f"{cad.name} has {cad.n_joints} joints, the result of {result.robot} has {result.model.n_joints}")
+    ours, theirs = result.model.geometry, cad.geometry
+    for what in ("parent", "revolute", "before_rotation", "before_translation", "after_rotation", "after_translation"):
+        one, two = np.asarray(getattr(ours, what), dtype=np.float64), np.asarray(getattr(theirs, what), dtype=np.float64)
+        off = np.abs(one - two).reshape(len(one), -1).max(axis=1)
+        worst = int(np.argmax(off))
+        if off[worst] > 1e-6:
+            raise ResultError(
+                f"{cad.name} and {result.robot} differ in geometry: {what.replace('_', ' ')} of joint {result.joint_names[worst]!r} by {off[worst]:.3g}; "
+                "compare descriptions with the same joint frames, or identify with the other one"
+            )
+    return result.base.values(parameter_values(cad, result.base.drive))
+
+
+def _drive_torque(result: IdentificationResult, samples: Samples) -> Array:
+    """Return the filtered torque of the identified drive terms other than armature, (N, n); a term regrouped with others adds nothing."""
+    drive = result.base.drive
+    own = DriveSet(tuple(term for term in drive.terms if term.key != "armature" and not term.needs_load))
+    identified = {parameter.name: parameter.estimate for parameter in result.parameters}
+    values = [identified.get(name, 0.0) for k in range(result.model.n_joints) for name in own.names(k + 1)]
+    return samples.filtered(drive_torque(own, values, samples.q, samples.qd, samples.qdd))

@@ -1,0 +1,302 @@
+"""One self-contained HTML page about an identification: verdict, tables, interactive torque plots, warnings, provenance.
+
+The page carries everything it needs and asks the network for nothing; every name in it may come from a stranger's file and is escaped.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from numpy.typing import NDArray
+from plotly.offline import get_plotlyjs
+
+from asbuilt.identification.result import IdentificationResult
+from asbuilt.tables import Table, deviation, percent, rounded, share, significant
+from asbuilt.validation.comparison import ComparedParameter, Comparison, compare
+from asbuilt.validation.prediction import Validation
+from asbuilt.validation.residuals import ResidualAnalysis
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.thinning import thinned
+
+Array = NDArray[np.float64]
+Mood = Literal["good", "bad", "neutral"]
+
+CURVE_POINTS = 120_000
+"""Points of all torque curves of a page together; each joint of each recording gets its share, 400 to 2500."""
+
+CITATION = "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic identification of manipulator: comparison between CAD and actual parameters, iNaCoMM 2015."
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One statement of the verdict: a figure, what it is, and a sentence in plain words."""
+
+    mood: Mood
+    figure: str
+    label: str
+    sentence: str
+
+
+def write_report(
+    path: str | os.PathLike[str], result: IdentificationResult, validations: Sequence[Validation] = (), *, command: Sequence[str] = ()
+) -> Path:
+    """Write the report of a result and of its validations; `command` is the command line that repeats it."""
+    return atomic_write(path, report_html(result, validations, command=command))
+
+
+def report_html(result: IdentificationResult, validations: Sequence[Validation] = (), *, command: Sequence[str] = ()) -> str:
+    """Return the page as text; the torque plots show `validations`, which may include the training data under its own name."""
+    comparison = compare(result, validation=_held_out(result, validations) or None)
+    page = _environment().get_template("report.html.j2")
+    return page.render(
+        title=f"{result.robot}, as built",
+        robot=result.robot,
+        result=result,
+        facts=_facts(result),
+        findings=verdict(result, comparison),
+        comparison=comparison,
+        parameters=[_parameter_row(parameter) for parameter in comparison.parameters],
+        torque_table=_table(comparison.torque_table(), "torque-table"),
+        validations=validations,
+        residual_rows=[_residual_rows(validation) for validation in validations],
+        data=_page_data(result, validations),
+        command=shlex.join(command),
+        citation=CITATION,
+        robot_citation=result.model.citation,
+        version=_version(),
+        style=Markup(_resource("report.css")),
+        script=Markup(_resource("report.js")),
+        plotly=Markup(get_plotlyjs()),
+    )
+
+
+def verdict(result: IdentificationResult, comparison: Comparison) -> tuple[Finding, ...]:
+    """Return what a reader must know first, each with its sentence."""
+    return (_prediction(result, comparison), _consistency(result), _determination(result), _difference(comparison))
+
+
+def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding:
+    cad, built = comparison.torque[0]
+    error = share(built.relative_error)
+    worst = int(np.nanargmax(built.relative_error_per_joint))
+    weak = f" Joint {built.joint_names[worst]} is predicted worst: its error is {share(float(built.relative_error_per_joint[worst]), 0)} of its own torque."
+    if not result.validation:
+        return Finding(
+            "neutral",
+            error,
+            "torque error, on the data fitted",
+            f"No recording was held out, so {error} is the error on the data used for fitting and says little about other motion.{weak}",
+        )
+    if cad is None or not cad.relative_error > 0:
+        return Finding("neutral", error, "torque error, held out", f"The error on {built.source} is {error} of the measured torque.{weak}")
+    factor = cad.relative_error / built.relative_error if built.relative_error > 0 else math.inf
+    against = f"{share(cad.relative_error)} by design"
+    if factor >= 1.0:
+        sentence = f"On {built.source}, not used for fitting, the torque error falls from {against} to {error} as built: {significant(factor, 2)} times smaller."
+        return Finding("good", error, f"torque error held out, against {against}", sentence + weak)
+    sentence = f"On {built.source}, not used for fitting, the identified model predicts WORSE than the design: {error} against {against}."
+    return Finding(
+        "bad", error, f"torque error held out, against {against}", sentence + " Do not use it as it is; see the warnings." + weak
+    )
+
+
+def _consistency(result: IdentificationResult) -> Finding:
+    if result.physically_consistent is None:
+        return Finding("neutral", "not checked", "physical consistency", "Whether rigid bodies can have these parameters was not checked.")
+    if result.physically_consistent:
+        return Finding("good", "consistent", "physically", "Rigid bodies with these parameters exist, so a simulator can use the model.")
+    sentence = "NO rigid bodies have these parameters: torques are predicted well enough, but a simulator may become unstable. Fit with consistency imposed."
+    return Finding("bad", "inconsistent", "physically", sentence)
+
+
+def _determination(result: IdentificationResult) -> Finding:
+    figure, lost = f"{result.rank} of {result.n_base}", result.n_base - result.rank
+    if lost <= 0:
+        return Finding("good", figure, "parameters determined", "This recording excites every base parameter.")
+    sentence = (
+        f"This recording leaves {lost} combination{'s' if lost > 1 else ''} of parameters undetermined; they lean on the design values."
+    )
+    return Finding("bad", figure, "parameters determined", sentence)
+
+
+def _difference(comparison: Comparison) -> Finding:
+    figure = f"{comparison.n_differing} of {comparison.n_compared}"
+    sentence = (
+        f"{comparison.n_differing} of the {comparison.n_compared} parameters that have a design value and are determined lie {comparison.threshold:g} "
+        "standard errors or more from it."
+    )
+    return Finding("neutral", figure, "parameters differ from the design", sentence)
+
+
+def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
+    relative = share(result.train.relative_error)
+    return [
+        ("method", result.method),
+        ("drive terms", str(result.base.drive)),
+        ("samples", f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz, {result.duration:.1f} s"),
+        ("worth, independent", significant(result.effective_samples)),
+        ("rank", f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)"),
+        ("condition number", f"{significant(result.condition_number)} (columns scaled {significant(result.scaled_condition_number)})"),
+        (
+            "relative error",
+            f"{relative} on the data fitted" + "".join(f", {share(m.relative_error)} on {m.source}" for m in result.validation),
+        ),
+        ("consistency", {True: "OK", False: "NOT CONSISTENT", None: "not checked"}[result.physically_consistent]),
+    ]
+
+
+def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
+    """Return the texts, sort keys and the little interval drawing of one parameter; the drawing spans -100 to 100."""
+    half = 1.96 * (parameter.std_error or 0.0)
+    scale = max(abs(parameter.estimate), abs(parameter.cad or 0.0), 0.8 * half) or 1.0
+    shown, error = rounded(parameter.estimate, parameter.std_error)
+    by_design = "-" if parameter.cad is None else rounded(parameter.cad, parameter.std_error)[0]
+    at = 80.0 * parameter.estimate / scale
+    reach = 80.0 * half / scale
+    outcome = deviation(parameter.sigmas) if parameter.verdict in ("differs", "agrees") else parameter.verdict
+    return {
+        "id": parameter.id,
+        "name": parameter.name,
+        "expression": parameter.expression,
+        "unit": parameter.unit,
+        "cad": by_design,
+        "cad_value": parameter.cad,
+        "built": shown,
+        "built_value": parameter.estimate,
+        "error": error,
+        "error_value": parameter.std_error,
+        "percent": percent(parameter.estimate, parameter.std_error),
+        "percent_value": None if parameter.std_error is None or not parameter.estimate else abs(parameter.std_error / parameter.estimate),
+        "outcome": outcome,
+        "sigmas": None if parameter.sigmas is None else abs(parameter.sigmas),
+        "verdict": parameter.verdict,
+        "sigma_text": "" if parameter.sigmas is None else f"{parameter.sigmas:+.1f} sigma",
+        "x": round(at, 1),
+        "low": round(max(at - reach, -100.0), 1),
+        "high": round(min(at + reach, 100.0), 1),
+        "x_cad": None if parameter.cad is None else round(80.0 * parameter.cad / scale, 1),
+    }
+
+
+def _residual_rows(validation: Validation) -> list[dict[str, Any]]:
+    analysis, built, cad = validation.residuals(), validation.metrics_as_built, validation.metrics_cad
+    return [
+        {
+            "joint": name,
+            "unit": validation.units[k],
+            "rms": significant(float(built.rms[k])),
+            "rms_cad": significant(float(cad.rms[k])),
+            "largest": significant(float(built.max_abs[k])),
+            "relative": share(float(built.relative_error_per_joint[k])),
+            "r2": f"{built.r_squared[k]:.4f}" if np.isfinite(built.r_squared[k]) else "-",
+            "mean": significant(float(analysis.mean[k]), 2),
+            "durbin_watson": f"{analysis.durbin_watson[k]:.2f}",
+            "white": "yes" if analysis.probability_white[k] > 0.05 else "no",
+            "effective": significant(float(analysis.effective_samples[k])),
+        }
+        for k, name in enumerate(validation.joint_names)
+    ]
+
+
+def _page_data(result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Any]:
+    """Return what the page's script draws: curves per recording and joint, singular values; numbers to five digits."""
+    joints = max(1, sum(len(validation.joint_names) for validation in validations))
+    points = int(np.clip(CURVE_POINTS / joints / 4, 400, 2500))
+    return {
+        "joints": list(result.joint_names),
+        "recordings": [_recording_data(validation, points) for validation in validations],
+        "singular_values": _listed(result.singular_values),
+        "rank": result.rank,
+    }
+
+
+def _recording_data(validation: Validation, points: int) -> dict[str, Any]:
+    analysis = validation.residuals()
+    return {
+        "source": validation.source,
+        "n_samples": len(validation.t),
+        "joints": [_joint_data(validation, analysis, k, points) for k in range(len(validation.joint_names))],
+    }
+
+
+def _joint_data(validation: Validation, analysis: ResidualAnalysis, k: int, points: int) -> dict[str, Any]:
+    measured, built, cad = (torque[:, k] for torque in (validation.measured, validation.predicted, validation.predicted_cad))
+    t, *curves = thinned(validation.t, measured, built, cad, measured - built, points=points)
+    error = measured - built
+    spread = float(np.std(error)) or 1.0
+    counts, edges = np.histogram(np.clip((error - error.mean()) / spread, -5, 5), bins=51, range=(-5, 5), density=True)
+    step = max(1, len(analysis.lags) // 200)
+    friction = validation.friction_curves()[k]
+    dots = np.linspace(0, len(validation.t) - 1, min(len(validation.t), 600)).astype(int)
+    speed = np.sort(validation.velocity[dots, k])
+    order = dots[np.argsort(validation.velocity[dots, k])]
+    return {
+        "unit": validation.units[k],
+        "speed_unit": "rad/s" if validation.units[k] == "N m" else "m/s",
+        "rms": float(f"{validation.metrics_as_built.rms[k]:.4g}"),
+        "rms_cad": float(f"{validation.metrics_cad.rms[k]:.4g}"),
+        "t": _listed(t, 7),
+        "measured": _listed(curves[0]),
+        "built": _listed(curves[1]),
+        "cad": _listed(curves[2]),
+        "histogram": {"z": _listed(0.5 * (edges[1:] + edges[:-1])), "density": _listed(counts), "spread": float(f"{spread:.3g}")},
+        "lags": _listed(analysis.lags[::step]),
+        "correlation": _listed(analysis.autocorrelation[::step, k]),
+        "band": float(f"{1.96 / math.sqrt(analysis.n_samples):.4g}"),
+        "friction": {
+            "speed": _listed(speed, 4),
+            "torque": _listed(validation.friction[order, k], 4),
+            "law": _listed(validation.drive[order, k], 4),
+            "bin": _listed(friction.velocity, 4),
+            "median": _listed(friction.median, 4),
+        },
+    }
+
+
+def _listed(values: Array, digits: int = 5) -> list[float | None]:
+    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
+
+
+def _held_out(result: IdentificationResult, validations: Sequence[Validation]) -> list[Validation]:
+    """Return the validations on recordings that the result was judged by, without those that only show the training data."""
+    judged = {metrics.source for metrics in result.validation}
+    return [validation for validation in validations if validation.source in judged] if judged else []
+
+
+def _table(table: Table, identifier: str) -> Markup:
+    return Markup(table.as_html(identifier))
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("asbuilt.writers", "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["share"] = share
+    return environment
+
+
+def _resource(name: str) -> str:
+    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
+
+
+def _version() -> str:
+    try:
+        return version("asbuilt")
+    except PackageNotFoundError:
+        return "unknown version"

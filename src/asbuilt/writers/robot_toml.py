@@ -1,0 +1,173 @@
+"""A robot, as designed or as identified, as a robot file in TOML that reads back to the same torques."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.lengths import length_values
+from asbuilt.description.model import ROOT, DriveValues, Joint, Letters, Link, RobotModel
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.identification.result import IdentificationResult
+from asbuilt.writers.files import atomic_write
+
+Array = NDArray[np.float64]
+
+SAME_LENGTH = 1e-12
+"""Letters are written for a length where they give it to within this [m]."""
+
+_TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+_LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
+
+
+def as_built_model(result: IdentificationResult) -> RobotModel:
+    """Return the robot with standard parameters that give the identified torques exactly and move least from the description.
+
+    chi = chi_cad + S (K S)^+ (beta - K chi_cad), where K is the regrouping and S scales each parameter by the size of its link (kg, m).
+    What torques do not determine stays as described, so single masses and inertias are a choice and may be impossible for a rigid body.
+    """
+    model, base = result.model, result.base
+    described = np.nan_to_num(parameter_values(model, base.drive), nan=0.0)
+    scale = _parameter_scales(model, base.n_standard)
+    step, *_ = np.linalg.lstsq(base.regrouping * scale, result.estimates - base.regrouping @ described, rcond=1e-13)
+    chi = described + scale * step
+    inertial = 10 * model.n_joints
+    keys, per_joint = base.drive.keys, base.drive.columns_per_joint
+    robot = model.with_parameters(chi[:inertial])
+    joints = []
+    for k, joint in enumerate(robot.joints):
+        values = dict(zip(keys, chi[inertial + k * per_joint : inertial + (k + 1) * per_joint].tolist(), strict=False))
+        named = {key: value for key, value in values.items() if key in DriveValues.__dataclass_fields__}
+        joints.append(replace(joint, drive=replace(joint.drive, **named)))
+    consistency = {
+        True: "the base parameters are physically consistent; these standard parameters are one choice among many and need not be",
+        False: "the base parameters are NOT physically consistent: no rigid bodies have them",
+        None: "physical consistency was not checked",
+    }[result.physically_consistent]
+    note = f"identified ({result.method}) from {', '.join(result.sources)}; gives the identified torques exactly; {consistency}"
+    return replace(robot, joints=tuple(joints), notes=(*model.notes, note), source=f"identified from {', '.join(result.sources)}")
+
+
+def robot_toml(model: RobotModel) -> str:
+    """Return the text of a robot file: placements as rotation matrices, inertias about link origins, numbers in full precision."""
+    head = [
+        f"name = {_text(model.name)}",
+        f"citation = {_text(model.citation)}" if model.citation else "",
+        f"notes = {_texts(model.notes)}" if model.notes else "",
+        f"gravity = {_numbers(model.gravity)}",
+        f"root_link = {_text(model.root_link)}",
+        f"lengths = {{{', '.join(f'{_key(letter)} = {_float(value)}' for letter, value in model.lengths.items())}}}"
+        if model.lengths
+        else "",
+    ]
+    blocks = ["\n".join(line for line in head if line)]
+    blocks += [_link_table(model, joint, link) for joint, link in zip(model.joints, model.links, strict=True)]
+    for frame in model.frames:
+        place = _placement_fields(frame.placement, None, model)
+        blocks.append("\n".join(["[[frames]]", f"name = {_text(frame.name)}", f"link = {_text(_link_name(model, frame.link))}", *place]))
+    return "\n\n".join(blocks) + "\n"
+
+
+def write_robot_toml(path: str | os.PathLike[str], model: RobotModel) -> Path:
+    """Write a robot file that `load_robot` reads back to the same torques."""
+    return atomic_write(path, robot_toml(model))
+
+
+def _parameter_scales(model: RobotModel, n_standard: int) -> Array:
+    """Return the typical size of each standard parameter: mass m and length l of a link give m l^2, m l and m; 1 for a drive."""
+    masses = np.abs([link.inertia.mass for link in model.links])
+    typical = float(np.mean(masses[masses > 0])) if np.any(masses > 0) else 1.0
+    reach = [float(np.linalg.norm(joint.before[:3, 3]) + np.linalg.norm(joint.after[:3, 3])) for joint in model.joints]
+    length = max(float(np.mean(reach)), 0.05)
+    scale = np.ones(n_standard)
+    for k, mass in enumerate(masses):
+        m = max(float(mass), 0.1 * typical)
+        scale[10 * k : 10 * k + 10] = [m * length**2] * 6 + [m * length] * 3 + [m]
+    return scale
+
+
+def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
+    lines = [
+        "[[links]]",
+        f"name = {_text(link.name)}",
+        f"joint = {_text(joint.name)}",
+        f"kind = {_text(joint.kind)}",
+        f"parent = {_text(_link_name(model, joint.parent))}",
+        f"origin = {{{', '.join(_placement_fields(joint.before, joint.before_letters, model))}}}",
+    ]
+    if not np.array_equal(joint.after, np.eye(4)) or joint.after_letters is not None:
+        lines.append(f"after = {{{', '.join(_placement_fields(joint.after, joint.after_letters, model))}}}")
+    whole = np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
+    by_parts = whole is not None and np.array_equal(whole, link.inertia.parameters)
+    if link.inertia_known and not by_parts:
+        lines += _inertia_fields(link.inertia)
+    limits = [f"{name} = {_float(value)}" for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))]
+    if limits:
+        lines.append(f"limits = {{{', '.join(limits)}}}")
+    known = {name: value for name in DriveValues.__dataclass_fields__ if (value := getattr(joint.drive, name)) is not None}
+    if known:
+        lines.append(f"drive = {{{', '.join(f'{name} = {_float(value)}' for name, value in known.items())}}}")
+    if by_parts:
+        for name, inertia in link.parts:
+            lines += ["", "[[links.parts]]", f"name = {_text(name)}", *_inertia_fields(inertia)]
+    return "\n".join(lines)
+
+
+def _inertia_fields(inertia: LinkInertia) -> list[str]:
+    tensor = ", ".join(f"{name} = {_float(value)}" for name, value in zip(_TENSOR, inertia.parameters[:6], strict=True))
+    return [
+        f"mass = {_float(inertia.mass)}",
+        f"first_moment = {_numbers(inertia.first_moment)}",
+        f"inertia_about_origin = {{{tensor}}}",
+    ]
+
+
+def _placement_fields(placement: Array, letters: Letters | None, model: RobotModel) -> list[str]:
+    p, R = placement[:3, 3], placement[:3, :3]
+    fields = []
+    if letters is not None and np.max(np.abs(length_values(letters, model.lengths) - p)) <= SAME_LENGTH:
+        fields.append(f"xyz = [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in letters)}]")
+    elif np.any(p != 0.0):
+        fields.append(f"xyz = {_numbers(p)}")
+    if not np.array_equal(R, np.eye(3)):
+        fields.append(f"rotation = [{', '.join(_numbers(row) for row in R)}]")
+    return fields
+
+
+def _length_sum(terms: Sequence[tuple[float, str]]) -> str:
+    text = " ".join(
+        f"{'-' if factor < 0 else '+'} " + ("" if abs(factor) == 1.0 else f"{abs(factor)!r}*") + letter for factor, letter in terms
+    )
+    return text[2:] if text.startswith("+ ") else "-" + text[2:]
+
+
+def _link_name(model: RobotModel, index: int) -> str:
+    return model.root_link if index == ROOT else model.links[index].name
+
+
+def _float(value: float) -> str:
+    return repr(float(value) + 0.0)
+
+
+def _numbers(values: Array) -> str:
+    return f"[{', '.join(_float(value) for value in values)}]"
+
+
+def _text(value: str) -> str:
+    return tomli_w.dumps({"x": value})[4:].rstrip("\n")
+
+
+def _texts(values: Sequence[str]) -> str:
+    return f"[{', '.join(_text(value) for value in values)}]"
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _text(name)

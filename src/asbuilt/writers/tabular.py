@@ -1,0 +1,160 @@
+"""Results as JSON documents and CSV tables; the field names are what other programs rely on."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.identification.metrics import TorqueMetrics
+from asbuilt.identification.result import IdentificationResult
+from asbuilt.tables import Column, Table
+from asbuilt.validation.prediction import Validation
+from asbuilt.writers.files import atomic_write
+
+
+def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
+    """Return what `asbuilt base --json` prints; a value is None where the description is silent."""
+    values = base.values(parameter_values(model, base.drive))
+    return {
+        "robot": model.name,
+        "drive": str(base.drive),
+        "n_standard": base.n_standard,
+        "n_base": base.n_base,
+        "parameters": [
+            {"id": int(number), "name": name, "expression": expression, "symbolic": symbolic, "value": _number(value), "unit": unit}
+            for number, name, expression, symbolic, value, unit in zip(
+                base.ids, base.names, base.expressions, base.symbolic, values, base.units, strict=True
+            )
+        ],
+        "standard": [
+            {"id": entry.id, "name": entry.name, "status": entry.status, "in": list(entry.members), "why": entry.why}
+            for entry in base.standard
+        ],
+    }
+
+
+def identify_document(result: IdentificationResult, *, files: Mapping[str, str | os.PathLike[str]] | None = None) -> dict[str, Any]:
+    """Return what `asbuilt identify --json` prints; `files` are the paths of what was written, by kind."""
+    return {
+        "robot": result.robot,
+        "method": result.method,
+        "drive": str(result.base.drive),
+        "n_samples": result.n_samples,
+        "n_standard": result.n_standard,
+        "n_base": result.n_base,
+        "rank": result.rank,
+        "condition_number": _number(result.condition_number),
+        "scaled_condition_number": _number(result.scaled_condition_number),
+        "effective_samples": _number(result.effective_samples),
+        "joints": list(result.joint_names),
+        "parameters": [
+            {
+                "id": parameter.id,
+                "name": parameter.name,
+                "expression": parameter.expression,
+                "unit": parameter.unit,
+                "cad": _number(parameter.cad),
+                "estimate": _number(parameter.estimate),
+                "std_error": _number(parameter.std_error),
+                "determined": parameter.determined,
+            }
+            for parameter in result.parameters
+        ],
+        "train": result.train.as_dict(),
+        "validation": [metrics.as_dict() for metrics in result.validation],
+        "cad": result.cad.as_dict(),
+        "physically_consistent": result.physically_consistent,
+        "undetermined": list(result.undetermined),
+        "warnings": [{"code": warning.code, "message": warning.message} for warning in result.warnings],
+        "provenance": list(result.provenance),
+        "files": {kind: str(path) for kind, path in (files or {}).items()},
+    }
+
+
+def validate_document(result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Any]:
+    """Return what `asbuilt validate --json` prints: metrics as built and of the CAD values on each recording."""
+    return {
+        "robot": result.robot,
+        "method": result.method,
+        "joints": list(result.joint_names),
+        "validation": [validation.metrics_as_built.as_dict() for validation in validations],
+        "cad": [validation.metrics_cad.as_dict() for validation in validations],
+    }
+
+
+def json_text(document: Any) -> str:
+    """Return one JSON document; NaN and infinities become null, numpy numbers and arrays plain ones."""
+    return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def write_json(path: str | os.PathLike[str], document: Any) -> Path:
+    """Write a document as JSON."""
+    return atomic_write(path, json_text(document))
+
+
+def identified_table(result: IdentificationResult) -> Table:
+    """Return every base parameter of a result in full precision."""
+    heads = tuple(Column(name) for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error", "determined"))
+    return Table(
+        heads,
+        tuple(
+            (p.id, p.name, p.expression, p.symbolic, p.unit, p.cad, p.estimate, p.std_error, "yes" if p.determined else "no")
+            for p in result.parameters
+        ),
+    )
+
+
+def write_parameters_csv(path: str | os.PathLike[str], result: IdentificationResult) -> Path:
+    """Write the base parameters of a result as CSV: id, name, expression, symbolic, unit, cad, estimate, std_error, determined."""
+    return atomic_write(path, identified_table(result).as_csv())
+
+
+def metrics_table(metrics: Sequence[tuple[str, TorqueMetrics]]) -> Table:
+    """Return torque metrics, one row per joint, of several (what, metrics) such as ("as built", ...) and ("CAD", ...)."""
+    heads = tuple(Column(name) for name in ("parameters", "recording", "joint", "rms", "max_abs", "r_squared", "relative_error"))
+    rows = tuple(
+        (what, item.source, joint, float(rms), float(largest), float(r2), float(relative))
+        for what, item in metrics
+        for joint, rms, largest, r2, relative in zip(
+            item.joint_names, item.rms, item.max_abs, item.r_squared, item.relative_error_per_joint, strict=True
+        )
+    )
+    return Table(heads, rows)
+
+
+def prediction_table(validation: Validation) -> Table:
+    """Return t and, joint by joint, measured torque and its predictions as built and by design."""
+    heads = [Column("t", "s")]
+    values = [validation.t]
+    for k, (name, unit) in enumerate(zip(validation.joint_names, validation.units, strict=True)):
+        for what, torque in (("measured", validation.measured), ("as_built", validation.predicted), ("cad", validation.predicted_cad)):
+            heads.append(Column(f"{name}_{what}", unit))
+            values.append(torque[:, k])
+    return Table(tuple(heads), tuple(tuple(row) for row in np.column_stack(values).tolist()))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, os.PathLike) else value
