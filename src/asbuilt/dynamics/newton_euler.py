@@ -1,4 +1,4 @@
-"""Equations of motion of the rigid bodies."""
+"""The rigid-body equations of motion `M(q) qdd + C(q, qd) qd + g(q) = tau`, by Newton and Euler, for one sample or many."""
 
 from __future__ import annotations
 
@@ -6,14 +6,138 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.dynamics import kernels
+from asbuilt.dynamics.batches import flat, inertial_parameters, joint_samples, over_samples
+from asbuilt.dynamics.kinematics import link_jacobians, link_poses
+from asbuilt.dynamics.recursion import layout_of
+from asbuilt.errors import InertiaError
 
 Array = NDArray[np.float64]
+
+
+def _torques(model: RobotModel, q: Array, qd: Array, qdd: Array, chi: Array, gravity: Array, threads: int | None) -> Array:
+    layout, torques = layout_of(model), np.empty(q.shape)
+    inputs = flat(q), flat(qd), flat(qdd)
+    given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
+    over_samples(
+        lambda start, stop: kernels.newton_euler(layout.codes, layout.placements, given, chi, *inputs, start, stop, out),
+        q.shape[0],
+        threads,
+    )
+    return torques
 
 
 def inverse_dynamics(
     model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, *, parameters: ArrayLike | None = None, threads: int | None = None
 ) -> Array:
-    """Return the joint torques of the rigid bodies [N m or N], shape of `q`."""
-    chi = model.parameters if parameters is None else np.asarray(parameters, dtype=np.float64)
-    return np.asarray((observation_matrix(model, q, qd, qdd) @ chi).reshape(np.shape(q)))
+    """Return the joint torques `tau = M(q) qdd + C(q, qd) qd + g(q)` of the rigid bodies [N m; N for prismatic joints].
+
+    `q, qd, qdd` have shape (n_joints,) or (n_samples, n_joints), and so has the result. `parameters` (10 n_joints,) replace the model's own.
+    `threads` None uses all cores for long inputs; the result does not depend on it. Raises UsageError for shapes that do not fit and for
+    values that are not finite. Source: Luh, Walker and Paul (1980).
+    """
+    arrays = joint_samples(model, q=q, qd=qd, qdd=qdd)
+    return _torques(model, *arrays, inertial_parameters(model, parameters), model.gravity, threads).reshape(np.shape(q))
+
+
+def gravity_torque(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return `g(q)`, the torque that holds the robot at rest, shape of `q`."""
+    (qs,) = joint_samples(model, q=q)
+    rest = np.zeros_like(qs)
+    return _torques(model, qs, rest, rest, inertial_parameters(model, parameters), model.gravity, None).reshape(np.shape(q))
+
+
+def coriolis_torque(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return `C(q, qd) qd`, the torque of centrifugal and Coriolis forces, shape of `q`."""
+    qs, qds = joint_samples(model, q=q, qd=qd)
+    return _torques(model, qs, qds, np.zeros_like(qs), inertial_parameters(model, parameters), np.zeros(3), None).reshape(np.shape(q))
+
+
+def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples, n_joints, n_joints) for many samples."""
+    (qs,) = joint_samples(model, q=q)
+    layout, chi, n = layout_of(model), inertial_parameters(model, parameters), model.n_joints
+    masses = np.empty((qs.shape[0], n, n))
+    angles, out = flat(qs), masses.reshape(-1)
+
+    def work(start: int, stop: int) -> None:
+        kernels.mass_matrices(layout.codes, layout.chain, layout.placements, layout.n_slots, chi, angles, start, stop, out)
+
+    over_samples(work, qs.shape[0], None)
+    return masses.reshape(*np.shape(q), n)
+
+
+def coriolis_matrix(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return the factor `C(q, qd)` for which `dM/dt - 2 C` is skew-symmetric and `C qd` is the Coriolis torque; shape as `mass_matrix`.
+
+    `C = sum_i J_i^T (I_i dJ_i/dt + B_i J_i)` with the skew-symmetric `B = -[[hat(L), hat(p)], [hat(p), 0]]`, where p and L are the momentum of
+    link i and its moment about the link origin, so that `B v` is the gyroscopic wrench. Source: the factorisations of Niemeyer and Slotine
+    (1991), written for link frames. It is not the Christoffel factor, which agrees with it only in these two properties.
+    """
+    qs, qds = joint_samples(model, q=q, qd=qd)
+    chi = inertial_parameters(model, parameters)
+    jacobians, rates = link_jacobians(model, qs, qds)
+    total = np.zeros((qs.shape[0], model.n_joints, model.n_joints))
+    for i in range(model.n_joints):
+        inertia = _spatial_inertia(chi[i])
+        momentum = np.einsum("ab,sbj,sj->sa", inertia, jacobians[:, i], qds)
+        turning = np.zeros((qs.shape[0], 6, 6))
+        turning[:, :3, :3], turning[:, :3, 3:] = _hat(-momentum[:, :3]), _hat(-momentum[:, 3:])
+        turning[:, 3:, :3] = turning[:, :3, 3:]
+        total += np.swapaxes(jacobians[:, i], 1, 2) @ (inertia @ rates[:, i] + turning @ jacobians[:, i])
+    return total.reshape(*np.shape(q), model.n_joints)
+
+
+def forward_dynamics(model: RobotModel, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return the joint accelerations `qdd = M(q)^-1 (tau - C(q, qd) qd - g(q))`, shape of `q`.
+
+    Raises InertiaError where the mass matrix is not positive definite.
+    """
+    qs, qds, taus = joint_samples(model, q=q, qd=qd, tau=tau)
+    chi = inertial_parameters(model, parameters)
+    bias = _torques(model, qs, qds, np.zeros_like(qs), chi, model.gravity, None)
+    masses = mass_matrix(model, qs, parameters=chi.reshape(-1))
+    try:
+        np.linalg.cholesky(masses)
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.eigvalsh(masses)[:, 0]
+        worst = int(np.argmin(smallest))
+        raise InertiaError(
+            f"the mass matrix of {model.name} is not positive definite: smallest eigenvalue {smallest[worst]:.3g} at sample {worst}; "
+            "check the inertias of the links, or add armature for a joint that moves no mass"
+        ) from None
+    return np.linalg.solve(masses, (taus - bias)[:, :, None])[:, :, 0].reshape(np.shape(q))
+
+
+def kinetic_energy(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return `qd^T M(q) qd / 2` [J], shape () or (n_samples,)."""
+    qs, qds = joint_samples(model, q=q, qd=qd)
+    energy = 0.5 * np.einsum("si,sij,sj->s", qds, mass_matrix(model, qs, parameters=parameters), qds)
+    return np.asarray(energy.reshape(np.shape(q)[:-1]))
+
+
+def potential_energy(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+    """Return `-sum_i gravity . (m_i p_i + R_i h_i)` [J], zero with all mass at the root origin; shape () or (n_samples,)."""
+    (qs,) = joint_samples(model, q=q)
+    chi = inertial_parameters(model, parameters)
+    poses = link_poses(model, qs)
+    moments = np.einsum("siab,ib->sia", poses[..., :3, :3], chi[:, 6:9]) + poses[..., :3, 3] * chi[:, 9:10]
+    return np.asarray(-(moments.sum(axis=1) @ model.gravity).reshape(np.shape(q)[:-1]))
+
+
+def _hat(v: Array) -> Array:
+    hat = np.zeros((*v.shape, 3))
+    hat[..., 0, 1], hat[..., 0, 2], hat[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    hat[..., 1, 0], hat[..., 2, 0], hat[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
+    return hat
+
+
+def _spatial_inertia(chi: Array) -> Array:
+    """Return the 6 x 6 inertia about the link origin, angular part first."""
+    spatial = np.zeros((6, 6))
+    spatial[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = chi[:6]
+    spatial[[1, 2, 2], [0, 0, 1]] = chi[[1, 2, 4]]
+    spatial[:3, 3:] = _hat(chi[6:9])
+    spatial[3:, :3] = -spatial[:3, 3:]
+    spatial[3:, 3:] = chi[9] * np.eye(3)
+    return spatial

@@ -1,0 +1,71 @@
+"""The door of the dynamics: joint arrays checked once, and their samples shared out among threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.recursion import BLOCK
+from asbuilt.errors import UsageError
+
+Array = NDArray[np.float64]
+
+_WORTH_A_THREAD = 8192
+
+
+def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
+    """Return the arrays as contiguous (n_samples, n_joints), checked to be alike, finite and fit for the robot; (n_joints,) is one sample."""
+    n, arrays, shapes = model.n_joints, [], {}
+    for name, value in given.items():
+        array = np.asarray(value, dtype=np.float64)
+        shapes[name] = array.shape
+        if array.ndim not in (1, 2) or array.shape[-1] != n:
+            raise UsageError(f"{name} must have shape ({n},) or (n_samples, {n}) for the {n} joints of {model.name}, got {array.shape}")
+        if not np.isfinite(array).all():
+            sample, joint = np.argwhere(~np.isfinite(np.atleast_2d(array)))[0]
+            raise UsageError(
+                f"{name} of joint {model.joint_names[joint]!r} is {np.atleast_2d(array)[sample, joint]} at sample {sample}; "
+                "remove or fill such samples first"
+            )
+        arrays.append(np.ascontiguousarray(np.atleast_2d(array)))
+    if len(set(shapes.values())) > 1:
+        raise UsageError(
+            "shapes differ: " + ", ".join(f"{name} {shape}" for name, shape in shapes.items()) + "; give one value per sample and joint"
+        )
+    return tuple(arrays)
+
+
+def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Array:
+    """Return the standard inertial parameters as (n_joints, 10); the model's own where none are given."""
+    chi = model.parameters if parameters is None else np.array(parameters, dtype=np.float64)
+    if chi.shape != (10 * model.n_joints,):
+        raise UsageError(f"{model.name} has {10 * model.n_joints} inertial parameters, got shape {chi.shape}; leave drive parameters out")
+    return chi.reshape(-1, 10)
+
+
+def flat(array: Array) -> Array:
+    """Return a one-dimensional read-only view; read-only throughout, so that the kernels are compiled once."""
+    view = array.reshape(-1)
+    view.flags.writeable = False
+    return view
+
+
+def over_samples(work: Callable[[int, int], object], n_samples: int, threads: int | None = 1) -> None:
+    """Call `work(start, stop)` on ranges of whole blocks that together cover all samples, in parallel threads; None chooses their number."""
+    if threads is not None and threads < 1:
+        raise UsageError(f"threads must be at least 1, got {threads}; leave it out to use all cores for long recordings")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    wanted = min(cores, n_samples // _WORTH_A_THREAD) if threads is None else threads
+    blocks = -(-n_samples // BLOCK)
+    parts = max(1, min(wanted, blocks))
+    edges = [min(n_samples, BLOCK * (blocks * part // parts)) for part in range(parts + 1)]
+    if parts == 1:
+        work(0, n_samples)
+        return
+    with ThreadPoolExecutor(parts) as pool:
+        list(pool.map(work, edges[:-1], edges[1:]))

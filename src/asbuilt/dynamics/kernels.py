@@ -1,0 +1,316 @@
+"""Batched regressor, inverse dynamics and mass matrix: one set of compiled functions for every robot, samples innermost.
+
+Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1, so that threads share one array.
+"""
+
+from __future__ import annotations
+
+from asbuilt.dynamics.lanes import LANES, compiled, load, splat, store
+from asbuilt.dynamics.recursion import (
+    AFTER,
+    BEFORE,
+    BLOCK,
+    DEPTH,
+    NOTHING,
+    PARENT,
+    READ,
+    REVOLUTE,
+    STATE,
+    WRITE,
+    accelerated,
+    cross,
+    gather,
+    move_link,
+    move_screws,
+    out_of,
+    rest,
+    scratch,
+    trigonometry,
+)
+
+TERMS = 21
+FORCE = 6
+
+
+@compiled
+def _link_terms(rows, state, terms):  # type: ignore[no-untyped-def]
+    """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
+    for at in range(0, BLOCK, LANES):
+        r, t = state + at, terms + at
+        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
+        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+        xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
+        store(rows, t, dx)
+        store(rows, t + BLOCK, dy)
+        store(rows, t + 2 * BLOCK, dz)
+        store(rows, t + 3 * BLOCK, yz)
+        store(rows, t + 4 * BLOCK, xz)
+        store(rows, t + 5 * BLOCK, xy)
+        store(rows, t + 6 * BLOCK, dx + yz)
+        store(rows, t + 7 * BLOCK, dx - yz)
+        store(rows, t + 8 * BLOCK, dy + xz)
+        store(rows, t + 9 * BLOCK, dy - xz)
+        store(rows, t + 10 * BLOCK, dz + xy)
+        store(rows, t + 11 * BLOCK, dz - xy)
+        store(rows, t + 12 * BLOCK, yy - zz)
+        store(rows, t + 13 * BLOCK, zz - xx)
+        store(rows, t + 14 * BLOCK, xx - yy)
+        store(rows, t + 15 * BLOCK, yy + zz)
+        store(rows, t + 16 * BLOCK, xx + zz)
+        store(rows, t + 17 * BLOCK, xx + yy)
+        for j in range(3):
+            store(rows, t + (18 + j) * BLOCK, load(rows, r + (6 + j) * BLOCK))
+
+
+@compiled
+def _columns_of_link(rows, screw, terms, places, out, stride, start):  # type: ignore[no-untyped-def]
+    """Write z . (moment) + m . (force) per unit of each parameter, for one joint and one link, where `places` names a row of `out`.
+
+    force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment (Atkeson, An and Hollerbach, 1986).
+    """
+    for at in range(0, BLOCK, LANES):
+        r, t, o = screw + at, terms + at, start + at
+        zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
+        mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+        if places[0] >= 0:
+            xx = zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
+            store(out, places[0] * stride + o, xx)
+        if places[1] >= 0:
+            xy = zx * load(rows, t + 9 * BLOCK) + zy * load(rows, t + 6 * BLOCK) + zz * load(rows, t + 14 * BLOCK)
+            store(out, places[1] * stride + o, xy)
+        if places[2] >= 0:
+            xz = zx * load(rows, t + 10 * BLOCK) + zy * load(rows, t + 13 * BLOCK) + zz * load(rows, t + 7 * BLOCK)
+            store(out, places[2] * stride + o, xz)
+        if places[3] >= 0:
+            yy = zy * load(rows, t + BLOCK) + zz * load(rows, t + 5 * BLOCK) - zx * load(rows, t + 3 * BLOCK)
+            store(out, places[3] * stride + o, yy)
+        if places[4] >= 0:
+            yz = zx * load(rows, t + 12 * BLOCK) + zy * load(rows, t + 11 * BLOCK) + zz * load(rows, t + 8 * BLOCK)
+            store(out, places[4] * stride + o, yz)
+        if places[5] >= 0:
+            izz = zx * load(rows, t + 3 * BLOCK) - zy * load(rows, t + 4 * BLOCK) + zz * load(rows, t + 2 * BLOCK)
+            store(out, places[5] * stride + o, izz)
+        ax, ay, az = load(rows, t + 18 * BLOCK), load(rows, t + 19 * BLOCK), load(rows, t + 20 * BLOCK)
+        if places[6] >= 0:
+            hx = my * load(rows, t + 10 * BLOCK) - mx * load(rows, t + 15 * BLOCK) - mz * load(rows, t + 9 * BLOCK)
+            store(out, places[6] * stride + o, hx + zz * ay - zy * az)
+        if places[7] >= 0:
+            hy = mz * load(rows, t + 6 * BLOCK) - my * load(rows, t + 16 * BLOCK) - mx * load(rows, t + 11 * BLOCK)
+            store(out, places[7] * stride + o, hy + zx * az - zz * ax)
+        if places[8] >= 0:
+            hz = mx * load(rows, t + 8 * BLOCK) - my * load(rows, t + 7 * BLOCK) - mz * load(rows, t + 17 * BLOCK)
+            store(out, places[8] * stride + o, hz + zy * ax - zx * ay)
+        if places[9] >= 0:
+            store(out, places[9] * stride + o, mx * ax + my * ay + mz * az)
+
+
+@compiled
+def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):  # type: ignore[no-untyped-def]
+    """Run down the tree with the block in `rows` and write the chosen columns into rows of `out`, from position `start`."""
+    n = codes.shape[0]
+    slot = (STATE + 6 * n) * BLOCK
+    terms = n_slots * slot
+    angles = terms + TERMS * BLOCK
+    cosine = angles + 3 * n * BLOCK
+    sine = cosine + BLOCK
+    for i in range(n):
+        code, p = codes[i], placements[i]
+        read, write = code[READ] * slot, code[WRITE] * slot
+        angle = angles + i * BLOCK
+        rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
+        if code[REVOLUTE]:
+            trigonometry(rows, angle, cosine, sine)
+        move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
+        move_screws(code, p, rows, read, write, angle, cosine, sine)
+        _link_terms(rows, write, terms)
+        for d in range(code[DEPTH] + 1):
+            _columns_of_link(rows, write + (STATE + 6 * d) * BLOCK, terms, places[chain[i, d], i], out, stride, start)
+
+
+@compiled
+def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride):  # type: ignore[no-untyped-def]
+    """Write the regressor with samples innermost: one row of `out` per joint and chosen column, `stride` numbers long.
+
+    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the first row of joint k and the row after its last.
+    """
+    n = codes.shape[0]
+    rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
+    angles = n_slots * (STATE + 6 * n) + TERMS
+    tail = scratch(bounds[n - 1, 1] if (stop - start) % BLOCK else 0)
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather(q, block, count, n, rows, angles)
+        gather(qd, block, count, n, rows, angles + n)
+        gather(qdd, block, count, n, rows, angles + 2 * n)
+        if count == BLOCK:
+            _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, block)
+        else:
+            _regressor_block(codes, chain, placements, n_slots, places, rows, tail, BLOCK, 0)
+            for k in range(n):
+                for row in range(bounds[k, 0], bounds[k, 1]):
+                    for sample in range(count):
+                        out[row * stride + block + sample] = tail[row * BLOCK + sample]
+
+
+@compiled
+def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, columns, q, qd, qdd, start, stop, out, width):  # type: ignore[no-untyped-def]
+    """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest."""
+    n = codes.shape[0]
+    rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
+    angles = n_slots * (STATE + 6 * n) + TERMS
+    tile = scratch(bounds[n - 1, 1])
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather(q, block, count, n, rows, angles)
+        gather(qd, block, count, n, rows, angles + n)
+        gather(qdd, block, count, n, rows, angles + 2 * n)
+        _regressor_block(codes, chain, placements, n_slots, places, rows, tile, BLOCK, 0)
+        for k in range(n):
+            for sample in range(count):
+                o = ((block + sample) * n + k) * width
+                for row in range(bounds[k, 0], bounds[k, 1]):
+                    out[o + columns[row]] = tile[row * BLOCK + sample]
+
+
+@compiled
+def _wrench(rows, state, force, chi):  # type: ignore[no-untyped-def]
+    """Write the force and the moment about its origin that link motion needs (Newton and Euler), in link axes."""
+    for at in range(0, BLOCK, LANES):
+        r, f = state + at, force + at
+        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
+        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+        ax, ay, az = load(rows, r + 6 * BLOCK), load(rows, r + 7 * BLOCK), load(rows, r + 8 * BLOCK)
+        hx, hy, hz, m = splat(chi[6]), splat(chi[7]), splat(chi[8]), chi[9]
+        fx, fy, fz = accelerated(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+        lx = wx * chi[0] + wy * chi[1] + wz * chi[2]
+        ly = wx * chi[1] + wy * chi[3] + wz * chi[4]
+        lz = wx * chi[2] + wy * chi[4] + wz * chi[5]
+        gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+        ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+        store(rows, f, fx)
+        store(rows, f + BLOCK, fy)
+        store(rows, f + 2 * BLOCK, fz)
+        store(rows, f + 3 * BLOCK, dx * chi[0] + dy * chi[1] + dz * chi[2] + gx + ex)
+        store(rows, f + 4 * BLOCK, dx * chi[1] + dy * chi[3] + dz * chi[4] + gy + ey)
+        store(rows, f + 5 * BLOCK, dx * chi[2] + dy * chi[4] + dz * chi[5] + gz + ez)
+
+
+@compiled
+def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):  # type: ignore[no-untyped-def]
+    """Write the joint torque of a link's wrench and add the wrench to that of the parent link."""
+    for at in range(0, BLOCK, LANES):
+        f = force + at
+        fx, fy, fz = load(rows, f), load(rows, f + BLOCK), load(rows, f + 2 * BLOCK)
+        nx, ny, nz = load(rows, f + 3 * BLOCK), load(rows, f + 4 * BLOCK), load(rows, f + 5 * BLOCK)
+        if code[AFTER] != NOTHING:
+            fx, fy, fz = out_of(code[AFTER], p, 12, fx, fy, fz)
+            nx, ny, nz = out_of(code[AFTER], p, 12, nx, ny, nz)
+            cx, cy, cz = cross(splat(p[21]), splat(p[22]), splat(p[23]), fx, fy, fz)
+            nx, ny, nz = nx + cx, ny + cy, nz + cz
+        store(rows, torque + at, nz if code[REVOLUTE] else fz)
+        if code[PARENT] >= 0:
+            if code[REVOLUTE]:
+                c, s = load(rows, cosine + at), load(rows, sine + at)
+                fx, fy = fx * c - fy * s, fy * c + fx * s
+                nx, ny = nx * c - ny * s, ny * c + nx * s
+            else:
+                q = load(rows, angle + at)
+                nx, ny = nx - fy * q, ny + fx * q
+            if code[BEFORE] != NOTHING:
+                fx, fy, fz = out_of(code[BEFORE], p, 0, fx, fy, fz)
+                nx, ny, nz = out_of(code[BEFORE], p, 0, nx, ny, nz)
+                cx, cy, cz = cross(splat(p[9]), splat(p[10]), splat(p[11]), fx, fy, fz)
+                nx, ny, nz = nx + cx, ny + cy, nz + cz
+            f = parent_force + at
+            store(rows, f, load(rows, f) + fx)
+            store(rows, f + BLOCK, load(rows, f + BLOCK) + fy)
+            store(rows, f + 2 * BLOCK, load(rows, f + 2 * BLOCK) + fz)
+            store(rows, f + 3 * BLOCK, load(rows, f + 3 * BLOCK) + nx)
+            store(rows, f + 4 * BLOCK, load(rows, f + 4 * BLOCK) + ny)
+            store(rows, f + 5 * BLOCK, load(rows, f + 5 * BLOCK) + nz)
+
+
+@compiled
+def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):  # type: ignore[no-untyped-def]
+    """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980); `chi` (n, 10)."""
+    n = codes.shape[0]
+    state = STATE * BLOCK
+    forces = (n + 1) * state
+    angles = forces + n * FORCE * BLOCK
+    turns = angles + 3 * n * BLOCK
+    torques = turns + 2 * n * BLOCK
+    rows = scratch(torques // BLOCK + n)
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather(q, block, count, n, rows, angles // BLOCK)
+        gather(qd, block, count, n, rows, angles // BLOCK + n)
+        gather(qdd, block, count, n, rows, angles // BLOCK + 2 * n)
+        for i in range(n):
+            angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
+            if codes[i, REVOLUTE]:
+                trigonometry(rows, angle, cosine, cosine + BLOCK)
+            read, write = (codes[i, PARENT] + 1) * state, (i + 1) * state
+            rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
+            move_link(codes[i], placements[i], rows, read, write, angle, rate, change, cosine, cosine + BLOCK)
+            _wrench(rows, write, forces + i * FORCE * BLOCK, chi[i])
+        for i in range(n - 1, -1, -1):
+            angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
+            force, parent_force = forces + i * FORCE * BLOCK, forces + codes[i, PARENT] * FORCE * BLOCK
+            _hand_down(codes[i], placements[i], rows, force, parent_force, angle, cosine, cosine + BLOCK, torques + i * BLOCK)
+        for sample in range(count):
+            for i in range(n):
+                out[(block + sample) * n + i] = rows[torques + i * BLOCK + sample]
+
+
+@compiled
+def _add_link(depth, rows, screws, chi, joints, masses):  # type: ignore[no-untyped-def]
+    """Add a link's share s_k^T I s_j to the mass matrix of the joints above it."""
+    n = joints.size
+    for at in range(0, BLOCK, LANES):
+        for j in range(depth + 1):
+            r = screws + 6 * j * BLOCK + at
+            zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
+            mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+            hx, hy, hz, m = chi[6], chi[7], chi[8], chi[9]
+            fx, fy, fz = mx * m + zy * hz - zz * hy, my * m + zz * hx - zx * hz, mz * m + zx * hy - zy * hx
+            nx = zx * chi[0] + zy * chi[1] + zz * chi[2] + mz * hy - my * hz
+            ny = zx * chi[1] + zy * chi[3] + zz * chi[4] + mx * hz - mz * hx
+            nz = zx * chi[2] + zy * chi[4] + zz * chi[5] + my * hx - mx * hy
+            for k in range(j + 1):
+                r = screws + 6 * k * BLOCK + at
+                turn = load(rows, r) * nx + load(rows, r + BLOCK) * ny + load(rows, r + 2 * BLOCK) * nz
+                slide = load(rows, r + 3 * BLOCK) * fx + load(rows, r + 4 * BLOCK) * fy + load(rows, r + 5 * BLOCK) * fz
+                place = masses + (joints[k] * n + joints[j]) * BLOCK + at
+                store(rows, place, load(rows, place) + turn + slide)
+
+
+@compiled
+def mass_matrices(codes, chain, placements, n_slots, chi, q, start, stop, out):  # type: ignore[no-untyped-def]
+    """Write `sum_i J_i^T I_i J_i`, sample-major, both triangles."""
+    n = codes.shape[0]
+    slot = (STATE + 6 * n) * BLOCK
+    angles = n_slots * slot
+    cosine = angles + n * BLOCK
+    sine = cosine + BLOCK
+    masses = sine + BLOCK
+    rows = scratch(masses // BLOCK + n * n)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather(q, block, count, n, rows, angles // BLOCK)
+        rows[masses : masses + n * n * BLOCK] = 0.0
+        for i in range(n):
+            code, angle = codes[i], angles + i * BLOCK
+            read, write = code[READ] * slot, code[WRITE] * slot
+            if code[REVOLUTE]:
+                trigonometry(rows, angle, cosine, sine)
+            move_screws(code, placements[i], rows, read, write, angle, cosine, sine)
+            _add_link(code[DEPTH], rows, write + STATE * BLOCK, chi[i], chain[i], masses)
+        for sample in range(count):
+            for k in range(n):
+                for j in range(k, n):
+                    mass = rows[masses + (k * n + j) * BLOCK + sample]
+                    out[((block + sample) * n + k) * n + j] = mass
+                    out[((block + sample) * n + j) * n + k] = mass

@@ -1,0 +1,70 @@
+"""Where the links are and how joint rates move them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.dynamics.batches import joint_samples
+
+Array = NDArray[np.float64]
+
+
+def _motions(model: RobotModel, q: Array) -> Array:
+    """Return the pose of each link in its parent link, shape (n_samples, n_joints, 4, 4)."""
+    samples, n = q.shape
+    motion = np.zeros((samples, n, 4, 4))
+    motion[...] = np.eye(4)
+    turning = np.array([joint.is_revolute for joint in model.joints])
+    c, s = np.cos(q[:, turning]), np.sin(q[:, turning])
+    motion[:, turning, 0, 0], motion[:, turning, 0, 1], motion[:, turning, 1, 0], motion[:, turning, 1, 1] = c, -s, s, c
+    motion[:, ~turning, 2, 3] = q[:, ~turning]
+    return np.array([joint.before for joint in model.joints]) @ motion @ np.array([joint.after for joint in model.joints])
+
+
+def link_poses(model: RobotModel, q: ArrayLike) -> Array:
+    """Return the pose of every link in the root frame, shape (n_joints, 4, 4), or (n_samples, n_joints, 4, 4) for many samples.
+
+    `T_i = T_parent before_i motion(q_i) after_i`.
+    """
+    (qs,) = joint_samples(model, q=q)
+    poses = _motions(model, qs)
+    for i, parent in enumerate(model.parents):
+        if parent != ROOT:
+            poses[:, i] = poses[:, parent] @ poses[:, i]
+    return poses.reshape(*np.shape(q), 4, 4)
+
+
+def link_jacobians(model: RobotModel, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
+    """Return the Jacobian of every link and its time derivative, in link axes: shape (n_samples, n_joints, 6, n_joints), without n_samples for one.
+
+    Rows: angular velocity, then velocity of the link origin, so that `J_i qd` is the twist of link i.
+    A screw carried from link k to link i obeys `ds/dt = -(v_i - v_k) x s`, and `v_i - v_k` is what the joints between add.
+    """
+    qs, qds = joint_samples(model, q=q, qd=qd)
+    samples, n = qs.shape
+    motions = _motions(model, qs)
+    jacobians, rates = np.zeros((samples, n, 6, n)), np.zeros((samples, n, 6, n))
+    for i, (joint, parent) in enumerate(zip(model.joints, model.parents, strict=True)):
+        rotation, translation = motions[:, i, :3, :3], motions[:, i, :3, 3]
+        if parent != ROOT:
+            above = np.swapaxes(jacobians[:, parent], 1, 2)
+            angular = above[..., :3]
+            linear = above[..., 3:] + np.cross(angular, translation[:, None, :])
+            jacobians[:, i, :3] = np.swapaxes(angular @ rotation, 1, 2)
+            jacobians[:, i, 3:] = np.swapaxes(linear @ rotation, 1, 2)
+        axis = joint.after[2, :3]
+        if joint.is_revolute:
+            jacobians[:, i, :3, i] = axis
+            jacobians[:, i, 3:, i] = joint.after[:3, :3].T @ np.cross([0.0, 0.0, 1.0], joint.after[:3, 3])
+        else:
+            jacobians[:, i, 3:, i] = axis
+        between = np.zeros((samples, 6))
+        for k in reversed(model.ancestors(i)):
+            screw = jacobians[:, i, :, k]
+            rates[:, i, :3, k] = -np.cross(between[:, :3], screw[:, :3])
+            rates[:, i, 3:, k] = -np.cross(between[:, :3], screw[:, 3:]) - np.cross(between[:, 3:], screw[:, :3])
+            between += screw * qds[:, k : k + 1]
+    shape = (*np.shape(q), 6, n)
+    return jacobians.reshape(shape), rates.reshape(shape)
