@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -39,8 +39,8 @@ class DHRow:
     link: str = ""
     parent: int | None = None
     origin: Array | None = None
-    limits: JointLimits = JointLimits()
-    drive: DriveValues = DriveValues()
+    limits: JointLimits = field(default_factory=JointLimits)
+    drive: DriveValues = field(default_factory=DriveValues)
 
 
 def robot_from_dh(
@@ -98,9 +98,9 @@ def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
 def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
     """Return the joint of a Denavit-Hartenberg row; `notes` takes a remark on every angle that was straightened."""
     number = index + 1
-    for field, value in (("a", row.a), ("alpha", row.alpha), ("b", row.b), ("theta", row.theta)):
+    for column, value in (("a", row.a), ("alpha", row.alpha), ("b", row.b), ("theta", row.theta)):
         if not np.isfinite(value):
-            raise DescriptionError(f"{field} of row {number} is {value}; it must be a finite number")
+            raise DescriptionError(f"{column} of row {number} is {value}; it must be a finite number")
     alpha = straightened(row.alpha, f"alpha of row {number}", notes)
     theta = straightened(row.theta, f"theta of row {number}", notes)
     parent = index - 1 if row.parent is None else row.parent

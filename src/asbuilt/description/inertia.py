@@ -92,7 +92,7 @@ class LinkInertia:
     @property
     def principal_moments(self) -> Array:
         """Principal moments of inertia about the centre of mass, ascending [kg m^2], shape (3,)."""
-        return np.linalg.eigvalsh(self.inertia_about_com)
+        return np.linalg.eigvalsh(self.inertia_about_com).astype(np.float64)
 
     @property
     def pseudo_inertia(self) -> Array:
@@ -141,7 +141,7 @@ class LinkInertia:
 
     def to_pinocchio_order(self) -> Array:
         """Return the ten parameters as Pinocchio's `toDynamicParameters` has them: `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz` (about the origin)."""
-        return self.parameters[_PINOCCHIO_ORDER]
+        return np.take(self.parameters, _PINOCCHIO_ORDER)
 
     @classmethod
     def from_pinocchio_order(cls, parameters: ArrayLike) -> LinkInertia:

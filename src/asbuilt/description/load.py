@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
@@ -41,23 +43,20 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
 def _read(path: Path) -> RobotModel:
     suffix = path.suffix.lower()
     if suffix == ".toml":
-        from asbuilt.description.toml import read_robot_toml
-
-        return read_robot_toml(path)
+        return _reader("toml", "read_robot_toml")(path)
     if suffix == ".csv":
-        from asbuilt.description.dh_table import read_dh_table
-
-        return read_dh_table(path)
+        return _reader("dh_table", "read_dh_table")(path)
     try:
-        head = path.read_bytes()
+        content = path.read_bytes()
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
-    if b"<mujoco" in head:
-        from asbuilt.description.mjcf import read_mjcf
-
-        return read_mjcf(path)
-    if b"<" in head:
-        from asbuilt.description.urdf import read_urdf
-
-        return read_urdf(path)
+    if b"<mujoco" in content:
+        return _reader("mjcf", "read_mjcf")(path)
+    if b"<" in content:
+        return _reader("urdf", "read_urdf")(path)
     raise DescriptionError(f"{path} is not a robot description that asbuilt knows; it reads TOML, a DH table (CSV), URDF and MJCF (XML)")
+
+
+def _reader(module: str, name: str) -> Callable[[Path], RobotModel]:
+    reader: Callable[[Path], RobotModel] = getattr(import_module(f"asbuilt.description.{module}"), name)
+    return reader
