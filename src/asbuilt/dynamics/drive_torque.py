@@ -12,7 +12,7 @@ from asbuilt.errors import UsageError
 Array = NDArray[np.float64]
 
 
-def drive_torque(drive: DriveSet, values: ArrayLike, q: Array, qd: Array, qdd: Array, load: Array | None = None) -> Array:
+def drive_torque(drive: DriveSet, values: ArrayLike, q: Array, qd: Array, qdd: Array, *, load: Array | None = None) -> Array:
     """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N], shape (N, n) as `q`, `qd`, `qdd`.
 
     `values` (n columns_per_joint,) holds the drive parameters joint by joint, in the order of `drive.names`; `load` (N, n) is the torque of the

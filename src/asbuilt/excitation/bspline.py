@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+from math import factorial
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motion import Array, BasisMotion, read_only, way_point_array
+from asbuilt.excitation.piecewise import PiecewisePolynomial
 
 DEGREE = 5
 
@@ -56,6 +60,17 @@ class BSplineMotion(BasisMotion):
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
         """Return the derivative of this order of each basis function at the times `t` (N,), shape (N, m)."""
         return np.asarray(self._functions(np.atleast_1d(np.asarray(t, dtype=np.float64)), nu=order), dtype=np.float64)
+
+    @cached_property
+    def pieces(self) -> PiecewisePolynomial:
+        """The same motion as polynomials between the knots."""
+        breaks = np.unique(self._functions.t)
+        rows = [self.basis(breaks[:-1], k) @ self.coefficients / factorial(k) for k in range(DEGREE, -1, -1)]
+        return PiecewisePolynomial(breaks, np.stack(rows))
+
+    def extremes(self, order: int) -> tuple[Array, Array]:
+        """Return the smallest and the largest value of a derivative over the whole motion, two (n,); exact."""
+        return self.pieces.extremes(order)
 
     def with_coefficients(self, coefficients: ArrayLike) -> BSplineMotion:
         """Return the motion of the same duration with other control points, shape (m, n_joints)."""

@@ -58,7 +58,7 @@ class FourierMotion(BasisMotion):
     @property
     def n_harmonics(self) -> int:
         """Number of harmonics, L."""
-        return (self.coefficients.shape[0] + 1) // 2
+        return int(self.coefficients.shape[0] + 1) // 2
 
     @property
     def fundamental(self) -> float:

@@ -90,6 +90,10 @@ class QuinticMotion(PiecewisePolynomial):
         v, a, j = (limit_array(x, n, name) for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk")))
         if not (np.isfinite(dwell) and dwell >= 0):
             raise MotionError(f"the dwell must be finite and not negative, got {dwell} s")
+        if not np.all(np.isfinite(np.min([v, a, j], axis=0))):
+            raise MotionError(
+                "a joint without a finite velocity, acceleration or jerk limit has no fastest motion; give one for every joint"
+            )
         distance = np.abs(np.diff(q, axis=0))
         steps = np.max(
             [PEAK_VELOCITY * distance / v, np.sqrt(PEAK_ACCELERATION * distance / a), np.cbrt(PEAK_JERK * distance / j)], axis=(0, 2)

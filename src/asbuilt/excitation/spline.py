@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import factorial
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,7 +71,7 @@ class SplineMotion(PiecewisePolynomial):
             knots = np.insert(knots, [1, knots.size - 1], [knots[1] / 2, (knots[-2] + knots[-1]) / 2])
             knots = np.unique(knots) if t.size > 2 else np.linspace(0.0, knots[-1], 4)
         padded = np.concatenate([np.zeros(degree), knots, np.full(degree, knots[-1])])
-        zeros = [(order, np.zeros(q.shape[1])) for order in vanishing]
+        zeros: Any = [(order, np.zeros(q.shape[1])) for order in vanishing]
         curve = make_interp_spline(t - t[0], q, k=degree, t=padded, bc_type=(zeros, zeros))
         return cls(knots, np.stack([curve(knots[:-1], nu=k) / factorial(k) for k in range(degree, -1, -1)]))
 
@@ -103,17 +103,20 @@ class SplineMotion(PiecewisePolynomial):
             raise MotionError("the way points are all the same; nothing moves")
         steps = np.maximum(steps, 1e-2 * steps.max())
 
-        def spline(logs: Array, scale: float = 1.0) -> Self:
-            return cls.through(q, np.concatenate([[0.0], np.cumsum(np.exp(logs) * scale)]), degree=degree, ends=ends)
+        def times(logs: Array) -> Array:
+            return np.concatenate([[0.0], np.cumsum(np.exp(logs))])
+
+        def stretches(logs: Array) -> Array:
+            return _stretches(cls.through(q, times(logs), degree=degree, ends=ends), limits)
 
         def smooth_duration(logs: Array) -> float:
-            return float(np.log(np.exp(logs).sum()) + np.log(np.sum(_stretches(spline(logs), limits) ** SHARPNESS)) / SHARPNESS)
+            return float(np.log(np.exp(logs).sum()) + np.log(np.sum(stretches(logs) ** SHARPNESS)) / SHARPNESS)
 
         start = np.log(steps)
         bounds = list(zip(start - np.log(4), start + np.log(4), strict=True))
         found = minimize(smooth_duration, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS}).x
-        scaled = [spline(logs, float(np.max(_stretches(spline(logs), limits)))) for logs in (start, found)]
-        return min(scaled, key=lambda motion: motion.duration)
+        scaled = [times(logs) * stretches(logs).max() for logs in (start, found)]
+        return cls.through(q, min(scaled, key=lambda t: float(t[-1])), degree=degree, ends=ends)
 
 
 def _stretches(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
