@@ -9,27 +9,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.identifiability import StandardParameter, standard_parameters
 from asbuilt.dynamics.letters import Polynomial, Row, written
+from asbuilt.dynamics.observation_rank import ObservationRank, observation_rank
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
 from asbuilt.dynamics.regrouping import lettered_regrouping, structural_regrouping
-from asbuilt.errors import IdentifiabilityError
+from asbuilt.errors import IdentifiabilityError, UsageError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class StandardParameter:
-    """Say of one standard parameter whether torques determine it: `status` is identifiable, grouped or unidentifiable.
-
-    `members` are the ids of the base parameters whose expressions contain it; `why` is one sentence.
-    """
-
-    id: int
-    name: str
-    status: str
-    members: tuple[int, ...]
-    why: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +71,7 @@ class BaseParameters:
         """Return `beta = regrouping @ chi`, shape (n_base,); a NaN in chi reaches only the base parameters that contain it."""
         given = np.asarray(chi, dtype=np.float64)
         if given.shape != (self.n_standard,):
-            raise IdentifiabilityError(
+            raise UsageError(
                 f"{self.robot} with drive terms {self.drive} has {self.n_standard} standard parameters, got shape {given.shape}"
             )
         unknown = np.isnan(given)
@@ -99,6 +87,9 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     Niemeyer & Slotine (2024).
     """
     found = structural_regrouping(model, drive)
+    numeric = observation_rank(model, drive)
+    if numeric.rank != len(found.columns):
+        raise IdentifiabilityError(_disagreement(model, drive, len(found.columns), numeric))
     names = parameter_names(model, drive)
     lettered = lettered_regrouping(model, drive, found)
     return BaseParameters(
@@ -113,21 +104,20 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
             for row, column in zip(found.matrix, found.columns, strict=True)
         ),
         symbolic=tuple(_written(row, column, names) for row, column in zip(lettered, found.columns, strict=True)),
-        standard=_standard(names, found.columns, found.matrix),
+        standard=standard_parameters(model, drive, found, names),
+    )
+
+
+def _disagreement(model: RobotModel, drive: DriveSet, structural: int, numeric: ObservationRank) -> str:
+    sizes = numeric.singular_values[max(0, min(structural, numeric.rank) - 1) : max(structural, numeric.rank) + 1]
+    return (
+        f"{model.name} with drive terms {drive}: its structure gives {structural} base parameters, but the numeric rank of a random observation "
+        f"matrix is {numeric.rank} (singular values there, relative to the largest: {', '.join(f'{size:.1e}' for size in sizes)}). "
+        "Most likely the description is almost, but not exactly, special: write angles near right angles and lengths near zero exactly"
+        + ("; or two drive terms have the same effect" if len(drive.terms) > 1 else "")
     )
 
 
 def _written(row: Row, kept: int, names: tuple[str, ...]) -> str:
     order = sorted(row, key=lambda j: (j != kept, j))
     return written([(names[j], row[j]) for j in order])
-
-
-def _standard(names: tuple[str, ...], columns: Indices, regrouping: Array) -> tuple[StandardParameter, ...]:
-    found = []
-    for j, name in enumerate(names):
-        rows = np.flatnonzero(regrouping[:, j])
-        members = tuple(int(columns[b]) + 1 for b in rows)
-        alone = len(rows) == 1 and np.count_nonzero(regrouping[rows[0]]) == 1
-        status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
-        found.append(StandardParameter(j + 1, name, status, members, ""))
-    return tuple(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,9 @@ from asbuilt.dynamics.transferable import (
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+AXIAL = np.array([[0, 0, 0, 0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 1, 0], [1, 0, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=np.float64)
+"""A mass on the z axis, a first moment along it, and `Ixx = Iyy`: what a turn about z leaves as it is."""
+
 LETTER_TOLERANCE = 1e-9
 """A factor in letters must equal the number it stands for to this, relative to the largest factor in its row."""
 
@@ -34,28 +37,43 @@ LETTER_TOLERANCE = 1e-9
 class Regrouping:
     """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y = Y[:, columns] @ matrix`.
 
-    `directions` and `motions` are those of the links, from which the matrix follows.
+    What it follows from: `directions` and `motions` of the links in joint frames, and `null_blocks`, per link its directions over all standard
+    parameters (k, n_standard). `axial_blocks` (3, 10) per link are a mass on the joint's axis, a first moment along it, and equal inertias across
+    it, in the link frame. Lengths are divided by `size` in all of these.
     """
 
     columns: Indices
     matrix: Array
     directions: tuple[TransferableDirections, ...]
     motions: tuple[LinkMotion, ...]
+    null_blocks: tuple[Array, ...]
+    axial_blocks: tuple[Array, ...]
+    size: float
 
 
 def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
     directions, motions = transferable_directions(model, armature="Ia" in drive.letters, offset="Fo" in drive.letters)
-    null = _null_vectors(model, drive, directions)
+    size = characteristic_length(model)
+    to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
+    blocks = _null_blocks(model, drive, directions, to_link)
     scales = _scales(model, drive)
-    echelon, dependent = reversed_echelon(null)
-    columns = np.setdiff1d(np.arange(null.shape[1]), dependent)
-    matrix = np.zeros((len(columns), null.shape[1]))
+    echelon, dependent = reversed_echelon(np.vstack(blocks))
+    columns = np.setdiff1d(np.arange(len(scales)), dependent)
+    matrix = np.zeros((len(columns), len(scales)))
     matrix[np.arange(len(columns)), columns] = 1.0
     matrix[:, dependent] = -echelon[:, columns].T * scales[columns, None] / scales[dependent]
     for b, j in zip(*np.nonzero(matrix), strict=True):
         matrix[b, j] = _without_noise(matrix[b, j])
-    return Regrouping(columns, matrix, tuple(directions), tuple(motions))
+    return Regrouping(
+        columns=columns,
+        matrix=matrix,
+        directions=tuple(directions),
+        motions=tuple(motions),
+        null_blocks=tuple(blocks),
+        axial_blocks=tuple(AXIAL @ shift.T for shift in to_link),
+        size=size,
+    )
 
 
 def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
@@ -95,8 +113,8 @@ def _agree(lettered: Row, row: Array, lengths: Mapping[str, float]) -> bool:
 
 
 def _without_noise(value: float) -> float:
-    """Return the number to 14 significant digits: 0.16 for 0.16000000000000003."""
-    return float(f"{value:.13e}")
+    """Return the number to 15 significant digits: 0.16 for 0.16000000000000003."""
+    return float(f"{value:.14e}")
 
 
 def _drive_columns(model: RobotModel, drive: DriveSet) -> dict[tuple[str, int], int]:
@@ -121,21 +139,21 @@ def _scales(model: RobotModel, drive: DriveSet) -> Array:
     return scales
 
 
-def _null_vectors(model: RobotModel, drive: DriveSet, directions: list[TransferableDirections]) -> Array:
-    """Return the null vectors of the torques over scaled standard parameters, shape (n_null, n_standard)."""
+def _null_blocks(model: RobotModel, drive: DriveSet, directions: Sequence[TransferableDirections], to_link: Sequence[Array]) -> list[Array]:
+    """Return the null vectors of the torques over scaled standard parameters, link by link, shapes (k, n_standard)."""
     size, where = characteristic_length(model), _drive_columns(model, drive)
     blocks = []
-    for found in directions:
+    for found, shift in zip(directions, to_link, strict=True):
         joint = model.joints[found.link]
         block = np.zeros((len(found.child), parameter_count(model, drive)))
-        block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift_matrix(inverted(_sized(joint.after, size))).T
+        block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift.T
         if joint.parent >= 0:
             block[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
         for letter, change in (("Ia", found.armature), ("Fo", found.offset)):
             if (letter, found.link) in where:
                 block[:, where[letter, found.link]] = change
         blocks.append(block)
-    return np.vstack(blocks)
+    return blocks
 
 
 def _sized(transform: Array, size: float) -> Array:

@@ -116,6 +116,8 @@ def row_space(rows: Array) -> Array:
     """Return an orthonormal basis, as rows, of the span of `rows`; near-zero rows are noise, not directions."""
     if not rows.size:
         return rows[:0]
+    sizes: Array
+    basis: Array
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
     return basis[sizes > RANK_TOLERANCE * max(1.0, sizes[0])]
 
