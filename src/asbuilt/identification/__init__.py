@@ -1,0 +1,1 @@
+"""Find the base parameters from samples, with their errors and their verdict."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,11 +16,11 @@ from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameter
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.identification.metrics import TorqueMetrics
+from asbuilt.identification.summary import Summary, summarise
 from asbuilt.identification.torque_prediction import Prediction, predict_torque
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
-    from asbuilt.identification.summary import Summary
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,8 @@ class IdentifiedParameter:
     """One base parameter: its value by design (`cad`, NaN where the description is silent) and as built, with standard errors.
 
     `std_error` allows for correlated residuals, `textbook_std_error` takes them as white. `determined` is False where this recording does
-    not tell the parameter and `estimate` leans on CAD; both errors then cover only the part that the recording tells.
+    not tell the parameter and `estimate` leans on CAD; both errors then cover only the part that the recording tells. `poorly_determined` is
+    True where the error is large beside the value and matters to the torque.
     """
 
     id: int
@@ -54,6 +55,7 @@ class IdentifiedParameter:
     std_error: float
     textbook_std_error: float
     determined: bool
+    poorly_determined: bool
 
     @property
     def relative_error(self) -> float:
@@ -168,3 +170,106 @@ class IdentificationResult:
     def predict_cad(self, samples: Samples) -> Prediction:
         """Predict the torque of a recording from the values by design; terms on which the description is silent add nothing."""
         return predict_torque(self.model, self.base, np.nan_to_num(self.cad_values, nan=0.0), samples)
+
+    def summary(self) -> Summary:
+        """Return the result as text, HTML or CSV."""
+        return summarise(self)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what programs rely on, without the robot and the covariances: plain numbers, texts and lists, None for what is undefined."""
+        return {
+            "robot": self.robot,
+            "method": self.method,
+            "drive": list(self.base.drive.keys),
+            "sources": list(self.sources),
+            "n_samples": self.n_samples,
+            "rate": self.rate,
+            "duration": self.duration,
+            "effective_samples": self.effective_samples,
+            "n_standard": self.n_standard,
+            "n_base": self.n_base,
+            "rank": self.rank,
+            "condition_number": _finite(self.condition_number),
+            "scaled_condition_number": _finite(self.scaled_condition_number),
+            "joints": list(self.joint_names),
+            "sigma": self.sigma.tolist(),
+            "parameters": [{field: _finite(value) for field, value in asdict(parameter).items()} for parameter in self.parameters],
+            "undetermined": list(self.undetermined),
+            "train": self.train.as_dict(),
+            "validation": [metrics.as_dict() for metrics in self.validation],
+            "cad": self.cad.as_dict(),
+            "physically_consistent": self.physically_consistent,
+            "consistency_margin": _finite(self.consistency_margin),
+            "warnings": [asdict(warning) for warning in self.warnings],
+            "provenance": list(self.provenance),
+        }
+
+    def to_json(self) -> str:
+        """Return the whole result, robot and covariances included, as JSON that `from_json` reads back to the last bit."""
+        whole = {"format": FORMAT, "version": FORMAT_VERSION} | self.as_dict()
+        whole |= {name: getattr(self, name).tolist() for name in ("singular_values", "covariance", "textbook_covariance")}
+        return json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> IdentificationResult:
+        """Read a result; raises `ResultError` where the text is not one, misses something, or was made with other base parameters than today's."""
+        try:
+            whole = json.loads(text)
+        except ValueError as problem:
+            raise ResultError(f"this is not a stored result, not even JSON ({problem}); expected the file that identify wrote") from problem
+        if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
+            raise ResultError(f"this JSON is not a stored result: its format should be {FORMAT!r}; expected the file that identify wrote")
+        if whole.get("version") != FORMAT_VERSION:
+            raise ResultError(f"this result has format version {whole.get('version')}, this program reads {FORMAT_VERSION}; identify again")
+        try:
+            model = model_from_document(whole["model"])
+            base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
+            parameters = tuple(IdentifiedParameter(**(item | _undefined(item))) for item in whole["parameters"])
+            ids = [parameter.id for parameter in parameters]
+            if ids != base.ids.tolist():
+                raise ResultError(
+                    f"the result of {model.name} has base parameters {ids}, the robot has {base.ids.tolist()}; identify again"
+                )
+            return cls(
+                model=model,
+                base=base,
+                method=str(whole["method"]),
+                sources=tuple(whole["sources"]),
+                n_samples=int(whole["n_samples"]),
+                rate=float(whole["rate"]),
+                duration=float(whole["duration"]),
+                parameters=parameters,
+                covariance=whole["covariance"],
+                textbook_covariance=whole["textbook_covariance"],
+                sigma=whole["sigma"],
+                effective_samples=float(whole["effective_samples"]),
+                rank=int(whole["rank"]),
+                singular_values=whole["singular_values"],
+                condition_number=_number(whole["condition_number"]),
+                scaled_condition_number=_number(whole["scaled_condition_number"]),
+                undetermined=tuple(whole["undetermined"]),
+                train=TorqueMetrics.from_dict(whole["train"]),
+                validation=tuple(TorqueMetrics.from_dict(metrics) for metrics in whole["validation"]),
+                cad=TorqueMetrics.from_dict(whole["cad"]),
+                physically_consistent=whole["physically_consistent"],
+                consistency_margin=whole["consistency_margin"],
+                warnings=tuple(IdentificationWarning(**warning) for warning in whole["warnings"]),
+                provenance=tuple(whole["provenance"]),
+            )
+        except (KeyError, TypeError, AttributeError, ValueError) as problem:
+            if isinstance(problem, ResultError):
+                raise
+            reason = str(problem) if isinstance(problem, AsbuiltError) else f"{type(problem).__name__} {problem}"
+            raise ResultError(f"the stored result is damaged: {reason}; identify again") from problem
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _undefined(item: Mapping[str, Any]) -> dict[str, float]:
+    return {field: np.nan for field, value in item.items() if value is None}
+
+
+def _number(value: float | None) -> float:
+    return np.inf if value is None else float(value)

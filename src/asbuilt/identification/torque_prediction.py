@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 
@@ -37,3 +38,25 @@ class Prediction:
     def error(self) -> Array:
         """Measured minus predicted torque, (N, n)."""
         return self.measured - self.predicted
+
+
+def predict_torque(model: RobotModel, base: BaseParameters, values: ArrayLike, samples: Samples) -> Prediction:
+    """Predict `F(Y_b beta)` beside `F(tau)`, F being the parallel filter of the samples, if any.
+
+    The kept columns of Y reproduce every torque alone, so Newton-Euler runs once with beta in their places and zero elsewhere.
+    Raises `ResultError` where the samples belong to other joints or `values` is not of shape (p,).
+    """
+    beta = np.asarray(values, dtype=np.float64)
+    if beta.shape != (base.n_base,):
+        raise ResultError(f"{base.robot} with drive terms {base.drive} has {base.n_base} base parameters, got shape {beta.shape}")
+    if samples.joint_names != model.joint_names:
+        raise ResultError(
+            f"samples of {samples.source} have joints {list(samples.joint_names)}, {model.name} has {list(model.joint_names)}"
+        )
+    chi = np.zeros(base.n_standard)
+    chi[base.columns] = beta
+    links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
+    torque = inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
+    if base.drive:
+        torque = torque + drive_torque(base.drive, drives, samples.q, samples.qd, samples.qdd)
+    return Prediction(samples.filtered_times, samples.filtered_torque, samples.filtered(torque), model.joint_names, samples.source)

@@ -1,0 +1,79 @@
+"""Whether real bodies can have the base parameters that were found."""
+
+from __future__ import annotations
+
+import clarabel
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.errors import IdentifiabilityError
+
+Array = NDArray[np.float64]
+
+MARGIN_TOLERANCE = 1e-8
+"""How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be rounding of the solver."""
+
+_HALF = np.sqrt(0.5)
+_PSEUDO_INERTIA = np.zeros((10, 10))
+"""svec of the 4 x 4 pseudo-inertia, upper triangle column by column with off-diagonal entries times sqrt(2), from `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`."""
+_PSEUDO_INERTIA[0, [0, 3, 5]] = -0.5, 0.5, 0.5
+_PSEUDO_INERTIA[1, 1] = -2.0 * _HALF
+_PSEUDO_INERTIA[2, [0, 3, 5]] = 0.5, -0.5, 0.5
+_PSEUDO_INERTIA[3, 2] = -2.0 * _HALF
+_PSEUDO_INERTIA[4, 4] = -2.0 * _HALF
+_PSEUDO_INERTIA[5, [0, 3, 5]] = 0.5, 0.5, -0.5
+_PSEUDO_INERTIA[[6, 7, 8], [6, 7, 8]] = 2.0 * _HALF
+_PSEUDO_INERTIA[9, 9] = 1.0
+_IDENTITY = np.array([1.0, 0, 1.0, 0, 0, 1.0, 0, 0, 0, 1.0])
+
+
+def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
+    """Return the largest t such that some standard parameters with `K chi = beta` have pseudo-inertias `P_i >= t 1` for every link.
+
+    The 4 x 4 pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a real body is positive semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a
+    negative margin says that no bodies can have these base parameters. Armatures, where among the drive terms, may not be negative; friction
+    is not judged. A semidefinite program, solved by Clarabel in milliseconds. Infinite where nothing bounds t.
+
+    Raises `IdentifiabilityError` where beta is not of shape (p,) or not finite, or the solver gives up.
+    """
+    values = np.asarray(beta, dtype=np.float64)
+    if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
+        raise IdentifiabilityError(f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}: {values.tolist()}")
+    n_links = sum(name.startswith("Ixx") for name in base.standard_names)
+    free = np.array([j for j, name in enumerate(base.standard_names) if j < 10 * n_links or name.startswith("Ia")])
+    armatures = range(10 * n_links, len(free))
+    rows = np.flatnonzero(np.any(base.regrouping[:, free] != 0, axis=1))
+    n = len(free)
+    fixed = sparse.hstack([sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))])
+    positive = sparse.csc_matrix((-np.ones(len(armatures)), (range(len(armatures)), armatures)), shape=(len(armatures), n + 1))
+    bodies = sparse.hstack(
+        [
+            sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-_PSEUDO_INERTIA)),
+            sparse.csc_matrix((10 * n_links, len(armatures))),
+            sparse.csc_matrix(np.tile(_IDENTITY, n_links)[:, None]),
+        ]
+    )
+    constraints = sparse.csc_matrix(sparse.vstack([fixed, positive, bodies]))
+    bounds = np.concatenate([values[rows], np.zeros(len(armatures) + 10 * n_links)])
+    cones = [clarabel.ZeroConeT(len(rows)), clarabel.NonnegativeConeT(len(armatures)), *[clarabel.PSDTriangleConeT(4)] * n_links]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    goal = np.append(np.zeros(n), -1.0)
+    solution = clarabel.DefaultSolver(sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones, settings).solve()
+    status = str(solution.status)
+    if "DualInfeasible" in status:
+        return float("inf")
+    if status not in ("Solved", "AlmostSolved"):
+        raise IdentifiabilityError(
+            f"the consistency of {base.n_base} base parameters of {base.robot} could not be decided: the solver says {status}"
+        )
+    return float(solution.x[-1])
+
+
+def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
+    """Return whether a margin says that real bodies can have `beta`: it is not negative beyond the solver's rounding."""
+    scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
+    return margin >= -MARGIN_TOLERANCE * scale

@@ -1,0 +1,231 @@
+"""From samples to a result: the one call that this room exists for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.least_squares import Estimate, fit_least_squares
+from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
+from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
+from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
+from asbuilt.identification.torque_prediction import predict_torque
+from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.samples import Samples
+
+Array = NDArray[np.float64]
+Method = Literal["ols", "wls"]
+
+POOR_RELATIVE_ERROR = 0.5
+"""A standard error of this fraction of the larger of estimate and CAD value is poor,"""
+POOR_TORQUE = 0.05
+"""if the torque it stands for is this fraction of the residual; below, the parameter hardly matters in this motion."""
+LARGE_CONDITION = 200.0
+"""Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR 1992, ask for less than 100)."""
+
+
+def identify(
+    model: RobotModel,
+    samples: Samples | Sequence[Samples],
+    *,
+    drive: DriveSet = NO_DRIVE,
+    method: Method = "wls",
+    base: BaseParameters | None = None,
+    unexcited: Literal["toward_prior", "refuse"] = "toward_prior",
+    block_seconds: float | None = None,
+    threads: int | None = None,
+) -> IdentificationResult:
+    """Identify the base parameters of a robot from the samples of one or more recordings.
+
+    `method` is `"ols"`, or `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
+    refused (`unexcited="refuse"`). `base` saves finding the base parameters again.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If there are too few samples, or some direction is not excited and refused.
+    """
+    batches = list(samples) if isinstance(samples, Sequence) else [samples]
+    if not batches:
+        raise UsageError(f"no samples are given to identify {model.name} from; pass at least one prepared recording")
+    found = base if base is not None else find_base_parameters(model, drive)
+    information = accumulate_stream(model, found, batches, block_seconds=block_seconds, threads=threads)
+    cad = design_values(model, found)
+    estimate = fit_least_squares(information, weights="joint" if method == "wls" else None, prior=cad, unexcited=unexcited)
+    source = ", ".join(information.sources)
+    measured = []
+    for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
+        tally = TorqueTally(model.joint_names)
+        for batch in batches:
+            prediction = predict_torque(model, found, beta, batch)
+            tally.add(prediction.measured, prediction.predicted)
+        measured.append(tally.metrics(source))
+    first = batches[0]
+    return conclude(
+        model,
+        information,
+        estimate,
+        rate=first.parallel.output_rate if first.parallel else first.rate,
+        train=measured[0],
+        cad=measured[1],
+        provenance=tuple(dict.fromkeys(line for batch in batches for line in batch.provenance)),
+    )
+
+
+def conclude(
+    model: RobotModel,
+    information: SquareRootInformation,
+    estimate: Estimate,
+    *,
+    rate: float,
+    train: TorqueMetrics | None = None,
+    cad: TorqueMetrics | None = None,
+    provenance: tuple[str, ...] = (),
+) -> IdentificationResult:
+    """Make a result of an estimate: errors, physical consistency, verdicts.
+
+    Without `train` and `cad` both come from the information alone, as for recordings larger than memory; the largest error is then unknown.
+    """
+    base, design = information.base, design_values(model, information.base)
+    uncertainty = block_uncertainty(information, estimate)
+    poor = _poorly_determined(information, estimate, uncertainty, design)
+    parameters = tuple(
+        IdentifiedParameter(
+            id=int(base.ids[j]),
+            name=base.names[j],
+            expression=base.expressions[j],
+            symbolic=base.symbolic[j],
+            unit=base.units[j],
+            cad=float(design[j]),
+            estimate=float(estimate.beta[j]),
+            std_error=float(uncertainty.std_errors[j]),
+            textbook_std_error=float(estimate.std_errors[j]),
+            determined=bool(estimate.determined[j]),
+            poorly_determined=bool(poor[j]),
+        )
+        for j in range(base.n_base)
+    )
+    try:
+        margin: float | None = consistency_margin(base, estimate.beta)
+    except IdentifiabilityError:
+        margin = None
+    return IdentificationResult(
+        model=model,
+        base=base,
+        method=estimate.method,
+        sources=information.sources,
+        n_samples=information.n_samples,
+        rate=rate,
+        duration=information.n_samples / rate,
+        parameters=parameters,
+        covariance=uncertainty.covariance,
+        textbook_covariance=estimate.covariance,
+        sigma=estimate.sigma,
+        effective_samples=uncertainty.effective_samples,
+        rank=estimate.rank,
+        singular_values=estimate.solution.singular_values,
+        condition_number=estimate.solution.condition_number,
+        scaled_condition_number=estimate.solution.scaled_condition_number,
+        undetermined=estimate.undetermined,
+        train=train if train is not None else information_metrics(information, estimate.beta),
+        validation=(),
+        cad=cad if cad is not None else information_metrics(information, np.nan_to_num(design, nan=0.0)),
+        physically_consistent=None if margin is None else margin_is_consistent(margin, estimate.beta),
+        consistency_margin=margin,
+        warnings=_warnings(parameters, estimate, uncertainty, margin),
+        provenance=provenance,
+    )
+
+
+def design_values(model: RobotModel, base: BaseParameters) -> Array:
+    """Return the base parameters by design, shape (p,); NaN where the description is silent on something they contain."""
+    chi = parameter_values(model, base.drive)
+    for i, link in enumerate(model.links):
+        if not link.inertia_known:
+            chi[10 * i : 10 * i + 10] = np.nan
+    return base.values(chi)
+
+
+def information_metrics(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
+    """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN, which sums of squares do not tell."""
+    n = information.n_samples
+    error, energy = information.residual_energy(beta), information.torque_energy
+    spread = energy - information.torque_sum.sum(axis=0) ** 2 / n
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return TorqueMetrics(
+            source=", ".join(information.sources),
+            joint_names=information.joint_names,
+            n_samples=n,
+            rms=np.sqrt(error / n),
+            max_abs=np.full(information.n_joints, np.nan),
+            r_squared=np.where(spread > 1e-12 * energy, 1.0 - error / spread, np.nan),
+            relative_error=float(np.sqrt(error.sum() / energy.sum())),
+            relative_error_per_joint=np.sqrt(error / energy),
+        )
+
+
+def _poorly_determined(
+    information: SquareRootInformation, estimate: Estimate, uncertainty: Uncertainty, design: Array
+) -> NDArray[np.bool_]:
+    error = uncertainty.std_errors
+    size = np.fmax(np.abs(estimate.beta), np.abs(design))
+    column = np.linalg.norm(information.stacked(1.0 / np.maximum(estimate.sigma, np.finfo(np.float64).tiny))[:, :-1], axis=0)
+    torque = error * column / np.sqrt(information.n_samples)
+    return np.asarray((error > POOR_RELATIVE_ERROR * size) & (torque > POOR_TORQUE))
+
+
+def _warnings(
+    parameters: tuple[IdentifiedParameter, ...], estimate: Estimate, uncertainty: Uncertainty, margin: float | None
+) -> tuple[IdentificationWarning, ...]:
+    found: list[tuple[str, str]] = []
+    if estimate.undetermined:
+        listed = "; ".join(estimate.undetermined[:6]) + (
+            f"; and {len(estimate.undetermined) - 6} more" if len(estimate.undetermined) > 6 else ""
+        )
+        found.append(
+            ("not_excited", f"Not excited by this recording, kept at CAD: {listed}. Move these joints more, or leave out drive terms.")
+        )
+    poor = [parameter.name for parameter in parameters if parameter.poorly_determined]
+    if poor:
+        listed = ", ".join(poor[:12]) + (f" and {len(poor) - 12} more" if len(poor) > 12 else "")
+        found.append(
+            ("poorly_determined", f"Poorly determined (error beyond half the value): {listed}. Lengthen or enrich the motion, or fix them.")
+        )
+    condition = estimate.solution.scaled_condition_number
+    if LARGE_CONDITION < condition < np.inf:
+        found.append(
+            (
+                "ill_conditioned",
+                f"Scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}: small faults of the model move these values much.",
+            )
+        )
+    if uncertainty.method == "textbook":
+        found.append(
+            (
+                "few_blocks",
+                f"Only {uncertainty.n_blocks} time blocks: standard errors take residuals as independent and are too small. Record longer.",
+            )
+        )
+    if margin is not None and not margin_is_consistent(margin, estimate.beta):
+        found.append(
+            (
+                "inconsistent",
+                f"No real bodies have these parameters: best attainable smallest eigenvalue {margin:.3g} (below 0). Predictions hold, simulators may not run.",
+            )
+        )
+    if not estimate.converged:
+        found.append(
+            ("not_converged", f"Joint weights had not settled after {estimate.iterations} iterations; a joint may have next to no noise.")
+        )
+    return tuple(IdentificationWarning(code, message) for code, message in found)

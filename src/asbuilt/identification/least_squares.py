@@ -1,0 +1,220 @@
+"""Least squares on square-root information: ordinary, or with a weight per joint, and honest about what the data leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import qr
+
+from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.identification.square_root_information import SquareRootInformation
+
+Array = NDArray[np.float64]
+Weighting = Literal["joint"]
+
+WEIGHT_CONVERGENCE = 1e-8
+MOST_ITERATIONS = 50
+SMALLEST_NOISE = 1e-9
+"""Noise of a joint as a fraction of the largest torque RMS below which its weight grows no further: simulations have none."""
+NEGLIGIBLE_COEFFICIENT = 1e-6
+MOST_TERMS = 6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FactorSolution:
+    """Solve `min |[W | tau] (-x, 1)|` from the triangular factor of [W | tau], W with m rows and p columns, its columns scaled to unit length.
+
+    `x = toward + D^-1 V S^-1 U^T (z - R toward)` over the `rank` singular values above `rank_tolerance`; `inverse_root` (p, rank) is D^-1 V S^-1, so
+    that (W^T W)^+ = inverse_root inverse_root^T. `open_directions` (p - rank, p) span what does not change `W x`, in units of x.
+    """
+
+    x: Array
+    rank: int
+    residual_energy: float
+    inverse_root: Array
+    open_directions: Array
+    singular_values: Array
+    condition_number: float
+    scaled_condition_number: float
+
+
+def rank_tolerance(n_rows: int, n_columns: int) -> float:
+    """Return the fraction of the largest singular value below which a singular value is rounding: 4 eps max(m, p)."""
+    return 4.0 * float(np.finfo(np.float64).eps) * max(n_rows, n_columns)
+
+
+def solve_factor(factor: Array, n_rows: int, toward: Array | None = None) -> FactorSolution:
+    """Solve least squares from the triangular factor (p + 1, p + 1) of `n_rows` rows, by singular values of its column-scaled form.
+
+    What the rows leave open is resolved toward `toward` (p,), zero where none is given. Source: Golub & Van Loan, Matrix Computations, 2013,
+    sections 5.3.5 (column scaling) and 5.5 (rank).
+    """
+    p = len(factor) - 1
+    r, z = factor[:p, :p], factor[:p, p]
+    start = np.zeros(p) if toward is None else np.asarray(toward, dtype=np.float64)
+    length = np.linalg.norm(r, axis=0)
+    present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
+    scale = np.where(present, length, 1.0)
+    u, s, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
+    rank = int(np.sum(s > rank_tolerance(n_rows, p) * s.max(initial=0.0)))
+    inverse_root = (vt[:rank].T / s[:rank]) / scale[:, None]
+    x = start + inverse_root @ (u[:, :rank].T @ (z - r @ start))
+    plain: Array = np.asarray(np.linalg.svd(r, compute_uv=False), dtype=np.float64)
+    error = factor @ np.append(-x, 1.0)
+    return FactorSolution(
+        x=x,
+        rank=rank,
+        residual_energy=float(error @ error),
+        inverse_root=inverse_root,
+        open_directions=_echelon(vt[rank:], scale),
+        singular_values=s,
+        condition_number=_ratio(plain, rank),
+        scaled_condition_number=_ratio(s, rank),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Hold a least-squares estimate of p base parameters from n joints.
+
+    `weights` (n,) multiplied each joint's rows; `sigma` (n,) is the residual standard deviation of each joint; `covariance` (p, p) is the textbook one,
+    `inverse_root inverse_root^T` times the variance of a weighted residual; `solution` says the rest. `undetermined` names the directions this
+    recording leaves open, `determined` (p,) is False for the parameters they contain; those lean on the prior.
+    """
+
+    method: str
+    beta: Array
+    covariance: Array
+    sigma: Array
+    weights: Array
+    solution: FactorSolution
+    undetermined: tuple[str, ...]
+    determined: NDArray[np.bool_]
+    iterations: int
+    converged: bool
+
+    @property
+    def rank(self) -> int:
+        """Rank of this recording."""
+        return self.solution.rank
+
+    @property
+    def std_errors(self) -> Array:
+        """Textbook standard errors, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def fit_least_squares(
+    information: SquareRootInformation,
+    *,
+    weights: Weighting | ArrayLike | None = None,
+    prior: ArrayLike | None = None,
+    unexcited: Literal["toward_prior", "refuse"] = "toward_prior",
+) -> Estimate:
+    """Estimate beta with `min sum_k weights_k^2 |tau_k - W_k beta|^2`.
+
+    `weights` None is ordinary least squares; `"joint"` takes 1 / sigma_k, sigma_k^2 = |e_k|^2 / (N - t_k) with t_k the parameters that joint k spends,
+    and iterates until the weights rest (Gautier, IROS 1997); or n positive numbers are given.
+
+    Directions that the recording does not excite are resolved toward `prior` (p,), NaN counting as 0: the smallest change from it in parameters scaled to equal
+    torque. Raises `IdentifiabilityError`, naming them, where there is no prior or `unexcited` is `"refuse"`, and where rows are fewer than parameters.
+    """
+    n, rows = information.n_joints, information.n_samples
+    if rows * n <= information.base.n_base:
+        raise IdentifiabilityError(
+            f"{rows} samples of {n} joints give {rows * n} torques, too few for {information.base.n_base} parameters of {information.base.robot}; "
+            "record longer, decimate less or choose fewer drive terms"
+        )
+    toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
+    floor = SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / rows)) or 1.0
+    w = np.ones(n) if weights is None or isinstance(weights, str) else _positive(weights, n)
+    iterations, converged = 0, True
+    while True:
+        solution = solve_factor(information.stacked(w), rows * n, toward)
+        spent = _spent(information, solution, w)
+        sigma = np.sqrt(information.residual_energy(solution.x) / np.maximum(rows - spent, 1.0))
+        iterations += 1
+        if weights != "joint":
+            break
+        renewed = 1.0 / np.maximum(sigma, floor)
+        converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
+        if converged or iterations > MOST_ITERATIONS:
+            break
+        w = renewed
+    if solution.rank < information.base.n_base and (toward is None or unexcited == "refuse"):
+        raise IdentifiabilityError(_refusal(information, solution))
+    variance = solution.residual_energy / max(rows * n - solution.rank, 1)
+    return Estimate(
+        method="ols" if weights is None else "wls",
+        beta=solution.x,
+        covariance=variance * solution.inverse_root @ solution.inverse_root.T,
+        sigma=sigma,
+        weights=w,
+        solution=solution,
+        undetermined=tuple(combination(direction, information.base.names) for direction in solution.open_directions),
+        determined=np.all(np.abs(solution.open_directions) <= NEGLIGIBLE_COEFFICIENT, axis=0),
+        iterations=iterations,
+        converged=converged,
+    )
+
+
+def combination(direction: Array, names: tuple[str, ...]) -> str:
+    """Return a direction as readable text, largest coefficient 1 in front.
+
+    >>> combination(np.array([0.0, -0.5, 1.0]), ("Ixx1", "mx2", "Fv1"))
+    'Fv1 - 0.5 mx2'
+    """
+    order = np.argsort(-np.abs(direction), kind="stable")
+    lead = direction[order[0]]
+    shown = [int(j) for j in order if abs(direction[j]) > NEGLIGIBLE_COEFFICIENT * abs(lead)]
+    text = names[shown[0]]
+    for j in shown[1:MOST_TERMS]:
+        factor = direction[j] / lead
+        size = f"{abs(factor):.3g}"
+        text += f" {'-' if factor < 0 else '+'} {names[j] if size == '1' else f'{size} {names[j]}'}"
+    return text + (f" + ... ({len(shown) - MOST_TERMS} more)" if len(shown) > MOST_TERMS else "")
+
+
+def _spent(information: SquareRootInformation, solution: FactorSolution, weights: Array) -> Array:
+    """Parameters that each joint spends, shape (n,): the trace of its part of the hat matrix; they add up to the rank."""
+    parts = []
+    for support, factor, weight in zip(information.support, information.joint_factors, weights, strict=True):
+        part = weight * factor[:-1, :-1] @ solution.inverse_root[support]
+        parts.append(float(np.sum(part * part)))
+    return np.array(parts)
+
+
+def _refusal(information: SquareRootInformation, solution: FactorSolution) -> str:
+    names = [combination(direction, information.base.names) for direction in solution.open_directions]
+    listed = "; ".join(names[:8]) + (f"; and {len(names) - 8} more" if len(names) > 8 else "")
+    return (
+        f"the recording determines {solution.rank} of the {information.base.n_base} parameters of {information.base.robot}; nothing in it tells {listed}. "
+        "Move the joints concerned more (several at once, both directions, changing speed), or give CAD values to lean on"
+    )
+
+
+def _positive(weights: ArrayLike, n: int) -> Array:
+    w = np.asarray(weights, dtype=np.float64)
+    if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
+        raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
+    return w
+
+
+def _echelon(null: Array, scale: Array) -> Array:
+    """Rows spanning those of `null` / `scale` with as few non-zeros as reduction gives, largest coefficient 1."""
+    if len(null) == 0:
+        return np.zeros((0, len(scale)))
+    _, _, pivots = qr(null, mode="economic", pivoting=True)
+    reduced = np.linalg.solve(null[:, pivots[: len(null)]], null)
+    reduced[np.abs(reduced) < NEGLIGIBLE_COEFFICIENT] = 0.0
+    rows = reduced / scale
+    rows = rows / np.abs(rows).max(axis=1, keepdims=True)
+    return np.asarray(rows[np.argsort(pivots[: len(null)])])
+
+
+def _ratio(singular_values: Array, rank: int) -> float:
+    p = len(singular_values)
+    return float(singular_values[0] / singular_values[-1]) if rank == p and singular_values[-1] > 0 else np.inf

@@ -1,0 +1,394 @@
+"""All that a recording says about the parameters, in a few triangular matrices: one per joint and time block."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import lapack
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.dynamics.regressor import joint_observations, joint_support
+from asbuilt.errors import IdentifiabilityError, ResultError
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.samples import Samples
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+ROWS_AT_ONCE = 1024
+"""Rows reduced by one QR: with some 50 columns they fit the cache."""
+SAMPLES_AT_ONCE = 4096
+"""Unfiltered samples whose regressor is held at once."""
+LONGEST_BLOCK = 5.0
+"""Length of a time block [s] where nothing else is asked."""
+SHORTEST_BLOCK = 1.0
+USUAL_BLOCKS = 16
+"""A short recording is cut into about so many blocks, so that errors can be judged from block to block."""
+MOST_BLOCKS = 128
+"""Beyond twice as many, neighbours are merged, so that memory does not grow with the recording."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeBlock:
+    """A stretch of a recording: where it comes from, first and last instant [s] and number of samples."""
+
+    source: str
+    start: float
+    stop: float
+    n_samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class SquareRootInformation:
+    """Hold the triangular factors `R` of `[W_k | tau_k]` for every joint k and time block b: `R^T R = [W_k | tau_k]^T [W_k | tau_k]`.
+
+    Joint k sees only the base parameters `support[k]` (p_k positions among the p of `base`): links it carries and its own drive.
+    `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper triangular; `torque_sum` (n_blocks, n) is the sum of tau. For any beta,
+    `|tau_k - W_k beta|^2 = sum_b |R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing else.
+
+    Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is built block by block (Golub & Van Loan,
+    Matrix Computations, 2013, section 5.2; Demmel et al., SIAM J. Sci. Comput. 34, 2012).
+    """
+
+    base: BaseParameters
+    joint_names: tuple[str, ...]
+    support: tuple[Indices, ...]
+    factors: tuple[Array, ...]
+    torque_sum: Array
+    blocks: tuple[TimeBlock, ...]
+
+    def __post_init__(self) -> None:
+        for support, factor in zip(self.support, self.factors, strict=True):
+            q = len(support) + 1
+            if factor.shape != (len(self.blocks), q, q):
+                raise ResultError(f"factors of a joint with {q - 1} columns and {len(self.blocks)} blocks have shape {factor.shape}")
+            if not np.all(np.isfinite(factor)):
+                raise IdentifiabilityError(
+                    "samples hold NaN or infinite values; clean the recording first (asbuilt check says where they are)"
+                )
+            factor.setflags(write=False)
+        self.torque_sum.setflags(write=False)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of time blocks."""
+        return len(self.blocks)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples in all blocks; each gave one torque per joint."""
+        return sum(block.n_samples for block in self.blocks)
+
+    @property
+    def duration(self) -> float:
+        """Time that the blocks cover [s]."""
+        return sum(block.stop - block.start for block in self.blocks)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The recordings, each once, in order."""
+        return tuple(dict.fromkeys(block.source for block in self.blocks))
+
+    @cached_property
+    def joint_factors(self) -> tuple[Array, ...]:
+        """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1)."""
+        return tuple(triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors)
+
+    @property
+    def torque_energy(self) -> Array:
+        """Sum of tau^2 over all samples, shape (n,)."""
+        return np.array([float(factor[:, -1] @ factor[:, -1]) for factor in self.joint_factors])
+
+    def select(self, blocks: Sequence[int] | Array | Indices) -> SquareRootInformation:
+        """Return the information of these blocks only; an index that comes twice counts twice."""
+        chosen = np.arange(self.n_blocks)[np.asarray(blocks)]
+        if chosen.size == 0:
+            raise IdentifiabilityError(f"no block is selected; there are {self.n_blocks}")
+        return SquareRootInformation(
+            self.base,
+            self.joint_names,
+            self.support,
+            tuple(factors[chosen] for factors in self.factors),
+            self.torque_sum[chosen],
+            tuple(self.blocks[b] for b in chosen),
+        )
+
+    def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
+        """Return the information of this and other recordings of the same robot with the same base parameters, blocks one after another."""
+        for other in others:
+            if other.base.names != self.base.names or other.joint_names != self.joint_names:
+                raise IdentifiabilityError(
+                    f"information of {other.base.robot} with drive terms {other.base.drive} ({other.base.n_base} parameters) cannot be merged "
+                    f"with that of {self.base.robot} with drive terms {self.base.drive} ({self.base.n_base} parameters)"
+                )
+        parts = (self, *others)
+        return SquareRootInformation(
+            self.base,
+            self.joint_names,
+            self.support,
+            tuple(np.concatenate([part.factors[k] for part in parts]) for k in range(self.n_joints)),
+            np.concatenate([part.torque_sum for part in parts]),
+            tuple(block for part in parts for block in part.blocks),
+        )
+
+    def stacked(self, weights: ArrayLike | None = None) -> Array:
+        """Return the factor (p + 1, p + 1) of all joints' rows, joint k multiplied by `weights[k]` (1 where none are given)."""
+        return self._stacked(self.joint_factors, weights)
+
+    def block_stacked(self, block: int, weights: ArrayLike | None = None) -> Array:
+        """Return the factor (p + 1, p + 1) of one time block."""
+        return self._stacked([factors[block] for factors in self.factors], weights)
+
+    def _stacked(self, factors: Sequence[Array], weights: ArrayLike | None) -> Array:
+        w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
+        p = self.base.n_base
+        rows = np.zeros((sum(len(factor) for factor in factors), p + 1))
+        top = 0
+        for support, factor, weight in zip(self.support, factors, w, strict=True):
+            rows[top : top + len(factor), np.append(support, p)] = weight * factor
+            top += len(factor)
+        return triangular_factor(rows)
+
+    def residual_energy(self, beta: ArrayLike) -> Array:
+        """Return `|tau_k - W_k beta|^2` for every joint, shape (n,)."""
+        values = np.asarray(beta, dtype=np.float64)
+        if values.shape != (self.base.n_base,):
+            raise IdentifiabilityError(f"{self.base.robot} has {self.base.n_base} base parameters, got shape {values.shape}")
+        errors = [factor @ np.append(-values[s], 1.0) for s, factor in zip(self.support, self.joint_factors, strict=True)]
+        return np.array([float(error @ error) for error in errors])
+
+    def to_bytes(self) -> bytes:
+        """Return the content of an NPZ file (upper triangles only, no pickle) that `from_bytes` reads."""
+        header = {
+            "robot": self.base.robot,
+            "drive": str(self.base.drive),
+            "parameters": list(self.base.names),
+            "joints": list(self.joint_names),
+        }
+        arrays = {
+            "torque_sum": self.torque_sum,
+            "header": np.array(json.dumps(header | {"blocks": [asdict(block) for block in self.blocks]})),
+        }
+        for k, (support, factors) in enumerate(zip(self.support, self.factors, strict=True)):
+            arrays[f"support_{k}"] = support
+            arrays[f"factors_{k}"] = factors[(slice(None), *np.triu_indices(factors.shape[-1]))]
+        stream = io.BytesIO()
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+        return stream.getvalue()
+
+    @classmethod
+    def from_bytes(cls, base: BaseParameters, content: bytes) -> SquareRootInformation:
+        """Rebuild what `to_bytes` wrote for a robot with these base parameters; raises `ResultError` where they are others or it is not readable."""
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                header = json.loads(str(arrays["header"]))
+                supports, every = [], []
+                for k in range(len(header["joints"])):
+                    supports.append(arrays[f"support_{k}"].astype(np.int64))
+                    q = len(supports[-1]) + 1
+                    packed = arrays[f"factors_{k}"]
+                    factors = np.zeros((len(packed), q, q))
+                    factors[(slice(None), *np.triu_indices(q))] = packed
+                    every.append(factors)
+                torque_sum = arrays["torque_sum"].astype(np.float64)
+            blocks = tuple(TimeBlock(**block) for block in header["blocks"])
+            names, joints = tuple(header["parameters"]), tuple(header["joints"])
+        except (OSError, ValueError, KeyError, TypeError, EOFError) as problem:
+            raise ResultError(
+                f"square-root information cannot be read: {type(problem).__name__} {problem}; expected what `to_bytes` wrote"
+            ) from problem
+        if names != base.names:
+            raise ResultError(
+                f"the information belongs to {header['robot']} with drive terms {header['drive']} ({len(names)} parameters), "
+                f"not to {base.robot} with drive terms {base.drive} ({base.n_base} parameters)"
+            )
+        return cls(base, joints, tuple(supports), tuple(every), torque_sum, blocks)
+
+
+def triangular_factor(rows: Array) -> Array:
+    """Return the upper triangular R (p, p) with `R^T R = rows^T rows` and a non-negative diagonal, of rows (m, p), by Householder QR."""
+    growing = GrowingFactor(rows.shape[1], len(rows))
+    growing.append(np.ascontiguousarray(rows.T))
+    return growing.factor()
+
+
+class GrowingFactor:
+    """Reduce ever more rows with p columns to their triangular factor: R of [R; new rows], `capacity` rows at a time."""
+
+    def __init__(self, p: int, capacity: int = ROWS_AT_ONCE) -> None:
+        self._p = p
+        self._rows = np.zeros((p, p + max(capacity, 1)))
+        self._filled = p
+
+    def append(self, columns: Array) -> None:
+        """Add rows given as columns (p, m): samples innermost."""
+        start = 0
+        while start < columns.shape[1]:
+            if self._filled == self._rows.shape[1]:
+                self._reduce()
+            taken = min(columns.shape[1] - start, self._rows.shape[1] - self._filled)
+            self._rows[:, self._filled : self._filled + taken] = columns[:, start : start + taken]
+            self._filled += taken
+            start += taken
+
+    def factor(self) -> Array:
+        """Return R (p, p) of everything added so far."""
+        self._reduce()
+        r = self._rows[:, : self._p].T.copy()
+        return np.asarray(r * np.where(np.diag(r) < 0, -1.0, 1.0)[:, None])
+
+    def _reduce(self) -> None:
+        if self._filled > self._p:
+            self._rows[:, self._filled :] = 0.0
+            lapack.dgeqrf(self._rows.T, overwrite_a=True)
+            self._rows[:, : self._p] = np.tril(self._rows[:, : self._p])
+            self._filled = self._p
+
+
+def accumulate(
+    model: RobotModel, base: BaseParameters, samples: Samples, *, block_seconds: float | None = None, threads: int | None = None
+) -> SquareRootInformation:
+    """Reduce samples to their square-root information in one pass.
+
+    Where `samples.parallel` is set, every regressor column and the torque go through it alike, segment by segment. `block_seconds` is the length
+    of a time block, by default 5 s, less for short recordings. `threads` share the blocks, by default one per core; the result does not depend on it.
+    """
+    return accumulate_stream(model, base, (samples,), block_seconds=block_seconds, threads=threads)
+
+
+def accumulate_stream(
+    model: RobotModel, base: BaseParameters, stream: Iterable[Samples], *, block_seconds: float | None = None, threads: int | None = None
+) -> SquareRootInformation:
+    """Reduce any number of samples, recordings or pieces of one, while they are being read; memory does not grow with their number.
+
+    A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each piece. Beyond 256 blocks, neighbours are merged.
+    Raises `IdentifiabilityError` where nothing is left after filtering.
+    """
+    support = tuple(joint_support(model, base.drive, base.columns))
+    gathered = _Gathering()
+    names: tuple[str, ...] = model.joint_names
+    pending: deque[Future[_Reduced]] = deque()
+    workers = max(1, threads if threads is not None else os.cpu_count() or 1)
+    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=workers) as pool:
+        for stretch, seconds in _stretches(stream, block_seconds):
+            pending.append(pool.submit(_reduced, model, base, support, stretch))
+            gathered.seconds = max(gathered.seconds, seconds)
+            if len(pending) > 2 * workers:
+                gathered.add(pending.popleft().result())
+        while pending:
+            gathered.add(pending.popleft().result())
+    if not gathered.blocks:
+        raise IdentifiabilityError(
+            f"no samples of {model.name} are left to identify from: every contiguous stretch is shorter than the filter needs; "
+            "record longer, raise the cutoff, or filter less"
+        )
+    factors = tuple(np.array([block.factors[k] for block in gathered.blocks]) for k in range(model.n_joints))
+    torque_sum = np.array([block.torque_sum for block in gathered.blocks])
+    return SquareRootInformation(base, names, support, factors, torque_sum, tuple(block.time for block in gathered.blocks))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stretch:
+    """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`."""
+
+    samples: Samples
+    start: int
+    stop: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    factors: tuple[Array, ...]
+    torque_sum: Array
+    time: TimeBlock
+
+
+def _stretches(stream: Iterable[Samples], block_seconds: float | None) -> Iterator[tuple[_Stretch, float]]:
+    for samples in stream:
+        rate = samples.parallel.output_rate if samples.parallel else samples.rate
+        runs = [
+            (start, stop, samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start)
+            for start, stop in samples.segments
+        ]
+        seconds = block_seconds
+        if seconds is None:
+            seconds = float(np.clip(sum(n for _, _, n in runs) / rate / USUAL_BLOCKS, SHORTEST_BLOCK, LONGEST_BLOCK))
+        for start, stop, n in runs:
+            if n < 1:
+                continue
+            edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
+            for first, last in pairwise(edges.tolist()):
+                yield _Stretch(samples, start, stop, first, last), seconds
+
+
+def _reduced(model: RobotModel, base: BaseParameters, support: tuple[Indices, ...], stretch: _Stretch) -> _Reduced:
+    samples, parallel = stretch.samples, stretch.samples.parallel
+    n_outputs = stretch.last - stretch.first
+    step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+    at_once = max(1, (SAMPLES_AT_ONCE - width) // step + 1) if parallel else ROWS_AT_ONCE
+    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, n_outputs)) for columns in support]
+    torque_sum = np.zeros(model.n_joints)
+    for first in range(stretch.first, stretch.last, at_once):
+        last = min(first + at_once, stretch.last)
+        span = slice(stretch.start + first * step, stretch.start + (last - 1) * step + width)
+        rows = joint_observations(model, base.drive, base.columns, samples.q[span], samples.qd[span], samples.qdd[span])
+        torque = np.ascontiguousarray(samples.tau[span].T)
+        for k, columns in enumerate(rows):
+            both = np.vstack([columns, torque[k]])
+            both = parallel.apply(both) if parallel else both
+            torque_sum[k] += both[-1].sum()
+            growing[k].append(both)
+    t = samples.t[stretch.start : stretch.stop]
+    t = parallel.times(t) if parallel else t
+    time = TimeBlock(samples.source, float(t[stretch.first]), float(t[stretch.last - 1]), n_outputs)
+    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, time)
+
+
+class _Gathering:
+    """Keep the blocks in order, merging neighbours into longer ones where there are too many."""
+
+    def __init__(self) -> None:
+        self.blocks: list[_Reduced] = []
+        self.seconds = 0.0
+
+    def add(self, block: _Reduced) -> None:
+        if self.blocks and _near(self.blocks[-1].time, block.time, self.seconds):
+            self.blocks[-1] = _merged(self.blocks[-1], block)
+        else:
+            self.blocks.append(block)
+        if len(self.blocks) > 2 * MOST_BLOCKS:
+            self.seconds *= 2.0
+            blocks, self.blocks = self.blocks, []
+            for each in blocks:
+                self.add(each)
+
+
+def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
+    return earlier.source == later.source and 0.0 < later.stop - earlier.start <= 1.2 * seconds
+
+
+def _merged(earlier: _Reduced, later: _Reduced) -> _Reduced:
+    factors = tuple(triangular_factor(np.vstack(pair)) for pair in zip(earlier.factors, later.factors, strict=True))
+    time = TimeBlock(earlier.time.source, earlier.time.start, later.time.stop, earlier.time.n_samples + later.time.n_samples)
+    return _Reduced(factors, earlier.torque_sum + later.torque_sum, time)
