@@ -56,7 +56,7 @@ def standard_parameters(model: RobotModel, drive: DriveSet, found: Regrouping, n
     views = [_link_view(model, found, i) for i in range(model.n_joints)]
     verdicts = []
     for j, name in enumerate(names):
-        rows = np.flatnonzero(found.matrix[:, j])
+        rows = [int(b) for b in np.flatnonzero(found.matrix[:, j])]
         members = tuple(int(found.columns[b]) + 1 for b in rows)
         alone = len(rows) == 1 and np.count_nonzero(found.matrix[rows[0]]) == 1
         status: Status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
@@ -86,11 +86,11 @@ def _shortened(words: Sequence[str]) -> str:
     return _listed(words if extra <= 0 else [*words[:LISTED_NAMES], f"{extra} more"])
 
 
-def _shown_in(found: Regrouping, names: Sequence[str], column: int, rows: NDArray[np.intp]) -> str:
+def _shown_in(found: Regrouping, names: Sequence[str], column: int, rows: Sequence[int]) -> str:
     if column in found.columns:
-        others = [names[j] for j in np.flatnonzero(found.matrix[rows[0]]) if j != column]
+        others = [names[int(j)] for j in np.flatnonzero(found.matrix[rows[0]]) if j != column]
         return f"; only its sum with {_shortened(others)} acts, and keeps the name {names[column]}"
-    kept = [names[found.columns[b]] for b in rows]
+    kept = [names[int(found.columns[b])] for b in rows]
     return f"; it shows only in the {'sums' if len(kept) > 1 else 'sum'} kept as {_shortened(kept)}"
 
 
@@ -136,9 +136,9 @@ def _link_view(model: RobotModel, found: Regrouping, link: int) -> _LinkView:
         if len(twists) == 1:
             phrase = f"{name} only turns about {_a(slope)} axis"
         elif len(turning) < len(chain):
-            phrase = f"{name} slides, but turns only about {slope} axes"
+            phrase = f"{name} slides, but turns only about {'parallel' if slope == 'fixed' else slope} axes"
         else:
-            phrase = f"{name} only turns about {slope} axes, all parallel"
+            phrase = f"{name} only turns about {'' if slope == 'fixed' else slope + ', '}parallel axes"
     else:
         phrase = f"{name} turns about axes of {'two' if len(directions) == 2 else 'all'} directions"
     axis = directions[0] if len(directions) == 1 else np.zeros(3)
@@ -162,7 +162,9 @@ def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
     if view.turns == 1 and abs(float(view.axis @ component)) > 1.0 - SMALL:
         return f"{view.phrase}, so it makes no difference where along {'that axis' if view.screws == 1 else 'this direction'} its mass sits"
     work = "there is no gravity" if weightless else "gravity does no work on this part of its first moment"
-    if view.turns == 1 and view.screws == 1:
+    if view.origin_moves:
+        return f"{view.phrase}, {work}, and its inertia about its axes of motion does not depend on it either"
+    if view.turns == view.screws == 1:
         return f"{view.phrase} through the origin of its frame and {work}, so the place of its mass acts only through its inertia about that axis"
     return f"{view.phrase}, but the origin of its frame never moves and {work}"
 
@@ -189,7 +191,7 @@ def _in_sums(model: RobotModel, found: Regrouping, views: Sequence[_LinkView], c
         return _gathered(model, link, givers)
     if parent == ROOT:
         if np.abs(own[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
-            return f"{views[link].phrase}, so the drive of joint {link + 1} acts on its torque in the same way"
+            return f"{views[link].phrase}, so it acts on joint {link + 1} just as a part of its drive does"
         return f"{views[link].phrase}, so it acts only through its inertia about that axis"
     return _moved_to_parent(model, found, views, column, letter)
 

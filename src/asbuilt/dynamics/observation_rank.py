@@ -48,7 +48,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     for k in range(n):
         first = 10 * n + drive.columns_per_joint * k
         load = rigid[k] @ model.parameters if drive.needs_load else None
-        Y[k, :, first : first + drive.columns_per_joint] = drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load).T
+        Y[k, :, first : first + drive.columns_per_joint] = drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load=load).T
     stacked = Y.reshape(n * samples, n_columns)
     sizes = np.linalg.norm(stacked, axis=0)
     present = sizes > ABSENT_COLUMN * sizes.max()

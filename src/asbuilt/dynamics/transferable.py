@@ -116,17 +116,16 @@ def row_space(rows: Array) -> Array:
     """Return an orthonormal basis, as rows, of the span of `rows`; near-zero rows are noise, not directions."""
     if not rows.size:
         return rows[:0]
-    sizes: Array
-    basis: Array
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
-    return basis[sizes > RANK_TOLERANCE * max(1.0, sizes[0])]
+    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, sizes[0])))
+    return np.asarray(basis[:rank])
 
 
 def null_space(rows: Array) -> Array:
     """Return an orthonormal basis, as rows, of the vectors that every row annihilates."""
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
     rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, sizes[0] if sizes.size else 0.0)))
-    return basis[rank:]
+    return np.asarray(basis[rank:])
 
 
 def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
