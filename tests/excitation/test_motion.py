@@ -196,7 +196,7 @@ def test_motions_that_do_not_meet_are_refused() -> None:
     with pytest.raises(MotionError, match=r"motion 1 ends with position 1 of joint 2, motion 2 starts with 0.5.*QuinticMotion.between"):
         Concatenated([there, QuinticMotion.between([1.0, 0.5], [0.0, 0.0], 1.0)])
     moving = QuinticMotion.between([0.0, 0.0], [1.0, 1.0], 2.0, end_velocity=0.5)
-    with pytest.raises(MotionError, match="ends with velocity 0.5 of joint 1"):
+    with pytest.raises(MotionError, match=r"ends with velocity 0\.5 of joint 1"):
         Concatenated([moving, QuinticMotion.between([1.0, 1.0], [0.0, 0.0], 1.0)])
     onward = QuinticMotion.between([1.0, 1.0], [2.0, 2.0], 2.0, start_velocity=0.5)
     assert Concatenated([moving, onward]).duration == 4.0

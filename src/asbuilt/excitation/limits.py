@@ -111,11 +111,8 @@ class LimitMargin:
         return self.margin < -ALLOWED_EXCESS
 
     def __str__(self) -> str:
-        relation = "beyond" if self.violated else "within"
-        return (
-            f"{self.quantity} of {self.joint} is {self.value:.6g} {self.unit} at t = {self.time:.3f} s, "
-            f"{relation} its limit of {self.limit:.6g} {self.unit} by {abs(self.margin):.2%} of the range"
-        )
+        relation = f"beyond its limit of {self.limit:.6g} {self.unit}" if self.violated else f"limit {self.limit:.6g} {self.unit}"
+        return f"{self.quantity} of {self.joint} is {self.value:.6g} {self.unit} at t = {self.time:.3f} s, {relation}, margin {self.margin:.1%}"
 
 
 @dataclass(frozen=True, slots=True)
