@@ -66,6 +66,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
                 "estimate": _number(parameter.estimate),
                 "std_error": _number(parameter.std_error),
                 "determined": parameter.determined,
+                "poorly_determined": parameter.poorly_determined,
             }
             for parameter in result.parameters
         ],

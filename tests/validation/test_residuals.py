@@ -1,0 +1,85 @@
+import numpy as np
+from scipy import signal, stats
+
+from asbuilt.validation.residuals import (
+    analyse_residual,
+    autocorrelation,
+    contiguous_runs,
+    durbin_watson,
+    effective_samples,
+    ljung_box,
+    velocity_curve,
+)
+
+
+def coloured(n: int, phi: float, seed: int) -> np.ndarray:
+    return signal.lfilter([1.0], [1.0, -phi], np.random.default_rng(seed).normal(size=n))
+
+
+def test_autocorrelation_agrees_with_direct_sums() -> None:
+    e = coloured(300, 0.7, 0)
+    runs = ((0, 120), (120, 300))
+    d = e - e.mean()
+    direct = [sum(d[i] * d[i + k] for a, b in runs for i in range(a, b - k)) / (d @ d) for k in range(11)]
+    np.testing.assert_allclose(autocorrelation(e, runs, 10), direct, atol=1e-12)
+
+
+def test_a_constant_error_has_no_correlation_to_tell() -> None:
+    assert autocorrelation(np.ones(10), ((0, 10),), 3).tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+def test_white_noise_passes_and_coloured_noise_fails() -> None:
+    t = np.arange(4000) * 0.01
+    errors = np.column_stack([coloured(4000, 0.0, 1), coloured(4000, 0.9, 2)])
+    analysis = analyse_residual(t, errors, ("white", "slow"))
+    assert analysis.probability_white[0] > 0.01
+    assert analysis.probability_white[1] < 1e-10
+    np.testing.assert_allclose(analysis.durbin_watson, [2.0, 0.2], atol=0.1)
+    assert analysis.effective_samples[0] > 3000
+    assert 130 < analysis.effective_samples[1] < 340  # n (1 - phi) / (1 + phi) = 211
+
+
+def test_ljung_box_is_uniform_under_the_null() -> None:
+    probabilities = []
+    for seed in range(300):
+        e = coloured(500, 0.0, seed)
+        probabilities.append(ljung_box(autocorrelation(e, ((0, 500),), 20), 500, 20)[1])
+    assert stats.kstest(probabilities, "uniform").pvalue > 1e-3
+
+
+def test_spectrum_integrates_to_the_variance() -> None:
+    t = np.concatenate([np.arange(3000) * 0.01, 100 + np.arange(2000) * 0.01])
+    e = coloured(5000, 0.5, 5)[:, None]
+    analysis = analyse_residual(t, e, ("a",))
+    area = np.trapezoid(analysis.spectrum[:, 0], analysis.frequencies)
+    np.testing.assert_allclose(area, e.var(), rtol=0.1)
+    np.testing.assert_allclose(analysis.lags[1], 0.01)
+
+
+def test_durbin_watson_does_not_step_over_gaps() -> None:
+    e = np.array([1.0, 1.0, -1.0, -1.0])
+    assert durbin_watson(e, ((0, 2), (2, 4))) == 0.0
+    assert durbin_watson(e, ((0, 4),)) == 1.0
+
+
+def test_short_recordings_are_analysed_too() -> None:
+    analysis = analyse_residual(np.arange(2) * 0.1, np.array([[1.0], [-1.0]]), ("a",))
+    assert analysis.autocorrelation.shape == (2, 1)
+    assert effective_samples(np.array([1.0, -0.9]), 2) <= 2
+
+
+def test_runs_split_where_time_jumps_or_returns() -> None:
+    assert contiguous_runs(np.array([])) == ()
+    assert contiguous_runs(np.array([1.0])) == ((0, 1),)
+    assert contiguous_runs(np.array([0.0, 1, 2, 2, 3, 9])) == ((0, 3), (3, 5), (5, 6))
+
+
+def test_velocity_curve_keeps_directions_apart() -> None:
+    rng = np.random.default_rng(0)
+    qd = rng.uniform(-2, 1, 5000)
+    curve = velocity_curve(qd, np.sign(qd) + 0.1 * qd, bins=20)
+    assert np.all(np.sign(curve.median) == np.sign(curve.velocity))
+    np.testing.assert_allclose(curve.median, np.sign(curve.velocity) + 0.1 * curve.velocity, atol=0.02)
+    assert curve.count.sum() == 5000
+    assert np.all(curve.lower <= curve.median)
+    assert np.all(curve.median <= curve.upper)
