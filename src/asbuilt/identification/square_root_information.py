@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
-from asbuilt.dynamics.regressor import joint_observations, joint_support
+from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ Indices = NDArray[np.int64]
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
-SAMPLES_AT_ONCE = 4096
-"""Unfiltered samples whose regressor is held at once."""
+SAMPLES_AT_ONCE = 2048
+"""Samples, before filtering, whose regressor is held at once."""
 LONGEST_BLOCK = 5.0
 """Length of a time block [s] where nothing else is asked."""
 SHORTEST_BLOCK = 1.0
@@ -283,14 +283,13 @@ def accumulate_stream(
     A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each piece. Beyond 256 blocks, neighbours are merged.
     Raises `IdentifiabilityError` where nothing is left after filtering.
     """
-    support = tuple(joint_support(model, base.drive, base.columns))
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
     gathered = _Gathering()
-    names: tuple[str, ...] = model.joint_names
     pending: deque[Future[_Reduced]] = deque()
     workers = max(1, threads if threads is not None else os.cpu_count() or 1)
     with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=workers) as pool:
         for stretch, seconds in _stretches(stream, block_seconds):
-            pending.append(pool.submit(_reduced, model, base, support, stretch))
+            pending.append(pool.submit(_reduced, plan, stretch))
             gathered.seconds = max(gathered.seconds, seconds)
             if len(pending) > 2 * workers:
                 gathered.add(pending.popleft().result())
@@ -303,7 +302,7 @@ def accumulate_stream(
         )
     factors = tuple(np.array([block.factors[k] for block in gathered.blocks]) for k in range(model.n_joints))
     torque_sum = np.array([block.torque_sum for block in gathered.blocks])
-    return SquareRootInformation(base, names, support, factors, torque_sum, tuple(block.time for block in gathered.blocks))
+    return SquareRootInformation(base, model.joint_names, plan.support, factors, torque_sum, tuple(block.time for block in gathered.blocks))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,21 +341,20 @@ def _stretches(stream: Iterable[Samples], block_seconds: float | None) -> Iterat
                 yield _Stretch(samples, start, stop, first, last), seconds
 
 
-def _reduced(model: RobotModel, base: BaseParameters, support: tuple[Indices, ...], stretch: _Stretch) -> _Reduced:
+def _reduced(plan: RegressorPlan, stretch: _Stretch) -> _Reduced:
     samples, parallel = stretch.samples, stretch.samples.parallel
     n_outputs = stretch.last - stretch.first
     step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
-    at_once = max(1, (SAMPLES_AT_ONCE - width) // step + 1) if parallel else ROWS_AT_ONCE
-    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, n_outputs)) for columns in support]
-    torque_sum = np.zeros(model.n_joints)
+    at_once = min(n_outputs, max(1, (SAMPLES_AT_ONCE - width) // step + 1))
+    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, n_outputs)) for columns in plan.support]
+    torque_sum = np.zeros(plan.model.n_joints)
+    buffer = plan.buffer((at_once - 1) * step + width)
     for first in range(stretch.first, stretch.last, at_once):
         last = min(first + at_once, stretch.last)
         span = slice(stretch.start + first * step, stretch.start + (last - 1) * step + width)
-        rows = joint_observations(model, base.drive, base.columns, samples.q[span], samples.qd[span], samples.qdd[span])
-        torque = np.ascontiguousarray(samples.tau[span].T)
-        for k, columns in enumerate(rows):
-            both = np.vstack([columns, torque[k]])
-            both = parallel.apply(both) if parallel else both
+        for k, rows in enumerate(plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)):
+            rows[-1] = samples.tau[span, k]
+            both = parallel.apply(rows) if parallel else rows
             torque_sum[k] += both[-1].sum()
             growing[k].append(both)
     t = samples.t[stretch.start : stretch.stop]

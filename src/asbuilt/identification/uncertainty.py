@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 FEWEST_BLOCKS = 8
 """With fewer blocks their scatter says nothing."""
 MOST_LEVERAGE = 0.999
-"""Share of what is known of a direction that may come from one block before its leave-one-out value stops moving further."""
+"""Share of what is known of a direction that may come from one block; a larger share is taken as this one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,13 +37,13 @@ class Uncertainty:
 
 
 def block_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
-    """Judge the errors of an estimate by leaving out one time block after another.
+    """Judge the errors of an estimate by how much each time block pulls at it.
 
-    With `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b in coordinates where all blocks together have unit information (S the inverse root),
-    leaving out block b moves the estimate by `d_b = -(1 - M_b)^-1 g_b`, and the variance of a parameter is `(B - 1) / B sum_b (S d_b)^2`: the
-    delete-one-cluster jackknife, also called CR3 (Bell & McCaffrey, Survey Methodology, 2002; Cameron & Miller, J. Human Resources, 2015). It allows for any correlation within a
-    block, across joints too. No variance is taken smaller than the textbook one, and correlations between parameters are the textbook ones, since B blocks cannot
-    tell p (p - 1) / 2 of them.
+    With `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b, in coordinates where all blocks together have unit information (S the inverse
+    root), the variance of a parameter is `sum_b (S (1 - M_b)^(-1/2) g_b)^2`: the cluster-robust covariance CR2, unbiased where residuals are independent
+    after all (Bell & McCaffrey, Survey Methodology 28, 2002; Pustejovsky & Tipton, J. Business & Economic Statistics 36, 2018). It allows for any correlation
+    within a block, across joints too. No variance is taken smaller than the textbook one, and correlations between parameters are the textbook ones,
+    since B blocks cannot tell p (p - 1) / 2 of them.
 
     `effective_samples` = N times the geometric mean over parameters of textbook variance / variance.
     """
@@ -58,10 +58,10 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         whitened = factor[:, :-1] @ root
         leverage, axes = np.linalg.eigh(whitened.T @ whitened)
         score = axes.T @ (whitened.T @ (factor @ residual))
-        moves[b] = -axes @ (score / (1.0 - np.minimum(leverage, MOST_LEVERAGE)))
-    jackknife = (n_blocks - 1) / n_blocks * np.sum((moves @ root.T) ** 2, axis=0)
+        moves[b] = axes @ (score / np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)))
+    clustered = np.sum((moves @ root.T) ** 2, axis=0)
     textbook = np.diag(estimate.covariance)
-    variance = np.maximum(jackknife, textbook)
+    variance = np.maximum(clustered, textbook)
     told = textbook > 0
     swell = np.where(told, np.sqrt(variance / np.where(told, textbook, 1.0)), 1.0)
     shrinkage = float(np.exp(-2.0 * np.mean(np.log(swell[told])))) if told.any() else 1.0
