@@ -55,7 +55,7 @@ def test_periods_repeat() -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(3, 12))
+@given(st.integers(0, 2**32 - 1), st.integers(2, 12))
 def test_b_spline_stays_within_its_control_points(seed: int, count: int) -> None:
     points = np.random.default_rng(seed).normal(size=(count, 2))
     motion = BSplineMotion(points, 5.0)

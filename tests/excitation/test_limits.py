@@ -128,6 +128,12 @@ def test_random_motion_without_torque_limit_attains_the_fraction_exactly() -> No
         assert max(used) == pytest.approx(0.8, abs=1e-9)
 
 
+@pytest.mark.parametrize("arguments", [{"n_harmonics": 1}, {"periods": 0}, {"fraction": 0.0}, {"duration": -1.0}])
+def test_senseless_random_motions_are_refused(arguments: dict[str, float]) -> None:
+    with pytest.raises(MotionError):
+        random_fourier(arm(LIMITS), 1, **arguments)  # type: ignore[arg-type]
+
+
 def test_a_robot_too_weak_for_its_weight_is_refused() -> None:
     model = arm((JointLimits(-0.1, 0.1, 1.5, 5.0, torque=0.5), JointLimits(-0.3, 0.3, 0.5)))
     for generator in (random_fourier, random_point_to_point):

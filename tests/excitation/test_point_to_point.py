@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from asbuilt.errors import MotionError
 from asbuilt.excitation.point_to_point import PointToPointMotion
+from asbuilt.excitation.quintic import QuinticMotion
 
 
 @settings(max_examples=80, deadline=None)
@@ -47,6 +48,14 @@ def test_every_pose_is_reached_and_held() -> None:
         assert np.min(np.max(np.abs(q - pose), axis=1)) < 1e-3
     standing = np.max(np.abs(qd), axis=1) == 0
     assert standing.mean() * motion.duration == pytest.approx(sum(dwell), abs=5e-3)
+
+
+def test_poses_that_differ_by_rounding_are_one() -> None:
+    nearly = [[0.0], [1.0], [1.0 + 2e-16], [1.0 - 1e-13], [0.0]]
+    for kind in (PointToPointMotion, QuinticMotion):
+        motion = kind.within(nearly, velocity=1.0, acceleration=1.0)
+        exact = kind.within([[0.0], [1.0], [0.0]], velocity=1.0, acceleration=1.0)
+        assert motion.duration == pytest.approx(exact.duration, abs=1e-9)
 
 
 def test_joints_that_do_not_move_stay_put() -> None:

@@ -9,6 +9,7 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
@@ -109,6 +110,22 @@ def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotMode
     np.testing.assert_allclose(robot.torque(q, qd, qdd).ravel(), expected, atol=1e-9)
     drives = [k for k, name in enumerate(simulated.names) if name.startswith(("Fv", "Fc", "Fo"))]
     np.testing.assert_allclose((found / scale)[drives], simulated.truth[drives], rtol=1e-7, atol=1e-9)
+
+
+def test_base_parameters_of_the_truth_are_found_to_nine_digits(iiwa: RobotModel) -> None:
+    drive = DriveSet.parse("viscous,coulomb,offset")
+    values = np.random.default_rng(3).uniform(0.1, 2.0, size=21)
+    robot = InstalledRobot(iiwa, drive, values).with_perturbed_links(0.05, rng=2)
+    simulated = robot.record(random_fourier(iiwa, 6, duration=20.0), rate=20)
+    r = simulated.recording
+    assert r.qd is not None
+    assert r.qdd is not None
+    base = find_base_parameters(iiwa, drive)
+    W = observation_matrix(iiwa, r.q, r.qd, r.qdd, drive=drive)[:, base.columns]
+    found, _, rank, _ = np.linalg.lstsq(W, r.tau.ravel(), rcond=None)
+    assert rank == base.n_base == 43 + 21
+    truth = base.regrouping @ simulated.truth
+    assert np.abs(found - truth).max() < 1e-9 * np.abs(truth).max()
 
 
 def test_the_same_seed_gives_the_same_recording_and_robot(iiwa: RobotModel) -> None:

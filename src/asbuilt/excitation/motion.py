@@ -19,6 +19,10 @@ TIME_TOLERANCE = 1e-9
 """Times may leave the interval of a motion by this fraction of its duration (rounding); they are clipped to it."""
 
 
+STANDSTILL = 1e-12
+"""Poses that differ by no more than this in every joint [rad or m] are the same pose."""
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """Hold a motion sampled in time: `t` (N,) s; `q`, `qd`, `qdd` (N, n) in rad or m and their derivatives; read-only.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motion import limit_array, way_point_array
+from asbuilt.excitation.motion import STANDSTILL, limit_array, way_point_array
 from asbuilt.excitation.piecewise import PiecewisePolynomial
 
 
@@ -49,7 +49,7 @@ class PointToPointMotion(PiecewisePolynomial):
         pieces: list[np.ndarray] = []
         for k in range(q.shape[0] - 1):
             d = q[k + 1] - q[k]
-            moving = d != 0
+            moving = np.abs(d) > STANDSTILL
             if np.any(moving):
                 v = float(np.min(v_max[moving] / np.abs(d[moving])))
                 a = float(np.min(a_max[moving] / np.abs(d[moving])))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motion import Array, limit_array, way_point_array
+from asbuilt.excitation.motion import STANDSTILL, Array, limit_array, way_point_array
 from asbuilt.excitation.piecewise import PiecewisePolynomial
 
 PEAK_VELOCITY = 15.0 / 8.0
@@ -95,6 +95,7 @@ class QuinticMotion(PiecewisePolynomial):
                 "a joint without a finite velocity, acceleration or jerk limit has no fastest motion; give one for every joint"
             )
         distance = np.abs(np.diff(q, axis=0))
+        distance[distance <= STANDSTILL] = 0.0
         steps = np.max(
             [PEAK_VELOCITY * distance / v, np.sqrt(PEAK_ACCELERATION * distance / a), np.cbrt(PEAK_JERK * distance / j)], axis=(0, 2)
         )

@@ -36,6 +36,8 @@ def random_fourier(
     MotionError
         If the robot cannot hold its weight within the torque limits even at small amplitudes.
     """
+    if n_harmonics < 2 or periods < 1:
+        raise MotionError(f"a Fourier motion needs at least 2 harmonics and 1 period, got {n_harmonics} and {periods}")
     generator = np.random.default_rng(rng)
     bounds = MotionBounds.assumed(model, fraction)
     rows = generator.normal(size=(2 * n_harmonics - 1, model.n_joints))

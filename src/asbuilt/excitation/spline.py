@@ -95,8 +95,10 @@ class SplineMotion(PiecewisePolynomial):
         q = way_point_array(way_points)
         n = q.shape[1]
         limits = [limit_array(x, n, name) for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))]
-        if not any(np.all(np.isfinite(limit)) for limit in limits):
-            raise MotionError("without a finite velocity, acceleration or jerk limit for every joint there is no fastest spline; give one")
+        if not np.all(np.isfinite(np.min(limits, axis=0))):
+            raise MotionError(
+                "a joint without a finite velocity, acceleration or jerk limit has no fastest spline; give one for every joint"
+            )
         d = np.abs(np.diff(q, axis=0))
         steps = np.max([np.power(d / limit, 1 / k) for k, limit in enumerate(limits, start=1)], axis=(0, 2))
         if not np.any(steps > 0):

@@ -180,7 +180,7 @@ class InstalledRobot:
             raise UsageError(f"the motion moves {motion.n_joints} joints, {self.model.name} has {n}: {', '.join(self.model.joint_names)}")
         sampled = motion.sample(rate)
         tau = self.torque(sampled.q, sampled.qd, sampled.qdd)
-        seed = f"seed {rng}" if isinstance(rng, int) else "no stated seed"
+        seed = f"seed {rng}" if isinstance(rng, int | np.integer) else "no stated seed"
         perfect = self.noise == PERFECT_SENSORS
         how = "noise-free" if perfect else f"with sensor noise, {seed}"
         logged = (sampled.q, sampled.qd, tau) if perfect else self.noise.measured(self.model, sampled, tau, np.random.default_rng(rng))
