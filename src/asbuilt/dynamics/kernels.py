@@ -3,6 +3,8 @@
 Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1, so that threads share one array.
 """
 
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 from asbuilt.dynamics.lanes import LANES, compiled, load, splat, store
@@ -33,7 +35,7 @@ FORCE = 6
 
 
 @compiled
-def _link_terms(rows, state, terms):  # type: ignore[no-untyped-def]
+def _link_terms(rows, state, terms):
     """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
     for at in range(0, BLOCK, LANES):
         r, t = state + at, terms + at
@@ -63,7 +65,7 @@ def _link_terms(rows, state, terms):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _columns_of_link(rows, screw, terms, places, out, stride, start):  # type: ignore[no-untyped-def]
+def _columns_of_link(rows, screw, terms, places, out, stride, start):
     """Write z . (moment) + m . (force) per unit of each parameter, for one joint and one link, where `places` names a row of `out`.
 
     force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment (Atkeson, An and Hollerbach, 1986).
@@ -105,7 +107,7 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):  # type: i
 
 
 @compiled
-def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):  # type: ignore[no-untyped-def]
+def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
     """Run down the tree with the block in `rows` and write the chosen columns into rows of `out`, from position `start`."""
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK
@@ -128,7 +130,7 @@ def _regressor_block(codes, chain, placements, n_slots, places, rows, out, strid
 
 
 @compiled
-def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride):  # type: ignore[no-untyped-def]
+def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride):
     """Write the regressor with samples innermost: one row of `out` per joint and chosen column, `stride` numbers long.
 
     `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the first row of joint k and the row after its last.
@@ -154,7 +156,7 @@ def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q
 
 
 @compiled
-def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, columns, q, qd, qdd, start, stop, out, width):  # type: ignore[no-untyped-def]
+def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, columns, q, qd, qdd, start, stop, out, width):
     """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest."""
     n = codes.shape[0]
     rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
@@ -175,7 +177,7 @@ def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, 
 
 
 @compiled
-def _wrench(rows, state, force, chi):  # type: ignore[no-untyped-def]
+def _wrench(rows, state, force, chi):
     """Write the force and the moment about its origin that link motion needs (Newton and Euler), in link axes."""
     for at in range(0, BLOCK, LANES):
         r, f = state + at, force + at
@@ -198,7 +200,7 @@ def _wrench(rows, state, force, chi):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):  # type: ignore[no-untyped-def]
+def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
     """Write the joint torque of a link's wrench and add the wrench to that of the parent link."""
     for at in range(0, BLOCK, LANES):
         f = force + at
@@ -233,7 +235,7 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
 
 
 @compiled
-def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):  # type: ignore[no-untyped-def]
+def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
     """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980); `chi` (n, 10)."""
     n = codes.shape[0]
     state = STATE * BLOCK
@@ -266,7 +268,7 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
 
 
 @compiled
-def _add_link(depth, rows, screws, chi, joints, masses):  # type: ignore[no-untyped-def]
+def _add_link(depth, rows, screws, chi, joints, masses):
     """Add a link's share s_k^T I s_j to the mass matrix of the joints above it."""
     n = joints.size
     for at in range(0, BLOCK, LANES):
@@ -288,7 +290,7 @@ def _add_link(depth, rows, screws, chi, joints, masses):  # type: ignore[no-unty
 
 
 @compiled
-def mass_matrices(codes, chain, placements, n_slots, chi, q, start, stop, out):  # type: ignore[no-untyped-def]
+def mass_matrices(codes, chain, placements, n_slots, chi, q, start, stop, out):
     """Write `sum_i J_i^T I_i J_i`, sample-major, both triangles."""
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK

@@ -20,7 +20,8 @@ def _motions(model: RobotModel, q: Array) -> Array:
     c, s = np.cos(q[:, turning]), np.sin(q[:, turning])
     motion[:, turning, 0, 0], motion[:, turning, 0, 1], motion[:, turning, 1, 0], motion[:, turning, 1, 1] = c, -s, s, c
     motion[:, ~turning, 2, 3] = q[:, ~turning]
-    return np.array([joint.before for joint in model.joints]) @ motion @ np.array([joint.after for joint in model.joints])
+    poses: Array = np.array([joint.before for joint in model.joints]) @ motion @ np.array([joint.after for joint in model.joints])
+    return poses
 
 
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:

@@ -5,35 +5,36 @@ Every lane sees the same operations, so a result does not depend on which sample
 Numba's cache watches the file of the function it compiled, not this one: after a change here, touch `kernels.py`.
 """
 
+# mypy: allow-untyped-defs, allow-untyped-calls
+
 from __future__ import annotations
 
 import operator
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
-from llvmlite import ir
+from llvmlite import ir  # type: ignore[import-untyped]
 from numba import njit, types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, lower_builtin, register_model, type_callable
 
 LANES = 8
 
-Function = TypeVar("Function", bound=Callable[..., Any])
-
 _DOUBLE, _INTEGER = ir.DoubleType(), ir.IntType(64)
 _VECTOR, _INTEGERS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_INTEGER, LANES)
 _FUSED = ("contract",)
 
 
-def compiled(function: Function) -> Function:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile on first call, release the interpreter lock, keep the machine code on disk where any folder can be written."""
     try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+        made: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy")(function)
     except RuntimeError:
-        return njit(nogil=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+        made = njit(nogil=True, error_model="numpy")(function)
+    return made
 
 
-class LanesType(types.Type):  # type: ignore[misc]
+class LanesType(types.Type):
     """The Numba type of eight doubles in one vector register."""
 
     def __init__(self) -> None:
@@ -43,7 +44,7 @@ class LanesType(types.Type):  # type: ignore[misc]
 lanes = LanesType()
 
 
-class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, fe_type: Any) -> None:
         super().__init__(manager, fe_type, _VECTOR)
 
@@ -144,15 +145,15 @@ def _by_quadrant(_typing: Any, quadrant: Any, even: Any, odd: Any, ahead: Any) -
     return lanes(lanes, lanes, lanes, types.int64), generate
 
 
-load = intrinsic(_load)
+load: Any = intrinsic(_load)
 """`load(array, index)`: eight consecutive numbers of a contiguous array; nobody checks the index."""
-store = intrinsic(_store)
+store: Any = intrinsic(_store)
 """`store(array, index, value)`: the reverse of `load`."""
-splat = intrinsic(_splat)
+splat: Any = intrinsic(_splat)
 """`splat(number)`: the number in every lane."""
-exceeds = intrinsic(_exceeds)
+exceeds: Any = intrinsic(_exceeds)
 """`exceeds(value, limit)`: whether any lane lies outside plus or minus `limit`."""
-by_quadrant = intrinsic(_by_quadrant)
+by_quadrant: Any = intrinsic(_by_quadrant)
 """`by_quadrant(n, even, odd, ahead)`: `even` or `odd` by the last bit of n, negated where n + ahead has its second bit set."""
 
 LARGEST_ANGLE = 1.0e5
@@ -164,7 +165,7 @@ _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.57079632673412561417, 6.07710050630396597
 
 
 @compiled
-def sine_cosine(x):  # type: ignore[no-untyped-def]
+def sine_cosine(x):
     """Return (sin x, cos x) to about 1 ulp of 1 for |x| below `LARGEST_ANGLE`.
 
     Cody and Waite (1980) reduction by pi/2 in three parts, then Taylor-minimax polynomials on [-pi/4, pi/4] (coefficients of fdlibm).

@@ -36,8 +36,8 @@ def inverse_dynamics(
     `threads` None uses all cores for long inputs; the result does not depend on it. Raises UsageError for shapes that do not fit and for
     values that are not finite. Source: Luh, Walker and Paul (1980).
     """
-    arrays = joint_samples(model, q=q, qd=qd, qdd=qdd)
-    return _torques(model, *arrays, inertial_parameters(model, parameters), model.gravity, threads).reshape(np.shape(q))
+    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
+    return _torques(model, qs, qds, qdds, inertial_parameters(model, parameters), model.gravity, threads).reshape(np.shape(q))
 
 
 def gravity_torque(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
@@ -106,14 +106,14 @@ def forward_dynamics(model: RobotModel, q: ArrayLike, qd: ArrayLike, tau: ArrayL
             f"the mass matrix of {model.name} is not positive definite: smallest eigenvalue {smallest[worst]:.3g} at sample {worst}; "
             "check the inertias of the links, or add armature for a joint that moves no mass"
         ) from None
-    return np.linalg.solve(masses, (taus - bias)[:, :, None])[:, :, 0].reshape(np.shape(q))
+    return np.reshape(np.linalg.solve(masses, (taus - bias)[:, :, None]), np.shape(q))
 
 
 def kinetic_energy(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
     """Return `qd^T M(q) qd / 2` [J], shape () or (n_samples,)."""
     qs, qds = joint_samples(model, q=q, qd=qd)
     energy = 0.5 * np.einsum("si,sij,sj->s", qds, mass_matrix(model, qs, parameters=parameters), qds)
-    return np.asarray(energy.reshape(np.shape(q)[:-1]))
+    return np.reshape(energy, np.shape(q)[:-1])
 
 
 def potential_energy(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
@@ -122,7 +122,7 @@ def potential_energy(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike |
     chi = inertial_parameters(model, parameters)
     poses = link_poses(model, qs)
     moments = np.einsum("siab,ib->sia", poses[..., :3, :3], chi[:, 6:9]) + poses[..., :3, 3] * chi[:, 9:10]
-    return np.asarray(-(moments.sum(axis=1) @ model.gravity).reshape(np.shape(q)[:-1]))
+    return np.reshape(-moments.sum(axis=1) @ model.gravity, np.shape(q)[:-1])
 
 
 def _hat(v: Array) -> Array:

@@ -6,6 +6,8 @@ screw (z, m) per joint above it: the angular velocity and the velocity of the li
 All positions in scratch memory are counted in doubles. Numba's cache of `kernels.py` does not watch this file: after a change here, touch that one.
 """
 
+# mypy: allow-untyped-defs
+
 from __future__ import annotations
 
 import math
@@ -69,6 +71,11 @@ class Layout:
         placements = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
         return cls(codes, chain, placements, np.array(geometry.gravity), n_slots)
 
+    @property
+    def arrays(self) -> tuple[Indices, Indices, Array, Array, int]:
+        """All fields, in the order in which the kernels take them."""
+        return self.codes, self.chain, self.placements, self.gravity, self.n_slots
+
     def __post_init__(self) -> None:
         for array in (self.codes, self.chain, self.placements, self.gravity):
             array.setflags(write=False)
@@ -87,7 +94,7 @@ def _kind_of_placement(rotation: Array, translation: Array) -> int:
 
 
 @compiled
-def scratch(blocks):  # type: ignore[no-untyped-def]
+def scratch(blocks):
     """Return uninitialised rows of one block each, aligned to a cache line."""
     memory = np.empty(blocks * BLOCK + LANES)
     first = (-(memory.ctypes.data // 8)) % LANES
@@ -95,7 +102,7 @@ def scratch(blocks):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def gather(source, start, count, n, rows, row):  # type: ignore[no-untyped-def]
+def gather(source, start, count, n, rows, row):
     """Turn `count` samples of a sample-major array into n rows of a block; the last sample fills the rest."""
     for sample in range(BLOCK):
         at = (start + min(sample, count - 1)) * n
@@ -104,7 +111,7 @@ def gather(source, start, count, n, rows, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def trigonometry(rows, angle, cosine, sine):  # type: ignore[no-untyped-def]
+def trigonometry(rows, angle, cosine, sine):
     """Write cosine and sine of a row."""
     for at in range(0, BLOCK, LANES):
         x = load(rows, angle + at)
@@ -119,13 +126,14 @@ def trigonometry(rows, angle, cosine, sine):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def cross(ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
+def cross(ax, ay, az, bx, by, bz):
+    """Return a x b."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @compiled
-def into(kind, p, o, x, y, z):  # type: ignore[no-untyped-def]
-    """R^T v for the rotation at p[o:o+9]."""
+def into(kind, p, o, x, y, z):
+    """Return R^T v for the rotation at p[o:o+9]."""
     if kind == ABOUT_X:
         return x, y * p[o + 4] + z * p[o + 7], z * p[o + 8] + y * p[o + 5]
     return (
@@ -136,8 +144,8 @@ def into(kind, p, o, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def out_of(kind, p, o, x, y, z):  # type: ignore[no-untyped-def]
-    """R v for the rotation at p[o:o+9]."""
+def out_of(kind, p, o, x, y, z):
+    """Return R v for the rotation at p[o:o+9]."""
     if kind == ABOUT_X:
         return x, y * p[o + 4] + z * p[o + 5], z * p[o + 8] + y * p[o + 7]
     return (
@@ -148,8 +156,8 @@ def out_of(kind, p, o, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):  # type: ignore[no-untyped-def]
-    """a + dw x t + w x (w x t)."""
+def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
+    """Return a + dw x t + w x (w x t)."""
     cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
     ex, ey, ez = cross(wx, wy, wz, cx, cy, cz)
     gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
@@ -157,7 +165,7 @@ def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):  # type: ignore
 
 
 @compiled
-def rest(rows, gravity):  # type: ignore[no-untyped-def]
+def rest(rows, gravity):
     """Fill slot 0: the root stands still and accelerates against free fall."""
     for at in range(0, BLOCK, LANES):
         for j in range(6):
@@ -167,7 +175,7 @@ def rest(rows, gravity):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):  # type: ignore[no-untyped-def]
+def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
     """Carry w, dw, a from the parent's slot to the link's; all positions in `rows` are of doubles."""
     for at in range(0, BLOCK, LANES):
         r = read + at
@@ -212,7 +220,7 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):  #
 
 
 @compiled
-def move_screws(code, p, rows, read, write, angle, cosine, sine):  # type: ignore[no-untyped-def]
+def move_screws(code, p, rows, read, write, angle, cosine, sine):
     """Carry the screws of all joints above from the parent's slot to the link's and add that of the link's own joint."""
     before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]
     for d in range(depth + 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -52,34 +53,43 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
 
 @dataclass(frozen=True, eq=False)
 class RegressorPlan:
-    """Prepare what the evaluation of chosen regressor columns needs, once per robot, for millions of samples.
+    """Hold what the evaluation of chosen regressor columns needs, prepared once for millions of samples; see `RegressorPlan.of`.
 
-    Rows run joint by joint: `support[k]` columns of joint k, in the order of `columns`, then `spare_rows` that are left to the caller (for the
-    torque, say). `bounds[k]` are the first row of joint k and the row after its last, spare rows excluded.
+    Rows run joint by joint: the `support[k]` columns of joint k, in the order of `columns`, then `spare_rows` that are left to the caller (for the
+    torque, say). `bounds[k]` are the first row of joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint k
+    and parameter c of link i, `drive_rows[k]` the rows for its drive columns; -1 marks a column that was not chosen.
 
+    >>> from asbuilt.description.load import load_robot
+    >>> plan = RegressorPlan.of(load_robot("kuka-iiwa7-r800"), columns=range(60, 70))
+    >>> q = np.zeros((1000, 7))
+    >>> [rows.shape for rows in plan.evaluate(q, q, q)] == [(10, 1000)] * 7
+    True
     """
 
     model: RobotModel
     drive: DriveSet
     columns: Indices
+    spare_rows: int
     support: tuple[Indices, ...]
     bounds: Indices
     places: Indices
-    spare_rows: int
+    drive_rows: tuple[Indices, ...]
 
     @classmethod
     def of(cls, model: RobotModel, drive: DriveSet = NO_DRIVE, columns: ArrayLike | None = None, *, spare_rows: int = 0) -> RegressorPlan:
         """Plan the evaluation of `columns` (zero-based, all where None) of the standard parameters of a robot and its drives."""
-        chosen, n = _checked_columns(model, drive, columns), model.n_joints
+        chosen, n, per = _checked_columns(model, drive, columns), model.n_joints, drive.columns_per_joint
         support = tuple(joint_support(model, drive, chosen))
         starts = np.cumsum([0, *(positions.size + spare_rows for positions in support)])
         bounds = np.array([(start, start + positions.size) for start, positions in zip(starts, support, strict=False)], dtype=np.int64)
-        places = np.full((n, n * _PER_LINK + n * drive.columns_per_joint), -1, dtype=np.int64)
+        rows = np.full((n, parameter_count(model, drive)), -1, dtype=np.int64)
         for k, positions in enumerate(support):
-            places[k, chosen[positions]] = np.arange(*bounds[k])
-        for array in (chosen, bounds, places, *support):
+            rows[k, chosen[positions]] = np.arange(*bounds[k])
+        places = rows[:, : n * _PER_LINK].reshape(n, n, _PER_LINK).copy()
+        drive_rows = tuple(rows[k, n * _PER_LINK + k * per :][:per] for k in range(n))
+        for array in (chosen, bounds, places, *support, *drive_rows):
             array.setflags(write=False)
-        return cls(model, drive, chosen, support, bounds, places, spare_rows)
+        return cls(model, drive, chosen, spare_rows, support, bounds, places, drive_rows)
 
     @property
     def n_rows(self) -> int:
@@ -88,112 +98,70 @@ class RegressorPlan:
 
     def buffer(self, n_samples: int) -> Array:
         """Return an uninitialised `out` for up to `n_samples`, aligned and padded so that its rows do not compete for the same cache lines."""
-        lines = -(-n_samples // _LINE) | 1
-        memory = np.empty(self.n_rows * lines * _LINE + _LINE)
-        first = (-(memory.ctypes.data // 8)) % _LINE
-        return memory[first : first + self.n_rows * lines * _LINE].reshape(self.n_rows, lines * _LINE)
+        width = (-(-n_samples // _LINE) | 1) * _LINE
+        memory = np.empty(self.n_rows * width + _LINE)
+        first = (-(memory.ctypes.data // memory.itemsize)) % _LINE
+        return memory[first : first + self.n_rows * width].reshape(self.n_rows, width)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, out: Array | None = None, *, threads: int | None = 1) -> tuple[Array, ...]:
         """Return one view of `out` per joint, shape (n_support_k + spare_rows, n_samples), samples innermost; spare rows are not touched.
 
-        `q, qd, qdd` are float64 (n_samples, n_joints), trusted to be finite. `out` is float64, contiguous, (n_rows, at least n_samples).
+        `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows, at least n_samples), best from `buffer`;
+        the views are good until the next call with it. The numbers depend neither on `threads` nor on how a recording is cut into calls.
         """
-        n_samples, n = q.shape[0], self.model.n_joints
+        inputs = self._checked_inputs(q, qd, qdd)
+        n_samples = inputs[0].shape[0]
         target = self.buffer(n_samples) if out is None else out
-        if not q.shape == qd.shape == qdd.shape == (n_samples, n):
-            raise UsageError(f"q, qd and qdd must all have shape (n_samples, {n}), got {q.shape}, {qd.shape} and {qdd.shape}")
         if target.shape[0] != self.n_rows or target.shape[1] < n_samples or not target.flags.c_contiguous or target.dtype != np.float64:
             raise UsageError(
                 f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples} columns, got {target.dtype} {target.shape}; "
                 "use plan.buffer(n_samples)"
             )
-        inputs = tuple(np.ascontiguousarray(array, dtype=np.float64) for array in (q, qd, qdd))
-        layout, places = layout_of(self.model), self._link_places
-        vectors, rows = [flat(array) for array in inputs], target.reshape(-1)
+        robot, vectors, rows, width = layout_of(self.model).arrays, [flat(array) for array in inputs], target.reshape(-1), target.shape[1]
 
         def work(start: int, stop: int) -> None:
-            kernels.regressor_rows(
-                layout.codes,
-                layout.chain,
-                layout.placements,
-                layout.gravity,
-                layout.n_slots,
-                places,
-                self.bounds,
-                *vectors,
-                start,
-                stop,
-                rows,
-                target.shape[1],
-            )
+            kernels.regressor_rows(*robot, self.places, self.bounds, *vectors, start, stop, rows, width)
 
         over_samples(work, n_samples, threads)
-        if self.drive:
-            self._write_drives(*inputs, target)
+        for chosen, places, columns in self._drive_columns(*inputs):
+            target[places, :n_samples] = columns[chosen]
         return tuple(target[first : stop + self.spare_rows, :n_samples] for first, stop in self.bounds.tolist())
 
-    def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = None) -> Array:
+    def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = 1) -> Array:
         """Return the observation matrix, sample-major, shape (n_samples n_joints, n_columns); inputs as in `evaluate`."""
-        n_samples, n = q.shape
-        matrix = np.zeros((n_samples * n, self.columns.size))
-        layout, places = layout_of(self.model), self._link_places
-        vectors, out = [flat(np.ascontiguousarray(array, dtype=np.float64)) for array in (q, qd, qdd)], matrix.reshape(-1)
+        inputs = self._checked_inputs(q, qd, qdd)
+        n_samples, n = inputs[0].shape
         order = np.zeros(self.n_rows, dtype=np.int64)
         for (first, stop), positions in zip(self.bounds.tolist(), self.support, strict=True):
             order[first:stop] = positions
+        matrix = np.zeros((n_samples * n, self.columns.size))
+        robot, vectors, out, width = layout_of(self.model).arrays, [flat(array) for array in inputs], matrix.reshape(-1), matrix.shape[1]
 
         def work(start: int, stop: int) -> None:
-            kernels.regressor_stack(
-                layout.codes,
-                layout.chain,
-                layout.placements,
-                layout.gravity,
-                layout.n_slots,
-                places,
-                self.bounds,
-                order,
-                *vectors,
-                start,
-                stop,
-                out,
-                matrix.shape[1],
-            )
+            kernels.regressor_stack(*robot, self.places, self.bounds, order, *vectors, start, stop, out, width)
 
         over_samples(work, n_samples, threads)
-        load = inverse_dynamics(self.model, q, qd, qdd) if self.drive.needs_load else None
-        for k, (wanted, rows) in enumerate(self._drive_rows):
-            if rows.size:
-                columns = self.drive.evaluate(q[:, k], qd[:, k], qdd[:, k], None if load is None else load[:, k])
-                matrix.reshape(n_samples, n, -1)[:, k, order[rows]] = columns[wanted].T
+        for k, (chosen, places, columns) in enumerate(self._drive_columns(*inputs)):
+            matrix.reshape(n_samples, n, width)[:, k, order[places]] = columns[chosen].T
         return matrix
 
-    @property
-    def _link_places(self) -> Indices:
-        n = self.model.n_joints
-        return self.places[:, : n * _PER_LINK].reshape(n, n, _PER_LINK)
+    def _checked_inputs(self, *arrays: Array) -> tuple[Array, ...]:
+        shapes = [array.shape for array in arrays]
+        if len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][1] != self.model.n_joints:
+            raise UsageError(f"q, qd and qdd must all have shape (n_samples, {self.model.n_joints}), got {', '.join(map(str, shapes))}")
+        return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
-    @property
-    def _drive_rows(self) -> tuple[tuple[Indices, Indices], ...]:
-        """For each joint which drive columns are wanted, and the row of each."""
-        n, per = self.model.n_joints, self.drive.columns_per_joint
-        found = []
-        for k in range(n):
-            rows = self.places[k, n * _PER_LINK + k * per : n * _PER_LINK + (k + 1) * per]
-            wanted = np.flatnonzero(rows >= 0)
-            found.append((wanted, rows[wanted]))
-        return tuple(found)
-
-    def _write_drives(self, q: Array, qd: Array, qdd: Array, target: Array) -> None:
-        n_samples, per = q.shape[0], self.drive.columns_per_joint
+    def _drive_columns(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[Indices, Indices, Array]]:
+        """Yield for each joint which drive columns were chosen, the row of each, and all its drive columns."""
+        if not self.drive:
+            return
         load = inverse_dynamics(self.model, q, qd, qdd) if self.drive.needs_load else None
-        for k, (wanted, rows) in enumerate(self._drive_rows):
-            if not rows.size:
-                continue
-            signals = q[:, k], qd[:, k], qdd[:, k], None if load is None else load[:, k]
-            if wanted.size == per and np.array_equal(rows, np.arange(rows[0], rows[0] + per)):
-                self.drive.evaluate(*signals, out=target[rows[0] : rows[0] + per, :n_samples])
-            else:
-                target[rows, :n_samples] = self.drive.evaluate(*signals)[wanted]
+        columns = np.empty((self.drive.columns_per_joint, q.shape[0]))
+        for k, rows in enumerate(self.drive_rows):
+            chosen = np.flatnonzero(rows >= 0)
+            if chosen.size:
+                self.drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load=None if load is None else load[:, k], out=columns)
+            yield chosen, rows[chosen], columns
 
 
 @lru_cache(maxsize=16)
@@ -219,7 +187,8 @@ def observation_matrix(
 
     `columns` (zero-based) chooses among the standard parameters, those of the links first, then those of the drives joint by joint; None takes all.
     """
-    return _planned(model, drive, columns).stack(*joint_samples(model, q=q, qd=qd, qdd=qdd), threads=threads)
+    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
+    return _planned(model, drive, columns).stack(qs, qds, qdds, threads=threads)
 
 
 def regressor(model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, drive: DriveSet = NO_DRIVE) -> Array:
@@ -239,4 +208,5 @@ def joint_observations(
 
     `joint_support` says which columns they are. `out` is reused memory from `RegressorPlan.buffer`; for millions of samples keep a `RegressorPlan`.
     """
-    return list(_planned(model, drive, columns).evaluate(*joint_samples(model, q=q, qd=qd, qdd=qdd), out))
+    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
+    return list(_planned(model, drive, columns).evaluate(qs, qds, qdds, out))

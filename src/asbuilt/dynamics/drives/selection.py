@@ -12,8 +12,8 @@ from functools import cache
 
 import numpy as np
 
-import asbuilt.dynamics.drives as drives
 from asbuilt.description.model import DriveValues, JointKind
+from asbuilt.dynamics import drives
 from asbuilt.dynamics.drives.term import Array, DriveTerm
 from asbuilt.errors import UsageError
 
@@ -105,8 +105,11 @@ class DriveSet:
         """Return what the description says of each parameter of one joint, None where it is silent."""
         return tuple(value for term in self.terms for value in term.values(drive))
 
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None = None, out: Array | None = None) -> Array:
-        """Return the columns of one joint, shape (columns_per_joint, n_samples), from inputs of shape (n_samples,)."""
+    def evaluate(self, q: Array, qd: Array, qdd: Array, *, load: Array | None = None, out: Array | None = None) -> Array:
+        """Return the columns of one joint, shape (columns_per_joint, n_samples), from inputs of shape (n_samples,).
+
+        `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory for the result.
+        """
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
         if load is None and self.needs_load:
             needy = next(term.key for term in self.terms if term.needs_load)

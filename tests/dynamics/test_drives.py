@@ -1,0 +1,93 @@
+"""Drive terms: columns, canonical order, names, units, selection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from asbuilt.description.model import DriveValues
+from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.errors import UsageError
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFriction(DriveTerm):
+    """Two columns, one of them dependent on the load, with a smooth sign of stated width: what a later file may bring."""
+
+    width: float = 0.1
+    key = "load"
+    position = 35
+    letters = ("Fl", "Fq")
+    revolute_units = ("1", "N m s^2/rad^2")
+    prismatic_units = ("1", "N s^2/m^2")
+    needs_load = True
+
+    def evaluate(self, q, qd, qdd, load, out):
+        out[0] = np.abs(load) * np.tanh(qd / self.width)
+        out[1] = qd * np.abs(qd)
+
+
+def test_every_term_is_found_in_canonical_order():
+    assert tuple(available_terms()) == ("armature", "viscous", "coulomb", "offset")
+
+
+@pytest.mark.parametrize("text", ["offset,armature,coulomb,viscous", " Viscous , offset,COULOMB,armature"])
+def test_order_and_case_given_do_not_matter(text):
+    drive = DriveSet.parse(text)
+    assert drive.keys == ("armature", "viscous", "coulomb", "offset")
+    assert drive.names(3) == ("Ia3", "Fv3", "Fc3", "Fo3")
+    assert drive.columns_per_joint == 4
+    assert DriveSet.parse(drive.keys) == drive == DriveSet.parse(str(drive))
+    assert hash(DriveSet.parse(text)) == hash(drive)
+
+
+@pytest.mark.parametrize("text", ["none", "", "NONE", []])
+def test_none_is_no_term(text):
+    assert DriveSet.parse(text) == NO_DRIVE == DriveSet()
+    assert not NO_DRIVE
+    assert str(NO_DRIVE) == "none"
+    assert NO_DRIVE.evaluate(*np.zeros((3, 5))).shape == (0, 5)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("viscos", r"'viscos'; did you mean 'viscous'\?.*armature, viscous, coulomb, offset, or none"),
+        ("viscous,none", "stands alone"),
+        ("viscous,viscous", "'viscous' is given 2 times"),
+        ("banana", "unknown drive term 'banana'; available"),
+    ],
+)
+def test_wrong_selections_say_what_exists(text, said):
+    with pytest.raises(UsageError, match=said):
+        DriveSet.parse(text)
+
+
+def test_columns_are_acceleration_velocity_sign_and_one():
+    q, qd, qdd = np.array([0.3, 0.1, 0.2]), np.array([-2.0, 0.0, 0.5]), np.array([1.0, 2.0, 3.0])
+    columns = DriveSet.parse("armature,viscous,coulomb,offset").evaluate(q, qd, qdd)
+    np.testing.assert_array_equal(columns, [[1.0, 2.0, 3.0], [-2.0, 0.0, 0.5], [-1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
+
+
+def test_units_depend_on_the_kind_of_joint():
+    drive = DriveSet.parse("armature,viscous,coulomb,offset")
+    assert drive.units("revolute") == drive.units("continuous") == ("kg m^2", "N m s/rad", "N m", "N m")
+    assert drive.units("prismatic") == ("kg", "N s/m", "N", "N")
+
+
+def test_values_come_from_the_description():
+    assert DriveSet.parse("viscous,offset").values(DriveValues(viscous=0.4, coulomb=2.0)) == (0.4, None)
+
+
+def test_a_new_term_brings_columns_parameters_and_load():
+    drive = DriveSet((LoadFriction(width=0.2), *DriveSet.parse("viscous,offset").terms))
+    assert drive.names(2) == ("Fv2", "Fl2", "Fq2", "Fo2")
+    assert drive.values(DriveValues()) == (None,) * 4
+    qd, load = np.array([0.1, -3.0]), np.array([-5.0, 2.0])
+    columns = drive.evaluate(qd, qd, qd, load=load)
+    np.testing.assert_allclose(columns[1:3], [np.abs(load) * np.tanh(qd / 0.2), [0.01, -9.0]])
+    with pytest.raises(UsageError, match="'load' needs the rigid-body torque"):
+        drive.evaluate(qd, qd, qd)
