@@ -1,9 +1,9 @@
 """The dynamic model of a robot arm as built, from its description and a recording of its motion and torque.
 
-    >>> import asbuilt
-    >>> model = asbuilt.load_robot("kuka-iiwa7-r800")
-    >>> asbuilt.find_base_parameters(model).n_base
-    43
+>>> import asbuilt
+>>> model = asbuilt.load_robot("kuka-iiwa7-r800")
+>>> asbuilt.find_base_parameters(model).n_base
+43
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
     from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
     from asbuilt.experiment.simulation import simulate_recording
+    from asbuilt.identification.identify import identify
     from asbuilt.identification.result import IdentificationResult
     from asbuilt.validation.comparison import compare
     from asbuilt.validation.prediction import validate
-    from asbuilt.validation.study import StudyOptions, identify
+    from asbuilt.validation.study import Study, StudyOptions, run_study
 
 __version__ = "0.1.0"
 
@@ -43,13 +44,14 @@ _HOME = {
     "RobotModel": "description.model",
     "Samples": "experiment.samples",
     "SignalChain": "experiment.signal_chain",
+    "Study": "validation.study",
     "StudyOptions": "validation.study",
     "check_recording": "experiment.checks",
     "compare": "validation.comparison",
     "find_base_parameters": "dynamics.base_parameters",
     "forward_dynamics": "dynamics.newton_euler",
     "gravity_torque": "dynamics.newton_euler",
-    "identify": "validation.study",
+    "identify": "identification.identify",
     "inverse_dynamics": "dynamics.newton_euler",
     "load_robot": "description.load",
     "mass_matrix": "dynamics.newton_euler",
@@ -57,6 +59,7 @@ _HOME = {
     "prepare_samples": "experiment.signal_chain",
     "read_recording": "experiment.readers",
     "regressor": "dynamics.regressor",
+    "run_study": "validation.study",
     "simulate_recording": "experiment.simulation",
     "validate": "validation.prediction",
 }
@@ -71,6 +74,7 @@ __all__ = [
     "RobotModel",
     "Samples",
     "SignalChain",
+    "Study",
     "StudyOptions",
     "check_recording",
     "compare",
@@ -85,6 +89,7 @@ __all__ = [
     "prepare_samples",
     "read_recording",
     "regressor",
+    "run_study",
     "simulate_recording",
     "validate",
 ]

@@ -1,0 +1,389 @@
+"""The command line: each command reads, makes one call and writes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asbuilt.errors import AsbuiltError, ResultError, UsageError
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
+    from asbuilt.experiment.recording import Recording
+    from asbuilt.experiment.signal_chain import SignalChain
+    from asbuilt.identification.result import IdentificationResult
+
+app = typer.Typer(
+    name="asbuilt",
+    help="The dynamic model of a robot arm as built, from its description and a recording of its motion and torque.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
+Log = Annotated[Path, typer.Argument(metavar="LOG", help="a recording: .csv .parquet .npz .mat .h5 or a ROS 2 bag")]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
+Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
+AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write")]
+Drive = Annotated[str | None, typer.Option("--drive", metavar="LIST", help="armature,viscous,coulomb,offset or none")]
+Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")]
+Flip = Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")]
+Gain = Annotated[str | None, typer.Option("--gain", metavar="G1,G2,...", help="torque per logged unit, one for all joints or one each")]
+Source = Annotated[str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")]
+Sheet = Annotated[Path | None, typer.Option("--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs")]
+Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="low-pass cutoff (default: chosen from the recording)")]
+Decimate = Annotated[int | None, typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering")]
+Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; every failure is one message on stderr and an exit status of 1 (data, robot) or 2 (usage)."""
+    try:
+        app(args=list(arguments) if arguments is not None else None, prog_name="asbuilt")
+    except UsageError as problem:
+        _fail(str(problem), 2)
+    except AsbuiltError as problem:
+        _fail(str(problem), 1)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except (KeyboardInterrupt, EOFError):
+        _fail("interrupted; no file was left half-written", 130)
+    except Exception as problem:
+        if os.environ.get("ASBUILT_TRACEBACK"):
+            raise
+        _fail(f"this should not have happened ({type(problem).__name__}: {problem}); ASBUILT_TRACEBACK=1 shows where, please report it", 1)
+
+
+def _fail(message: str, status: int) -> None:
+    print(f"asbuilt: {message}", file=sys.stderr)
+    sys.exit(status)
+
+
+def _answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
+    """Print the document or the text on stdout."""
+    if as_json:
+        from asbuilt.writers.tabular import json_text
+
+        sys.stdout.write(json_text(document()))
+    else:
+        sys.stdout.write(text().rstrip("\n") + "\n")
+    sys.stdout.flush()
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Yield `report(what, fraction)`; draws a bar on stderr where that is a terminal, for anything that takes over a second."""
+    if not sys.stderr.isatty():
+        yield lambda what, fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True)
+    tasks: dict[str, Any] = {}
+
+    def report(what: str, fraction: float) -> None:
+        if what not in tasks:
+            for task in tasks.values():
+                bar.update(task, completed=1.0)
+            tasks[what] = bar.add_task(what, total=1.0)
+        bar.update(tasks[what], completed=fraction)
+
+    with bar:
+        yield report
+
+
+def _load(robot: str) -> RobotModel:
+    from asbuilt.description.load import load_robot
+
+    return load_robot(robot)
+
+
+def _gains(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(
+            f"--gain takes numbers separated by commas, got {text!r}; for example --gain 14.87,13.26,11.13,10.62,11.03,11.47"
+        ) from None
+
+
+@app.command()
+def robots(as_json: AsJson = False) -> None:
+    """List the bundled robots."""
+    from asbuilt.description.catalogue import bundled_robot, robot_names
+    from asbuilt.writers.robot_tables import robots_document, robots_table
+
+    models = [bundled_robot(name) for name in robot_names()]
+    _answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text())
+
+
+@app.command()
+def show(robot: Robot, as_json: AsJson = False) -> None:
+    """Show geometry, mass properties, limits and the physical consistency of every link."""
+    from asbuilt.writers.robot_tables import robot_document, robot_text
+
+    model = _load(robot)
+    _answer(as_json, lambda: robot_document(model), lambda: robot_text(model))
+
+
+@app.command()
+def base(robot: Robot, drive: Drive = "none", as_json: AsJson = False) -> None:
+    """Find the base parameters, and say of each standard parameter whether torques tell it, and why."""
+    from asbuilt.dynamics.base_parameters import find_base_parameters
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.writers.robot_tables import base_table, standard_table
+    from asbuilt.writers.tabular import base_document
+
+    model = _load(robot)
+    found = find_base_parameters(model, DriveSet.parse(drive or "none"))
+    _answer(
+        as_json, lambda: base_document(found, model), lambda: base_table(found, model).as_text() + "\n" + standard_table(found).as_text()
+    )
+
+
+@app.command()
+def check(
+    robot: Robot,
+    log: Logs,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is wrong with a recording before it is used."""
+    from asbuilt.experiment.checks import check_recording
+    from asbuilt.writers.check_tables import check_document, check_text
+
+    model = _load(robot)
+    recordings = _read(model, log, rate, flip_torque, gain, torque_source, sheet)
+    checks = [check_recording(model, recording) for recording in recordings]
+    _answer(as_json, lambda: check_document(model, checks), lambda: check_text(model, checks))
+    if not all(found.is_usable for found in checks):
+        raise typer.Exit(1)
+
+
+def _read(
+    model: RobotModel,
+    logs: Sequence[Path],
+    rate: float | None,
+    flip_torque: bool,
+    gain: str | None,
+    torque_source: str | None,
+    sheet: Path | None,
+) -> list[Recording]:
+    from asbuilt.experiment.readers import read_recordings
+
+    return read_recordings(
+        list(logs), model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=_gains(gain), torque_source=torque_source
+    )
+
+
+@app.command()
+def identify(
+    robot: Robot,
+    log: Logs,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording to judge by; repeat for more")
+    ] = None,
+    holdout: Annotated[
+        str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3")
+    ] = None,
+    drive: Drive = None,
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help="wls (a weight per joint) or ols")] = "wls",
+    undetermined: Annotated[
+        str, typer.Option("--undetermined", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
+    ] = "cad",
+    unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    decimate: Decimate = None,
+    preset: Preset = "default",
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.validation.study import StudyOptions, run_study
+    from asbuilt.writers.study_files import study_text, write_study
+    from asbuilt.writers.tabular import identify_document
+
+    model = _load(robot)
+    options = StudyOptions(
+        drive=None if drive is None else DriveSet.parse(drive),
+        method=_one_of("--method", method, ("wls", "ols")),
+        chain=_chain(preset, cutoff, decimate),
+        holdout=holdout,
+        unexcited=_one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
+        checked=not unchecked,
+    )
+    with _progress() as report:
+        report("read", 0.0)
+        recordings = _read(model, log, rate, flip_torque, gain, torque_source, sheet)
+        others = _read(model, validate or [], rate, flip_torque, gain, torque_source, sheet)
+        study = run_study(model, recordings, validation=others, options=options, progress=report)
+        files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
+    _answer(as_json, lambda: identify_document(study.result, files=files), lambda: study_text(study) + _listed(files))
+
+
+@app.command()
+def validate(
+    result: Result,
+    log: Logs,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    decimate: Decimate = None,
+    preset: Preset = "default",
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Predict other recordings with an identified model, and with CAD beside it."""
+    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.validation.comparison import compare
+    from asbuilt.validation.prediction import validate as predict
+    from asbuilt.writers.study_files import write_validations
+    from asbuilt.writers.tabular import validate_document
+
+    identified = _result(result)
+    recordings = _read(identified.model, log, rate, flip_torque, gain, torque_source, sheet)
+    chain = _chain(preset, cutoff, decimate)
+    validations = [predict(identified, prepare_samples(recording, chain)) for recording in recordings]
+    files = write_validations(out, identified, validations) if out is not None else {}
+    comparison = compare(identified, validation=validations)
+    _answer(
+        as_json,
+        lambda: validate_document(identified, validations, files=files),
+        lambda: comparison.torque_table().as_text() + "\n" + comparison.verdict() + _listed(files),
+    )
+
+
+@app.command()
+def compare(
+    result: Result,
+    cad: Annotated[str | None, typer.Option("--cad", metavar="ROBOT", help="another description of the same robot to compare with")] = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare CAD with the robot as built, parameter by parameter."""
+    from asbuilt.validation.comparison import compare as compare_with
+    from asbuilt.writers.files import atomic_write
+
+    comparison = compare_with(_result(result), cad=None if cad is None else _load(cad))
+    files = {"comparison": atomic_write(out / "comparison.csv", comparison.parameter_table().as_csv())} if out is not None else {}
+    _answer(as_json, lambda: {**comparison.as_document(), "files": _texts(files)}, lambda: comparison.as_text() + _listed(files))
+
+
+@app.command()
+def simulate(
+    robot: Robot,
+    motion: Annotated[
+        Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
+    ] = None,
+    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="sampling rate of the recording")] = 1000.0,
+    duration: Annotated[float, typer.Option("--duration", metavar="S", help="length of the random motion")] = 20.0,
+    installed: Annotated[
+        bool, typer.Option("--installed", help="a typical robot on the floor: friction, tool, tilt, sensor noise")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
+    out: Annotated[Path, typer.Option("--out", metavar="LOG", help="recording to write: .csv or .parquet")] = Path("recording.csv"),
+    as_json: AsJson = False,
+) -> None:
+    """Record a virtual robot along a motion; the parameters it was made with are written beside the recording."""
+    from asbuilt.excitation.motion_csv import read_motion
+    from asbuilt.excitation.random_motion import random_fourier
+    from asbuilt.experiment.simulation import InstalledRobot
+    from asbuilt.writers.recording_files import simulate_document, write_simulation
+
+    model = _load(robot)
+    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=duration)
+    machine = InstalledRobot.typical(model, rng=seed) if installed else InstalledRobot.ideal(model)
+    simulated = machine.record(moved, rate, rng=seed)
+    files = write_simulation(out, simulated)
+    _answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + _listed(files))
+
+
+@app.command()
+def reproduce(out: Out = None, as_json: AsJson = False) -> None:
+    """Redo the 2015 paper that asbuilt grew from, table by table and figure by figure."""
+    from asbuilt.reproduce import reproduce as redo
+    from asbuilt.reproduce import reproduction_document, reproduction_text, write_reproduction
+
+    with _progress() as report:
+        redone = redo(progress=report)
+        files = write_reproduction(out, redone) if out is not None else {}
+    _answer(as_json, lambda: reproduction_document(redone, files), lambda: reproduction_text(redone) + _listed(files))
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write")] = Path("asbuilt-demo"),
+    as_json: AsJson = False,
+) -> None:
+    """Run the whole story on bundled data: move, record, identify, validate, compare, export, report."""
+    from asbuilt.demo import demo_document, demo_text, run_demo
+
+    with _progress() as report:
+        story = run_demo(out, progress=report)
+    _answer(as_json, lambda: demo_document(story), lambda: demo_text(story))
+
+
+def _result(path: Path) -> IdentificationResult:
+    from asbuilt.identification.result import IdentificationResult
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise ResultError(
+            f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt identify --out DIR` writes"
+        ) from None
+    return IdentificationResult.from_json(text)
+
+
+def _chain(preset: str, cutoff: float | None, decimate: int | None) -> SignalChain:
+    from dataclasses import replace
+
+    from asbuilt.experiment.signal_chain import SignalChain
+
+    chain = SignalChain.preset(preset)
+    return replace(chain, cutoff=cutoff or chain.cutoff, decimate=decimate or chain.decimate)
+
+
+def _one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
+    if value not in known:
+        raise UsageError(f"{option} {value!r} is not one of {', '.join(known)}")
+    return known[value] if isinstance(known, Mapping) else value
+
+
+def _texts(files: Mapping[str, Path]) -> dict[str, str]:
+    return {kind: str(path) for kind, path in files.items()}
+
+
+def _listed(files: Mapping[str, Path]) -> str:
+    lines = [f"  {kind:<11} {path}" for kind, path in files.items()]
+    return "\n".join(["", "", "written:", *lines]) if lines else ""
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""The whole of an identification: check, prepare, hold out, identify, predict what was held out, compare with CAD."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.checks import RecordingCheck, check_recording
+from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.recording import Recording, TorqueSource
+from asbuilt.experiment.samples import Samples
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.identify import Method, identify
+from asbuilt.identification.metrics import TorqueMetrics
+from asbuilt.identification.result import IdentificationResult, IdentificationWarning
+from asbuilt.validation.comparison import Comparison, compare
+from asbuilt.validation.prediction import Validation, validate
+
+Progress = Callable[[str, float], None]
+
+SENSOR_DRIVE = "viscous,coulomb,offset"
+MOTOR_DRIVE = "armature,viscous,coulomb,offset"
+OVERFIT = 2.0
+"""Held-out error of a joint, in multiples of its error on the data used, from which the fit is said not to generalise."""
+BEHIND_CAD = 1.05
+"""Held-out error of a joint as built, in multiples of that of CAD, from which CAD is said to predict better."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyOptions:
+    """Say how to identify: drive terms (None: by torque source), estimator, signal chain, what to hold out, what to do without excitation.
+
+    `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them.
+    """
+
+    drive: DriveSet | None = None
+    method: Method = "wls"
+    chain: SignalChain = field(default_factory=SignalChain)
+    holdout: str | None = None
+    unexcited: Literal["toward_prior", "refuse"] = "toward_prior"
+    block_seconds: float | None = None
+    checked: bool = True
+    threads: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """Hold a result with all that it was judged by: checks of the recordings, predictions of held-out data, comparison with CAD.
+
+    `training` predicts the data used; `validations` what was held out, then the other recordings, in the order given.
+    """
+
+    result: IdentificationResult
+    checks: tuple[RecordingCheck, ...]
+    training: tuple[Validation, ...]
+    validations: tuple[Validation, ...]
+    comparison: Comparison
+
+
+def default_drive(source: TorqueSource) -> DriveSet:
+    """Return the drive terms that a torque of this source calls for: a sensor behind the gear does not feel the rotor's inertia."""
+    return DriveSet.parse(MOTOR_DRIVE if source in ("motor", "current") else SENSOR_DRIVE)
+
+
+def run_study(
+    model: RobotModel,
+    recordings: Sequence[Recording | Samples],
+    *,
+    validation: Sequence[Recording | Samples] = (),
+    options: StudyOptions | None = None,
+    progress: Progress | None = None,
+) -> Study:
+    """Identify a robot from recordings (or samples already prepared) and judge the result on what was held out.
+
+    Recordings go through one signal chain, whose open choices are made for the recordings to learn from. Raises RecordingError where a check finds an error.
+    """
+    options = options or StudyOptions()
+    report = progress or (lambda what, fraction: None)
+    if not recordings:
+        raise UsageError(f"no recording is given to identify {model.name} from")
+    report("check", 0.0)
+    checks = (
+        tuple(check_recording(model, item) for item in (*recordings, *validation) if isinstance(item, Recording)) if options.checked else ()
+    )
+    _refuse(checks)
+    report("filter", 0.0)
+    logged = [item for item in recordings if isinstance(item, Recording)]
+    chain = options.chain.resolved(*logged) if logged else options.chain
+    learning = [_prepared(item, chain) for item in recordings]
+    judging = [_prepared(item, chain) for item in validation]
+    if options.holdout is not None:
+        parts = [hold_out(samples, options.holdout) for samples in learning]
+        learning = [train for train, _ in parts]
+        judging = [replace(held, source=f"{held.source}, held out {options.holdout}") for _, held in parts] + judging
+    report("identify", 0.0)
+    drive = options.drive if options.drive is not None else default_drive(learning[0].torque_source)
+    result = identify(
+        model,
+        learning,
+        base=find_base_parameters(model, drive),
+        method=options.method,
+        unexcited=options.unexcited,
+        block_seconds=options.block_seconds,
+        threads=options.threads,
+    )
+    report("predict", 0.0)
+    training = tuple(validate(result, samples) for samples in learning)
+    validations = tuple(validate(result, samples) for samples in judging)
+    result = _judged(result, checks, validations)
+    report("predict", 1.0)
+    return Study(result, checks, training, validations, compare(result, validation=validations or training))
+
+
+def _prepared(item: Recording | Samples, chain: SignalChain) -> Samples:
+    return item if isinstance(item, Samples) else prepare_samples(item, chain)
+
+
+def _refuse(checks: Sequence[RecordingCheck]) -> None:
+    errors = [f"{check.source}: {finding.message}" for check in checks for finding in check.findings if finding.severity == "error"]
+    if errors:
+        raise RecordingError("\n".join(errors))
+
+
+def _judged(result: IdentificationResult, checks: Sequence[RecordingCheck], validations: Sequence[Validation]) -> IdentificationResult:
+    """Return the result with its held-out metrics, the findings of the checks and the verdict on generalisation among its warnings."""
+    found = [
+        IdentificationWarning(finding.code, f"{check.source}: {finding.message}")
+        for check in checks
+        for finding in check.findings
+        if finding.severity == "warning"
+    ]
+    for validation in validations:
+        found += _generalisation(result.train, validation)
+    if not validations:
+        found.append(
+            IdentificationWarning(
+                "nothing_held_out",
+                "No recording was held out: errors are those of the data used and flatter the fit. Give --validate LOG or --holdout blocks:5s:3.",
+            )
+        )
+    return replace(
+        result,
+        validation=tuple(validation.metrics_as_built for validation in validations),
+        cad=validations[0].metrics_cad if validations else result.cad,
+        warnings=(*result.warnings, *found),
+    )
+
+
+def _generalisation(train: TorqueMetrics, validation: Validation) -> list[IdentificationWarning]:
+    built, cad = validation.metrics_as_built, validation.metrics_cad
+    found = []
+    worse = np.flatnonzero(built.rms > OVERFIT * train.rms)
+    if worse.size:
+        listed = ", ".join(f"{built.joint_names[k]} {built.rms[k]:.3g} against {train.rms[k]:.3g}" for k in worse)
+        found.append(
+            IdentificationWarning(
+                "does_not_generalise",
+                f"Torque errors on {built.source} are more than {OVERFIT:g} times those of the data used ({listed}): the recording is too short or too "
+                "little varied for so many parameters. Record longer, add recordings, or use fewer drive terms.",
+            )
+        )
+    behind = np.flatnonzero(built.rms > BEHIND_CAD * cad.rms)
+    if behind.size:
+        listed = ", ".join(f"{built.joint_names[k]} {built.rms[k]:.3g} against {cad.rms[k]:.3g}" for k in behind)
+        found.append(
+            IdentificationWarning(
+                "cad_predicts_better", f"On {built.source} the CAD values predict these joints better than the fit: {listed}."
+            )
+        )
+    return found
