@@ -1,0 +1,110 @@
+"""What is wrong with a recording before it is used."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.clock_checks import clock_findings
+from asbuilt.experiment.excitation_checks import excitation_findings
+from asbuilt.experiment.finding import Finding
+from asbuilt.experiment.motion_checks import DEGREE, in_degrees, motion_findings
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.smoothed_motion import smoothed_motion
+from asbuilt.experiment.torque_checks import torque_findings
+
+_ORDER = {"error": 0, "warning": 1, "info": 2}
+
+
+@dataclass(frozen=True)
+class RecordingCheck:
+    """Hold the findings on one recording, errors first; `rate` in Hz, `duration` in s."""
+
+    robot: str
+    source: str
+    n_samples: int
+    n_joints: int
+    rate: float
+    duration: float
+    findings: tuple[Finding, ...]
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """Findings that would make an identification wrong."""
+        return tuple(finding for finding in self.findings if finding.severity == "error")
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """Findings that would make an identification poor."""
+        return tuple(finding for finding in self.findings if finding.severity == "warning")
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing forbids an identification."""
+        return not self.errors
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of the findings, in their order."""
+        return tuple(finding.code for finding in self.findings)
+
+    def as_text(self) -> str:
+        """Write the findings down, one paragraph each, under a line that says what was checked."""
+        head = (
+            f"{self.source} on {self.robot}: {self.n_samples} samples x {self.n_joints} joints, {self.duration:.4g} s at {self.rate:.4g} Hz"
+        )
+        verdict = f"{len(self.errors)} errors, {len(self.warnings)} warnings" if self.errors or self.warnings else "nothing wrong was found"
+        return "\n".join([head, verdict, *(str(finding) for finding in self.findings)])
+
+    def raise_errors(self) -> None:
+        """Raise the first error, with the others after it, if there is any.
+
+        Raises
+        ------
+        RecordingError
+            If a finding has the severity "error".
+        """
+        if self.errors:
+            raise RecordingError("\n".join(f"{self.source}: {finding.message}. {finding.cure}." for finding in self.errors))
+
+
+def check_recording(model: RobotModel, recording: Recording) -> RecordingCheck:
+    """Look for everything that would spoil an identification of `model` from `recording`, and say it with place, value and cure.
+
+    Checked are the clock, missing values, units, signs, the order of joints, limits, saturation, filtering and excitation.
+
+    Raises
+    ------
+    RecordingError
+        If the recording's joints are not those of the model.
+    """
+    if recording.n_joints != model.n_joints:
+        raise RecordingError(
+            f"{recording.source} has {recording.n_joints} joints ({', '.join(recording.joint_names)}) but {model.name} has {model.n_joints} "
+            f"({', '.join(model.joint_names)}); choose the right robot, or read the recording with model = ..."
+        )
+    if recording.joint_names != model.joint_names and set(recording.joint_names) == set(model.joint_names):
+        recording = recording.reordered(model.joint_names)
+    motion = smoothed_motion(recording)
+    degrees = in_degrees(model, recording, motion) is not None
+    revolute = np.array([joint.is_revolute for joint in model.joints])
+    position_scale = np.where(revolute & degrees, DEGREE, 1.0)
+    findings = [
+        *clock_findings(recording),
+        *motion_findings(model, recording, motion),
+        *torque_findings(model, recording, motion, position_scale),
+        *([] if degrees else excitation_findings(model, recording, motion)),
+        *(Finding("note", "info", note.removesuffix(".")) for note in recording.notes),
+    ]
+    return RecordingCheck(
+        robot=model.name,
+        source=recording.source,
+        n_samples=recording.n_samples,
+        n_joints=recording.n_joints,
+        rate=recording.rate,
+        duration=recording.duration,
+        findings=tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity])),
+    )

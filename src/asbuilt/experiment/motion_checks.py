@@ -1,0 +1,204 @@
+"""Whether the logged motion is plausible for the robot: units, limits, joints that stand or move alike, velocities that fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from asbuilt.description.model import RobotModel
+from asbuilt.experiment.finding import Finding, joined
+from asbuilt.experiment.recording import Array, Recording
+from asbuilt.experiment.smoothed_motion import SmoothedMotion
+
+DEGREE = np.pi / 180
+_STILL_ANGLE = 0.05
+_STILL_LENGTH = 0.005
+_ALIKE = 0.995
+_LIMIT_MARGIN = 0.01
+
+
+def in_degrees(model: RobotModel, recording: Recording, motion: SmoothedMotion | None) -> str | None:
+    """Return why the positions must be degrees: as radians they leave the limits or exceed the speeds, as degrees they do not."""
+    turning = np.array([joint.is_revolute for joint in model.joints])
+    if not turning.any():
+        return None
+    q = recording.q[:, turning]
+    reach = np.nanmax(np.abs(np.where(np.isfinite(q), q, np.nan)), axis=0)
+    bounds = np.array([max(abs(j.limits.lower), abs(j.limits.upper)) for j in model.joints])[turning]
+    bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
+    over = reach / bounds
+    name = np.array(model.joint_names)[turning]
+    if np.max(over) > 2 and np.sum(over > 1.2) >= max(1, turning.sum() // 3) and np.all(over * DEGREE < 1.1):
+        k = int(np.argmax(over))
+        return f"{name[k]} reaches {reach[k]:.4g}, {over[k]:.3g} times its limit of {bounds[k]:.4g} rad, and as degrees every joint keeps its limits"
+    if motion is not None:
+        speed = np.percentile(np.abs(motion.qd[:, turning]), 99.5, axis=0)
+        fastest = np.array([j.limits.velocity for j in model.joints])[turning]
+        fastest = np.where(np.isfinite(fastest) & (fastest > 0), fastest, 10.0)
+        ratio = speed / fastest
+        if np.max(ratio) > 3 and np.median(ratio) > 1.5 and np.all(ratio * DEGREE < 1.5):
+            k = int(np.argmax(ratio))
+            return f"{name[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times its limit of {fastest[k]:.4g} rad/s"
+    return None
+
+
+def motion_findings(model: RobotModel, recording: Recording, motion: SmoothedMotion | None) -> Iterator[Finding]:
+    """Look for degrees, positions outside limits, joints that stand or move alike, and velocities that are not the derivative of the positions."""
+    degrees = in_degrees(model, recording, motion)
+    if degrees is not None:
+        yield Finding(
+            "degrees",
+            "error",
+            f"the positions look like degrees: {degrees}",
+            'Convert them, or write units = { position = "deg" } in a recording sheet beside the log',
+        )
+    else:
+        yield from _limits(model, recording)
+    yield from _still(model, recording, DEGREE if degrees is not None else 1.0)
+    yield from _alike(recording)
+    if motion is not None and motion.logged_qd is not None:
+        yield from _velocities(recording, motion, motion.logged_qd)
+
+
+def _limits(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    for k, joint in enumerate(model.joints):
+        if joint.kind == "continuous":
+            continue
+        q = recording.q[:, k]
+        beyond = np.maximum(joint.limits.lower - q, q - joint.limits.upper)
+        beyond = np.where(np.isfinite(beyond), beyond, -np.inf)
+        worst = int(np.argmax(beyond))
+        if beyond[worst] <= _LIMIT_MARGIN:
+            continue
+        unit = "rad" if joint.is_revolute else "m"
+        count = int(np.sum(beyond > _LIMIT_MARGIN))
+        yield Finding(
+            "position-limit",
+            "warning",
+            f"{joint.name} is outside its limits [{joint.limits.lower:.4g}, {joint.limits.upper:.4g}] {unit} in {count} of {q.size} samples, "
+            f"furthest {q[worst]:.4g} {unit} at {recording.t[worst]:.4g} s",
+            "Check the units and the joint's zero position in the log against the model",
+            joint=joint.name,
+            time=float(recording.t[worst]),
+        )
+
+
+def _still(model: RobotModel, recording: Recording, scale: float) -> Iterator[Finding]:
+    for k, joint in enumerate(model.joints):
+        q = recording.q[np.isfinite(recording.q[:, k]), k] * (scale if joint.is_revolute else 1.0)
+        if not q.size:
+            continue
+        reach, least, unit = float(np.ptp(q)), _STILL_ANGLE if joint.is_revolute else _STILL_LENGTH, "rad" if joint.is_revolute else "m"
+        if reach < least:
+            yield Finding(
+                "joint-still",
+                "warning",
+                f"{joint.name} hardly moves: {reach:.3g} {unit} in all",
+                "Its friction and part of its inertia cannot be found from this recording; move every joint over a good part of its range",
+                joint=joint.name,
+            )
+
+
+def _alike(recording: Recording) -> Iterator[Finding]:
+    n = recording.n_joints
+    finite = np.all(np.isfinite(recording.q), axis=1)
+    moving = [k for k in range(n) if finite.any() and np.ptp(recording.q[finite, k]) > 0]
+    if len(moving) < 3:
+        return
+    likeness = np.abs(np.corrcoef(recording.q[finite][:, moving].T))
+    group = max((np.flatnonzero(row > _ALIKE) for row in likeness), key=len)
+    if len(group) < 3:
+        return
+    names = [recording.joint_names[moving[k]] for k in group]
+    least = float(np.min(likeness[np.ix_(group, group)]))
+    everyone = len(group) == n
+    yield Finding(
+        "joints-alike",
+        "warning" if everyone else "info",
+        f"{'all' if everyone else len(group)} joints move in step: {joined(names)} (correlation of positions at least {least:.4f})",
+        "Their inertias are hard to tell apart; record a motion in which every joint has its own course (asbuilt excite)",
+    )
+
+
+def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> Iterator[Finding]:
+    names = recording.joint_names
+    slope = motion.qd
+    energy = np.sum(slope**2, axis=0)
+    moving = np.flatnonzero((energy > 0) & (np.std(logged, axis=0) > 0))
+    if not moving.size:
+        if np.all(logged == 0) and np.any(energy > 0):
+            yield Finding(
+                "velocity-zero",
+                "warning",
+                "the logged velocities are all zero while the joints move",
+                "They are not used; leave the columns out",
+            )
+        return
+    likeness = _correlations(logged[:, moving], slope[:, moving])
+    rows, columns = linear_sum_assignment(-likeness)
+    swapped = [
+        (int(moving[a]), int(moving[b]))
+        for a, b in zip(rows, columns, strict=True)
+        if a != b and likeness[a, b] > 0.9 > 0.8 > likeness[a, a]
+    ]
+    if swapped:
+        told = joined([f"the velocity of {names[a]} is that of {names[b]}" for a, b in swapped])
+        yield Finding(
+            "velocity-swapped",
+            "error",
+            f"velocity columns are in another order than position columns: {told}",
+            "Name the columns of each joint in a recording sheet: [columns] velocity = [...]",
+            joint=names[swapped[0][0]],
+        )
+        return
+    gain = np.sum(logged * slope, axis=0)[moving] / energy[moving]
+    middle = float(np.median(gain))
+    known = {1 / DEGREE: "degrees per second", DEGREE: "radians per second while positions are degrees"}
+    unit = next((text for factor, text in known.items() if abs(middle / factor - 1) < 0.2), None)
+    if unit is not None:
+        yield Finding(
+            "velocity-units",
+            "error",
+            f"the logged velocities are {middle:.4g} times the derivative of the positions: they look like {unit}",
+            'Write the unit in a recording sheet: units = { velocity = "deg/s" }',
+        )
+        return
+    for k, factor in zip(moving, gain, strict=True):
+        if likeness[list(moving).index(k), list(moving).index(k)] < -0.8:
+            message = f"the logged velocity of {names[k]} has the opposite sign of the derivative of its position"
+        elif not 0.7 < factor < 1.4 or np.corrcoef(logged[:, k], slope[:, k])[0, 1] < 0.7:
+            message = f"the logged velocity of {names[k]} is {factor:.3g} times the derivative of its position"
+        else:
+            continue
+        yield Finding(
+            "velocity-mismatch", "warning", message, "Leave the velocity columns out, so that positions are differentiated", joint=names[k]
+        )
+    yield from _lag(recording, motion, logged, [int(k) for k in moving])
+
+
+def _lag(recording: Recording, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
+    """Find the delay d of the logged velocities from qd_logged(t) = qd(t - d), d = -<qd_logged - qd, qdd> / <qdd, qdd> to first order."""
+    pull = np.sum(motion.qdd**2, axis=0)
+    lags = np.array([-np.sum((logged[:, k] - motion.qd[:, k]) * motion.qdd[:, k]) / pull[k] if pull[k] > 0 else 0.0 for k in moving])
+    matches = np.array([abs(float(np.corrcoef(logged[:, k], motion.qd[:, k])[0, 1])) for k in moving])
+    step = 1.0 / recording.rate
+    late = (np.abs(lags) > max(1.5 * step, 0.004)) & (matches > 0.9)
+    if late.sum() * 2 > len(moving) or np.any(np.abs(lags[late]) > 4 * step):
+        worst = moving[int(np.argmax(np.abs(lags)))]
+        yield Finding(
+            "velocity-lag",
+            "info",
+            f"the logged velocities {'lag behind' if np.median(lags) > 0 else 'run ahead of'} the derivative of the positions by {1e3 * np.min(np.abs(lags)):.2g} to "
+            f"{1e3 * np.max(np.abs(lags)):.2g} ms (samples come every {1e3 * step:.3g} ms), most in {recording.joint_names[worst]}",
+            "They were filtered; differentiating the positions is better",
+            joint=recording.joint_names[worst],
+        )
+
+
+def _correlations(a: Array, b: Array) -> Array:
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    norms = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None, :]
+    likeness: Array = (a.T @ b) / np.where(norms > 0, norms, 1.0)
+    return likeness

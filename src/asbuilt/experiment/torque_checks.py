@@ -1,0 +1,210 @@
+"""Whether the logged torques are those of this robot: sign, scale, order of joints, saturation, filtering."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.signal import welch
+
+from asbuilt.description.model import RobotModel
+from asbuilt.experiment.clock_checks import fresh_samples
+from asbuilt.experiment.finding import Finding, joined
+from asbuilt.experiment.recording import Array, Recording
+from asbuilt.experiment.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.torque_fit import TorqueFit, best_assignment
+
+_CLEAR = 0.9
+_SPEAKING_SHARE = 0.02
+_PLAUSIBLE = (0.3, 3.0)
+_QUIET_FLOOR = 1e-9
+_PLATEAU_RUN = 5
+
+
+def torque_findings(model: RobotModel, recording: Recording, motion: SmoothedMotion | None, position_scale: Array) -> Iterator[Finding]:
+    """Hold the measured torques against the model's rigid-body torques; gravity decides most, its size is known to some tens of percent from CAD.
+
+    `position_scale` (n,) turns logged positions into rad (1, or pi/180 where they were found to be degrees).
+    """
+    yield from _saturation(model, recording)
+    yield from _filtered(recording)
+    if motion is None:
+        return
+    fit = TorqueFit.of(model, motion, position_scale)
+    if not np.any(fit.predicted > 0):
+        yield Finding(
+            "no-inertia",
+            "info",
+            f"{model.name} has no inertial parameters, or none that act in this motion; the torques' sign, scale and order were not checked",
+            "Use a description with masses to have them checked",
+        )
+        return
+    ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
+    if ratio == 0:
+        yield Finding("no-torque", "error", "the torques do not change at all", "Log the measured joint torques or motor currents")
+        return
+    if not _PLAUSIBLE[0] < ratio < _PLAUSIBLE[1]:
+        fit = TorqueFit.of(model, motion, position_scale, 1.0 / ratio)
+    else:
+        ratio = 1.0
+    best = best_assignment(fit)
+    if best is not fit:
+        yield from _exchanges(model, fit, best)
+    yield from _sign_and_scale(model, recording, best, ratio)
+
+
+def _exchanges(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Iterator[Finding]:
+    names = model.joint_names
+    moved = [k for k in range(model.n_joints) if best.torque_of[k] != k or best.motion_of[k] != k]
+    told = []
+    for k in moved:
+        torque, motion = names[best.torque_of[k]], names[best.motion_of[k]]
+        what = f"position and torque logged for {torque}" if torque == motion else f"the position of {motion} and the torque of {torque}"
+        told.append(f"{names[k]} fits {what}")
+    before, after = (float(np.mean(np.abs(f.correlation[moved]))) for f in (fit, best))
+    yield Finding(
+        "joints-swapped",
+        "error",
+        f"joints look swapped: {joined(told)} (mean correlation with the model's torque {after:.3f} instead of {before:.3f})",
+        "Check the order of the columns; name them in a recording sheet: [columns] position = [...], torque = [...]",
+        joint=names[moved[0]],
+    )
+
+
+def _sign_and_scale(model: RobotModel, recording: Recording, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
+    names = model.joint_names
+    correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
+    loud = predicted > _SPEAKING_SHARE * np.max(predicted)
+    speaking = [int(k) for k in np.flatnonzero(loud & (np.abs(correlation) > _CLEAR))]
+    if not speaking:
+        k = int(np.argmax(predicted))
+        yield Finding(
+            "torque-unlike-model",
+            "warning",
+            f"no joint's torque follows the model's (correlation {correlation[k]:.2f} in {names[k]}, which should vary by {predicted[k]:.3g} N m)",
+            "Check robot, columns and units; if the robot hangs or stands on a wall, set gravity in its description",
+        )
+        return
+    evidence = joined(
+        [f"{names[k]} gain {gain[k]:.3g}, correlation {correlation[k]:.3f}" for k in sorted(speaking, key=lambda k: -predicted[k])[:3]]
+    )
+    negative = [k for k in speaking if correlation[k] < 0]
+    if len(negative) * 2 > len(speaking):
+        yield Finding(
+            "torque-flipped",
+            "error",
+            f"the torque sign looks flipped: the measured torque falls where the model's rises ({evidence})",
+            "The log gives the load's torque, not the drive's: use --flip-torque, or sign = -1 in a recording sheet",
+        )
+    sign = -1.0 if len(negative) * 2 > len(speaking) else 1.0
+    scale = float(np.median([abs(gain[k]) for k in speaking]))
+    for k in range(model.n_joints):
+        against = sign * correlation[k] < -_CLEAR if k in speaking else loud[k] and sign * correlation[k] < -0.95
+        if against and 0.2 < abs(gain[k]) / scale < 5:
+            yield Finding(
+                "joint-torque-flipped",
+                "error",
+                f"the torque of {names[k]} alone has the opposite sign of the model's (gain {gain[k]:.3g}, correlation {correlation[k]:.3f})",
+                f"Turn it in a recording sheet: sign = [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
+                joint=names[k],
+            )
+    if not _PLAUSIBLE[0] < scale < _PLAUSIBLE[1]:
+        yield _scale_finding(model, recording, scale, evidence)
+        return
+    odd = [k for k in speaking if abs(correlation[k]) > 0.95 and not 0.2 < abs(gain[k]) / scale < 5]
+    for k in odd:
+        yield Finding(
+            "joint-torque-scale",
+            "warning",
+            f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's while the others are about {scale:.3g} times theirs",
+            "Check its gain and unit: --gain g1,g2,... or gains = [...] in a recording sheet",
+            joint=names[k],
+        )
+
+
+def _scale_finding(model: RobotModel, recording: Recording, scale: float, evidence: str) -> Finding:
+    if 300 < scale < 3000:
+        guess, cure = "they look like mN m", 'Write units = { torque = "mN m" } in a recording sheet'
+    elif scale < 0.3 and (scale > 0.005 or recording.torque_source == "current"):
+        guess = "they look like motor currents without gains"
+        cure = "Give the gains in N m/A, one per joint: --gain g1,g2,... or gains = [...] in a recording sheet, and --torque-source current"
+    else:
+        guess, cure = "their unit or the robot is another", "Give the factor to N m: --gain G, or units in a recording sheet"
+    return Finding(
+        "torque-scale",
+        "error",
+        f"the torques are {scale:.3g} times those of {model.name} ({evidence}): {guess}",
+        cure,
+    )
+
+
+def _saturation(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Find torques that stay at an extreme value, or reach the joint's torque limit."""
+    fresh = fresh_samples(recording)
+    t, tau = recording.t[fresh], recording.tau[fresh]
+    for k, joint in enumerate(model.joints):
+        values = tau[:, k]
+        finite = values[np.isfinite(values)]
+        if finite.size < 20 or np.ptp(finite) == 0:
+            continue
+        low, high = float(finite.min()), float(finite.max())
+        for extreme in (high, low):
+            flat = values == extreme
+            longest, start = _longest_run(flat)
+            near = np.abs(finite - extreme) < 0.05 * (high - low)
+            levels = max(1, np.unique(finite[near]).size - 1)
+            usual = (near.sum() - flat.sum()) / levels
+            if longest >= _PLATEAU_RUN and flat.sum() > 8 * max(usual, 1.0):
+                yield Finding(
+                    "saturation",
+                    "warning",
+                    f"the torque of {joint.name} stays at {extreme:.5g} N m in {int(flat.sum())} of {values.size} samples, up to {longest} in a row: it is cut off there",
+                    "Leave these stretches out with time windows in a recording sheet, or record a gentler motion",
+                    joint=joint.name,
+                    time=float(t[start]),
+                )
+        limit = joint.limits.torque
+        if recording.torque_source == "current" or not np.isfinite(limit) or limit <= 0:
+            continue
+        over = np.abs(values) >= 0.99 * limit
+        if 3 <= over.sum() < 0.5 * values.size:
+            worst = int(np.nanargmax(np.abs(values)))
+            yield Finding(
+                "torque-limit",
+                "warning",
+                f"the torque of {joint.name} reaches {values[worst]:.4g} N m in {int(over.sum())} of {values.size} samples; its limit is {limit:.4g} N m",
+                "Record a gentler motion if the drive saturates, or check the torque's unit",
+                joint=joint.name,
+                time=float(t[worst]),
+            )
+
+
+def _longest_run(flags: Array) -> tuple[int, int]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.int8), [0]])))
+    if not edges.size:
+        return 0, 0
+    lengths = edges[1::2] - edges[::2]
+    return int(lengths.max()), int(edges[::2][np.argmax(lengths)])
+
+
+def _filtered(recording: Recording) -> Iterator[Finding]:
+    """Find torques without the noise floor of a sensor: power at high frequency below 1e-9 of the peak's, in most joints."""
+    good = np.isfinite(recording.t) & np.all(np.isfinite(recording.tau), axis=1)
+    tau, rate = recording.tau[good], recording.rate
+    if tau.shape[0] < 256 or not np.isfinite(rate):
+        return
+    frequency, power = welch(tau, fs=rate, nperseg=min(1024, tau.shape[0]), detrend="linear", axis=0)
+    peak = power.max(axis=0)
+    relative = power / np.where(peak > 0, peak, 1.0)
+    floor = np.median(relative[frequency > 0.35 * rate], axis=0)
+    if np.median(floor) > _QUIET_FLOOR:
+        return
+    middle = np.median(relative, axis=1)
+    last = int(np.flatnonzero(middle > max(100 * float(np.median(floor)), 1e-9))[-1])
+    yield Finding(
+        "already-filtered",
+        "info",
+        f"the torques hold nothing above about {frequency[last]:.2g} Hz (power at high frequency is {np.median(floor):.0e} of the peak's): "
+        "they were low-pass filtered before, or simulated without noise",
+        "Filtering again adds little; where positions and torques were filtered differently, the errors of the parameters are too small",
+    )
