@@ -33,8 +33,7 @@ def butterworth(x: ArrayLike, *, cutoff: float, rate: float, order: int = 4, cor
     """Low-pass the columns of x (N,) or (N, m) with a Butterworth filter run forwards and backwards: no phase, amplitude 1 / (1 + r^(2 order)).
 
     `cutoff` [Hz] is where the amplitude of the whole, both passes together, is 1 / sqrt(2); with `corrected=False` it is the cutoff of each pass,
-    and the whole has 1/2 there. The ends are extended by odd reflection over one settling time (Gustafsson, IEEE Trans. Signal Processing, 1996, on why ends
-    matter); what they still do to the samples next to them is over after `settling_samples`.
+    and the whole has 1/2 there. The ends are extended by odd reflection, so straight lines pass; what else the ends do is over after `settling_samples`.
 
     Raises
     ------
@@ -50,7 +49,7 @@ def butterworth(x: ArrayLike, *, cutoff: float, rate: float, order: int = 4, cor
     """
     values = np.asarray(x, dtype=np.float64)
     sections = _sections(cutoff, rate, order, corrected)
-    padding = min(settling_samples(cutoff, rate, order=order, corrected=corrected), values.shape[0] - 1)
+    padding = min(settling_samples(cutoff, rate, order=order, corrected=corrected, tolerance=1e-6), values.shape[0] - 1)
     return np.ascontiguousarray(signal.sosfiltfilt(sections, values, axis=0, padtype="odd", padlen=padding))
 
 

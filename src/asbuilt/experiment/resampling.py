@@ -88,9 +88,11 @@ def uniform_runs(
         return [_taken(recording, run, target) for run in runs], target, tuple(notes)
     clocks = [_clock(recording.t[run], recording.q[run]) for run in runs]
     ticks = sum(even for _, even in clocks)
+    if rate is None and ticks == len(runs):
+        target = _rounded(1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks])))
     if ticks:
         notes.append("the time stamps jitter but the positions are smoother on an even clock, so the samples were taken as evenly spaced")
-    if ticks < len(runs) or abs(target / logged_rate - 1.0) > JITTER:
+    if ticks < len(runs) or rate is not None:
         notes.append(
             f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was resampled to {target:g} Hz by cubic splines"
         )
@@ -111,9 +113,12 @@ def _fresh(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _logged_rate(t: Array, period: float) -> float:
-    """Return the inverse of the mean step over steps without gaps, rounded where a round number fits the clock to a part in a thousand."""
+    """Return the inverse of the mean step outside gaps, rounded where a whole number fits to a part in a thousand."""
     steps = np.diff(t)
-    rate = 1.0 / float(np.mean(steps[steps <= GAP * period]))
+    return _rounded(1.0 / float(np.mean(steps[steps <= GAP * period])))
+
+
+def _rounded(rate: float) -> float:
     return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate and rate > 20 else rate
 
 
@@ -124,7 +129,9 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
     speed times jitter into position noise. Smoothness is the root mean square of the third difference on an even grid.
     """
     period = float(np.median(np.diff(t)))
-    tick = np.concatenate([[0], np.cumsum(np.maximum(1, np.rint(np.diff(t) / period)))])
+    tick = _ticks(t, period)
+    if tick is None:
+        return t, False
     slope, start = np.polyfit(tick, t - t[0], 1)
     even = t[0] + start + slope * tick
     if np.max(np.abs(even - t)) > 0.6 * period:
@@ -135,6 +142,23 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
     on_stamps = CubicSpline(t, q, axis=0)(inside)
     roughness = [np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0)) for x in (on_even, on_stamps)]
     return (even, True) if np.median(roughness[0] / np.maximum(roughness[1], 1e-300)) < 1.0 else (t, False)
+
+
+def _ticks(t: Array, period: float) -> Array | None:
+    """Return the number of the clock tick (L,) each stamp belongs to, or None where the stamps follow no clock of this period.
+
+    The phase of the stamps against the period is averaged on the circle over stretches of a few hundred stamps, so that a late stamp is not taken for a lost
+    sample, and unwrapped from stretch to stretch, so that the period need not be exact.
+    """
+    turns = (t - t[0]) / period
+    stretches = np.array_split(np.arange(t.size), max(1, t.size // 256))
+    means = np.array([np.mean(np.exp(2j * np.pi * turns[stretch])) for stretch in stretches])
+    if np.any(np.abs(means) < 0.3):
+        return None
+    centre = np.array([stretch.mean() for stretch in stretches])
+    phase = np.interp(np.arange(t.size), centre, np.unwrap(np.angle(means)) / (2.0 * np.pi))
+    tick = np.rint(turns - phase)
+    return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
 def _taken(recording: Recording, run: NDArray[np.intp], rate: float) -> UniformRun:
