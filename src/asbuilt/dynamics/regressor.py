@@ -21,9 +21,17 @@ from asbuilt.errors import UsageError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Some = slice | Indices
 
 _LINE = 8
 _PER_LINK = len(PARAMETER_NAMES)
+
+
+def _slice_or_indices(indices: Indices) -> Some:
+    """Return increasing neighbours as a slice, which copies faster."""
+    if indices.size and np.all(np.diff(indices) == 1):
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
 
 
 def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | None) -> Indices:
@@ -57,7 +65,7 @@ class RegressorPlan:
 
     Rows run joint by joint: the `support[k]` columns of joint k, in the order of `columns`, then `spare_rows` that are left to the caller (for the
     torque, say). `bounds[k]` are the first row of joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint k
-    and parameter c of link i, `drive_rows[k]` the rows for its drive columns; -1 marks a column that was not chosen.
+    and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among its drive columns and their rows.
 
     >>> from asbuilt.description.load import load_robot
     >>> plan = RegressorPlan.of(load_robot("kuka-iiwa7-r800"), columns=range(60, 70))
@@ -73,7 +81,7 @@ class RegressorPlan:
     support: tuple[Indices, ...]
     bounds: Indices
     places: Indices
-    drive_rows: tuple[Indices, ...]
+    drive_rows: tuple[tuple[Some, Some], ...]
 
     @classmethod
     def of(cls, model: RobotModel, drive: DriveSet = NO_DRIVE, columns: ArrayLike | None = None, *, spare_rows: int = 0) -> RegressorPlan:
@@ -86,8 +94,9 @@ class RegressorPlan:
         for k, positions in enumerate(support):
             rows[k, chosen[positions]] = np.arange(*bounds[k])
         places = rows[:, : n * _PER_LINK].reshape(n, n, _PER_LINK).copy()
-        drive_rows = tuple(rows[k, n * _PER_LINK + k * per :][:per] for k in range(n))
-        for array in (chosen, bounds, places, *support, *drive_rows):
+        drives = [rows[k, n * _PER_LINK + k * per :][:per] for k in range(n)]
+        drive_rows = tuple((_slice_or_indices(np.flatnonzero(own >= 0)), _slice_or_indices(own[own >= 0])) for own in drives)
+        for array in (chosen, bounds, places, *support):
             array.setflags(write=False)
         return cls(model, drive, chosen, spare_rows, support, bounds, places, drive_rows)
 
@@ -151,17 +160,15 @@ class RegressorPlan:
             raise UsageError(f"q, qd and qdd must all have shape (n_samples, {self.model.n_joints}), got {', '.join(map(str, shapes))}")
         return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
-    def _drive_columns(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[Indices, Indices, Array]]:
+    def _drive_columns(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[Some, Some, Array]]:
         """Yield for each joint which drive columns were chosen, the row of each, and all its drive columns."""
         if not self.drive:
             return
         load = inverse_dynamics(self.model, q, qd, qdd) if self.drive.needs_load else None
         columns = np.empty((self.drive.columns_per_joint, q.shape[0]))
-        for k, rows in enumerate(self.drive_rows):
-            chosen = np.flatnonzero(rows >= 0)
-            if chosen.size:
-                self.drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load=None if load is None else load[:, k], out=columns)
-            yield chosen, rows[chosen], columns
+        for k, (chosen, rows) in enumerate(self.drive_rows):
+            self.drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load=None if load is None else load[:, k], out=columns)
+            yield chosen, rows, columns
 
 
 @lru_cache(maxsize=16)
