@@ -2,6 +2,7 @@ import numpy as np
 from scipy import signal, stats
 
 from asbuilt.validation.residuals import (
+    VelocityCurve,
     analyse_residual,
     autocorrelation,
     contiguous_runs,
@@ -78,6 +79,9 @@ def test_velocity_curve_keeps_directions_apart() -> None:
     rng = np.random.default_rng(0)
     qd = rng.uniform(-2, 1, 5000)
     curve = velocity_curve(qd, np.sign(qd) + 0.1 * qd, bins=20)
+    assert np.array_equal(np.isnan(curve.median), curve.count < 3)
+    assert np.all(curve.velocity[np.isnan(curve.median)] > 1.0)
+    curve = VelocityCurve(*(values[curve.count >= 3] for values in (curve.velocity, curve.lower, curve.median, curve.upper, curve.count)))
     assert np.all(np.sign(curve.median) == np.sign(curve.velocity))
     np.testing.assert_allclose(curve.median, np.sign(curve.velocity) + 0.1 * curve.velocity, atol=0.02)
     assert curve.count.sum() == 5000

@@ -20,9 +20,9 @@ VOID = {"meta", "link", "br", "img", "input", "hr", "line", "circle"}
 
 @pytest.fixture(scope="module")
 def page(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    validations = [validate(example.result, example.held_out), validate(example.result, example.train)]
+    held_out, fitted = validate(example.result, example.held_out), validate(example.result, example.train)
     command = ["asbuilt", "identify", "robot <b>.toml", "train.csv", "--holdout", "last:0.3"]
-    return write_report(tmp_path_factory.mktemp("report") / "report.html", example.result, validations, command=command)
+    return write_report(tmp_path_factory.mktemp("report") / "report.html", example.result, [held_out], fitted=[fitted], command=command)
 
 
 class Page(HTMLParser):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -66,8 +67,8 @@ class Comparison:
             return text
         cad, built = self.torque[0]
         if cad is None:
-            return f"{text} Torque error as built {share(built.relative_error)} on {built.source}."
-        return f"{text} Torque error on {built.source}: CAD {share(cad.relative_error)}, as built {share(built.relative_error)}."
+            return f"{text} Torque error as built {share(built.relative_error)} on {recording_name(built.source)}."
+        return f"{text} Torque error on {recording_name(built.source)}: CAD {share(cad.relative_error)}, as built {share(built.relative_error)}."
 
     def parameter_table(self) -> Table:
         """Return Table 2: id, expression, CAD, as built, standard error, difference in standard errors."""
@@ -83,7 +84,7 @@ class Comparison:
             for what, metrics in (("CAD", cad), ("as built", built)):
                 if metrics is not None:
                     rms = [Shown(float(value), significant(float(value))) for value in metrics.rms]
-                    rows.append((metrics.source, what, *rms, Shown(metrics.relative_error, share(metrics.relative_error))))
+                    rows.append((recording_name(metrics.source), what, *rms, Shown(metrics.relative_error, share(metrics.relative_error))))
         return Table(tuple(heads), tuple(rows), title="RMS torque error")
 
     def as_text(self) -> str:
@@ -175,7 +176,7 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, threshold: float
     rows = []
     for parameter in parameters:
         shown, error = rounded(parameter.estimate, parameter.std_error)
-        cad = None if parameter.cad is None else Shown(parameter.cad, rounded(parameter.cad, parameter.std_error)[0])
+        cad = None if parameter.cad is None else Shown(parameter.cad, design_text(parameter.cad, parameter.std_error))
         outcome = deviation(parameter.sigmas, threshold) if parameter.verdict in ("differs", "agrees") else parameter.verdict
         relative = None
         if parameter.std_error is not None and parameter.estimate:
@@ -194,6 +195,26 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, threshold: float
         )
     note = f"DIFFERS: CAD and as built are {threshold:g} standard errors apart or more; standard errors allow for correlated torque errors."
     return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
+
+
+def design_text(cad: float, std_error: float | None) -> str:
+    """Return a design value with four digits of its own, or fewer where it is far below the standard error.
+
+    >>> design_text(0.023661, 0.4), design_text(6.666386, 0.0023), design_text(1e-9, 0.4)
+    ('0.02366', '6.666', '0.0000')
+    """
+    if std_error is None or abs(cad) >= 1e-3 * std_error:
+        return significant(cad, 4)
+    return rounded(cad, 1e-2 * std_error)[0]
+
+
+def recording_name(source: str) -> str:
+    """Return the source of a recording without the folders of its files.
+
+    >>> recording_name("data/a.csv, data/b.csv")
+    'a.csv, b.csv'
+    """
+    return ", ".join(PurePath(part).name or part for part in source.split(", "))
 
 
 def _paired(

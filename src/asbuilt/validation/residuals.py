@@ -148,7 +148,7 @@ def _spectrum(residual: Array, runs: Runs, rate: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class VelocityCurve:
-    """A torque against joint velocity in bins of equal width: centres, quartiles and counts, each (bins,); empty bins are left out."""
+    """A torque against joint velocity in bins of equal width: centres, quartiles and counts, each (bins,); NaN in bins of under three samples."""
 
     velocity: Array
     lower: Array
@@ -162,8 +162,9 @@ def velocity_curve(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve
     largest = float(np.max(np.abs(qd), initial=0.0)) or 1.0
     half = max(1, bins // 2)
     index = np.clip(np.floor(qd / largest * half).astype(np.int64), -half, half - 1) + half
-    present, count = np.unique(index, return_counts=True)
+    count = np.bincount(index, minlength=2 * half)
     order = np.argsort(index, kind="stable")
     groups = np.split(torque[order], np.cumsum(count)[:-1])
-    quartiles = np.array([np.percentile(group, [25, 50, 75]) for group in groups]).reshape(-1, 3)
-    return VelocityCurve((present - half + 0.5) * largest / half, quartiles[:, 0], quartiles[:, 1], quartiles[:, 2], count)
+    quartiles = np.array([np.percentile(group, [25, 50, 75]) if len(group) >= 3 else [np.nan] * 3 for group in groups])
+    centres = (np.arange(-half, half) + 0.5) * largest / half
+    return VelocityCurve(centres, quartiles[:, 0], quartiles[:, 1], quartiles[:, 2], count)

@@ -23,7 +23,7 @@ from plotly.offline import get_plotlyjs
 
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Table, deviation, percent, rounded, share, significant
-from asbuilt.validation.comparison import ComparedParameter, Comparison, compare
+from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, design_text, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis
 from asbuilt.writers.files import atomic_write
@@ -49,15 +49,35 @@ class Finding:
 
 
 def write_report(
-    path: str | os.PathLike[str], result: IdentificationResult, validations: Sequence[Validation] = (), *, command: Sequence[str] = ()
+    path: str | os.PathLike[str],
+    result: IdentificationResult,
+    validations: Sequence[Validation] = (),
+    *,
+    fitted: Sequence[Validation] = (),
+    command: Sequence[str] = (),
 ) -> Path:
-    """Write the report of a result and of its validations; `command` is the command line that repeats it."""
-    return atomic_write(path, report_html(result, validations, command=command))
+    """Write the report of a result; see `report_html`."""
+    return atomic_write(path, report_html(result, validations, fitted=fitted, command=command))
 
 
-def report_html(result: IdentificationResult, validations: Sequence[Validation] = (), *, command: Sequence[str] = ()) -> str:
-    """Return the page as text; the torque plots show `validations`, which may include the training data under its own name."""
-    comparison = compare(result, validation=_held_out(result, validations) or None)
+def report_html(
+    result: IdentificationResult,
+    validations: Sequence[Validation] = (),
+    *,
+    fitted: Sequence[Validation] = (),
+    command: Sequence[str] = (),
+) -> str:
+    """Return the page as text.
+
+    `validations` are predictions of data not used for fitting, by which the model is judged; `fitted` are predictions of the data used, which the
+    plots show too. `command` is the command line that repeats the identification.
+    """
+    comparison = compare(result, validation=validations or None)
+    shown = [*validations, *fitted]
+    labels = [
+        f"{recording_name(item.source)}, {'held out' if place < len(validations) else 'used for fitting'}"
+        for place, item in enumerate(shown)
+    ]
     page = _environment().get_template("report.html.j2")
     return page.render(
         title=f"{result.robot}, as built",
@@ -68,9 +88,10 @@ def report_html(result: IdentificationResult, validations: Sequence[Validation] 
         comparison=comparison,
         parameters=[_parameter_row(parameter) for parameter in comparison.parameters],
         torque_table=_table(comparison.torque_table(), "torque-table"),
-        validations=validations,
-        residual_rows=[_residual_rows(validation) for validation in validations],
-        data=_page_data(result, validations),
+        sources=", ".join(recording_name(source) for source in result.sources),
+        labels=labels,
+        residual_rows=[_residual_rows(validation) for validation in shown],
+        data=_page_data(result, shown),
         command=shlex.join(command),
         citation=CITATION,
         robot_citation=result.model.citation,
@@ -91,6 +112,7 @@ def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding
     error = share(built.relative_error)
     worst = int(np.nanargmax(built.relative_error_per_joint))
     weak = f" Joint {built.joint_names[worst]} is predicted worst: its error is {share(float(built.relative_error_per_joint[worst]), 0)} of its own torque."
+    source = recording_name(built.source)
     if not result.validation:
         return Finding(
             "neutral",
@@ -99,13 +121,13 @@ def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding
             f"No recording was held out, so {error} is the error on the data used for fitting and says little about other motion.{weak}",
         )
     if cad is None or not cad.relative_error > 0:
-        return Finding("neutral", error, "torque error, held out", f"The error on {built.source} is {error} of the measured torque.{weak}")
+        return Finding("neutral", error, "torque error, held out", f"The error on {source} is {error} of the measured torque.{weak}")
     factor = cad.relative_error / built.relative_error if built.relative_error > 0 else math.inf
     against = f"{share(cad.relative_error)} by design"
     if factor >= 1.0:
-        sentence = f"On {built.source}, not used for fitting, the torque error falls from {against} to {error} as built: {significant(factor, 2)} times smaller."
+        sentence = f"On {source}, not used for fitting, the torque error falls from {against} to {error} as built: {significant(factor, 2)} times smaller."
         return Finding("good", error, f"torque error held out, against {against}", sentence + weak)
-    sentence = f"On {built.source}, not used for fitting, the identified model predicts WORSE than the design: {error} against {against}."
+    sentence = f"On {source}, not used for fitting, the identified model predicts WORSE than the design: {error} against {against}."
     return Finding(
         "bad", error, f"torque error held out, against {against}", sentence + " Do not use it as it is; see the warnings." + weak
     )
@@ -122,8 +144,12 @@ def _consistency(result: IdentificationResult) -> Finding:
 
 def _determination(result: IdentificationResult) -> Finding:
     figure, lost = f"{result.rank} of {result.n_base}", result.n_base - result.rank
-    if lost <= 0:
+    poor = sum(parameter.poorly_determined for parameter in result.parameters)
+    if lost <= 0 and poor == 0:
         return Finding("good", figure, "parameters determined", "This recording excites every base parameter.")
+    if lost <= 0:
+        sentence = f"This recording excites every base parameter, {poor} of them poorly: their errors are large beside their values."
+        return Finding("neutral", figure, f"parameters determined, {poor} poorly", sentence)
     sentence = (
         f"This recording leaves {lost} combination{'s' if lost > 1 else ''} of parameters undetermined; they lean on the design values."
     )
@@ -145,12 +171,13 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
         ("method", result.method),
         ("drive terms", str(result.base.drive)),
         ("samples", f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz, {result.duration:.1f} s"),
-        ("worth, independent", significant(result.effective_samples)),
+        ("independent samples", significant(result.effective_samples)),
         ("rank", f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)"),
         ("condition number", f"{significant(result.condition_number)} (columns scaled {significant(result.scaled_condition_number)})"),
         (
             "relative error",
-            f"{relative} on the data fitted" + "".join(f", {share(m.relative_error)} on {m.source}" for m in result.validation),
+            f"{relative} on the data fitted"
+            + "".join(f", {share(m.relative_error)} on {recording_name(m.source)}" for m in result.validation),
         ),
         ("consistency", {True: "OK", False: "NOT CONSISTENT", None: "not checked"}[result.physically_consistent]),
     ]
@@ -161,7 +188,7 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
     half = 1.96 * (parameter.std_error or 0.0)
     scale = max(abs(parameter.estimate), abs(parameter.cad or 0.0), 0.8 * half) or 1.0
     shown, error = rounded(parameter.estimate, parameter.std_error)
-    by_design = "-" if parameter.cad is None else rounded(parameter.cad, parameter.std_error)[0]
+    by_design = "-" if parameter.cad is None else design_text(parameter.cad, parameter.std_error)
     at = 80.0 * parameter.estimate / scale
     reach = 80.0 * half / scale
     outcome = deviation(parameter.sigmas) if parameter.verdict in ("differs", "agrees") else parameter.verdict
@@ -224,7 +251,6 @@ def _page_data(result: IdentificationResult, validations: Sequence[Validation]) 
 def _recording_data(validation: Validation, points: int) -> dict[str, Any]:
     analysis = validation.residuals()
     return {
-        "source": validation.source,
         "n_samples": len(validation.t),
         "joints": [_joint_data(validation, analysis, k, points) for k in range(len(validation.joint_names))],
     }
@@ -266,12 +292,6 @@ def _joint_data(validation: Validation, analysis: ResidualAnalysis, k: int, poin
 
 def _listed(values: Array, digits: int = 5) -> list[float | None]:
     return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
-
-
-def _held_out(result: IdentificationResult, validations: Sequence[Validation]) -> list[Validation]:
-    """Return the validations on recordings that the result was judged by, without those that only show the training data."""
-    judged = {metrics.source for metrics in result.validation}
-    return [validation for validation in validations if validation.source in judged] if judged else []
 
 
 def _table(table: Table, identifier: str) -> Markup:

@@ -3,6 +3,7 @@
   const data = JSON.parse(document.getElementById("data").textContent);
   const element = (id) => document.getElementById(id);
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+  const narrow = () => window.innerWidth < 640;
   const options = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
   const bare = { ...options, displayModeBar: false };
   let recording = 0;
@@ -32,6 +33,14 @@
     return a.map((value, i) => (value === null || b[i] === null ? null : value - b[i]));
   }
 
+  function sides(x, y, name, shade, style) {
+    return [-1, 1].map((side) => {
+      const keep = x.map((value) => value * side > 0);
+      const showlegend = keep.some(Boolean) && (side > 0 || !x.some((value) => value > 0));
+      return line(x.filter((_, i) => keep[i]), y.filter((_, i) => keep[i]), name, shade, { trace: { showlegend }, line: style });
+    });
+  }
+
   function drawTorque(of) {
     const lower = { trace: { yaxis: "y2" } };
     const traces = [
@@ -42,10 +51,12 @@
       line(of.t, difference(of.measured, of.built), "error, as built (RMS " + of.rms + ")", "error", lower),
     ];
     Plotly.react("torque-plot", traces, layout({
+      margin: { l: 56, r: 12, t: narrow() ? 110 : 56, b: 44 },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("cad"), activecolor: colour("ink") },
       xaxis: axis("time [s]", { anchor: "y2" }),
       yaxis: axis("torque [" + of.unit + "]", { domain: [0.42, 1] }),
       yaxis2: axis("error [" + of.unit + "]", { domain: [0, 0.36], zeroline: true, zerolinecolor: colour("line") }),
-    }), options);
+    }), narrow() ? bare : options);
   }
 
   function drawError(of) {
@@ -64,11 +75,8 @@
     const friction = of.friction;
     Plotly.react("friction-plot", [
       { type: "scatter", mode: "markers", x: friction.speed, y: friction.torque, name: "samples", marker: { color: colour("measured"), size: 3, opacity: 0.35 } },
-      ...[-1, 1].map((side) => {
-        const keep = friction.bin.map((value) => value * side > 0);
-        return line(friction.bin.filter((_, i) => keep[i]), friction.median.filter((_, i) => keep[i]), "median", "measured", { trace: { showlegend: side > 0 }, line: { width: 2 } });
-      }),
-      line(friction.speed, friction.law, "identified", "built", { line: { width: 2, dash: "6px,2px" } }),
+      ...sides(friction.bin, friction.median, "median", "measured", { width: 2 }),
+      ...sides(friction.speed, friction.law, "identified", "built", { width: 2, dash: "6px,2px" }),
     ], layout({ hovermode: "closest", xaxis: axis("velocity [" + of.speed_unit + "]"), yaxis: axis("[" + of.unit + "]") }), bare);
   }
 
