@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from asbuilt.description.model import RobotModel
+from asbuilt.experiment.clock_checks import fresh_samples
 from asbuilt.experiment.finding import Finding, joined
 from asbuilt.experiment.recording import Array, Recording
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
@@ -17,6 +18,8 @@ _STILL_ANGLE = 0.05
 _STILL_LENGTH = 0.005
 _ALIKE = 0.995
 _LIMIT_MARGIN = 0.01
+_LAG = 0.3
+_END = 0.4
 
 
 def in_degrees(model: RobotModel, recording: Recording, motion: SmoothedMotion | None) -> str | None:
@@ -141,7 +144,7 @@ def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> 
     swapped = [
         (int(moving[a]), int(moving[b]))
         for a, b in zip(rows, columns, strict=True)
-        if a != b and likeness[a, b] > 0.9 > 0.8 > likeness[a, a]
+        if a != b and likeness[a, b] > 0.9 and likeness[a, a] < 0.8
     ]
     if swapped:
         told = joined([f"the velocity of {names[a]} is that of {names[b]}" for a, b in swapped])
@@ -176,25 +179,67 @@ def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> 
             "velocity-mismatch", "warning", message, "Leave the velocity columns out, so that positions are differentiated", joint=names[k]
         )
     yield from _lag(recording, motion, logged, [int(k) for k in moving])
+    yield from _ends(recording, motion, logged, [int(k) for k in moving])
 
 
 def _lag(recording: Recording, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
-    """Find the delay d of the logged velocities from qd_logged(t) = qd(t - d), d = -<qd_logged - qd, qdd> / <qdd, qdd> to first order."""
-    pull = np.sum(motion.qdd**2, axis=0)
-    lags = np.array([-np.sum((logged[:, k] - motion.qd[:, k]) * motion.qdd[:, k]) / pull[k] if pull[k] > 0 else 0.0 for k in moving])
-    matches = np.array([abs(float(np.corrcoef(logged[:, k], motion.qd[:, k])[0, 1])) for k in moving])
-    step = 1.0 / recording.rate
-    late = (np.abs(lags) > max(1.5 * step, 0.004)) & (matches > 0.9)
-    if late.sum() * 2 > len(moving) or np.any(np.abs(lags[late]) > 4 * step):
+    """Find the shift that matches logged velocities best with the derivative of the positions, to a fraction of a sample by a parabola."""
+    lags = np.array([_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
+    if not np.all(np.isfinite(lags)):
+        return
+    fresh = float(np.mean(fresh_samples(recording)))
+    step = 1.0 / (recording.rate * fresh)
+    middle = float(np.median(lags))
+    if abs(middle) > _LAG * step:
+        low, high = np.sort(np.abs(lags))[[0, -1]]
         worst = moving[int(np.argmax(np.abs(lags)))]
         yield Finding(
             "velocity-lag",
             "info",
-            f"the logged velocities {'lag behind' if np.median(lags) > 0 else 'run ahead of'} the derivative of the positions by {1e3 * np.min(np.abs(lags)):.2g} to "
-            f"{1e3 * np.max(np.abs(lags)):.2g} ms (samples come every {1e3 * step:.3g} ms), most in {recording.joint_names[worst]}",
-            "They were filtered; differentiating the positions is better",
+            f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms "
+            f"(samples come every {1e3 * step:.3g} ms), most in {recording.joint_names[worst]}",
+            "They were filtered or differenced one-sidedly; leave the velocity columns out, so that positions are differentiated",
             joint=recording.joint_names[worst],
         )
+
+
+def _best_shift(late: Array, early: Array) -> float:
+    """Return by how many samples `late` comes after `early`; NaN where no shift up to a fifth of the signal matches."""
+    most = min(30, late.size // 5)
+    if most < 1:
+        return float("nan")
+    inner = slice(most, late.size - most)
+    likeness = np.array([np.corrcoef(late[inner], early[most - d : early.size - most - d])[0, 1] for d in range(-most, most + 1)])
+    k = int(np.argmax(likeness))
+    if not 0 < k < likeness.size - 1 or likeness[k] < 0.9:
+        return float("nan")
+    before, at, after = likeness[k - 1 : k + 2]
+    return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
+
+
+def _ends(recording: Recording, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
+    """Find ends where velocity and position part, as the transient of a filter makes them."""
+    width = int(_END * motion.rate)
+    if motion.n_samples < 10 * width:
+        return
+    apart = np.abs(logged - motion.qd)
+    inner = np.sqrt(np.mean(apart[width:-width] ** 2, axis=0))
+    spread = np.std(motion.qd, axis=0)
+    for name, part in (("first", slice(0, width)), ("last", slice(-width, None))):
+        worst = np.max(apart[part], axis=0)
+        bad = [k for k in moving if worst[k] > 8 * inner[k] and worst[k] > 0.2 * spread[k]]
+        if len(bad) * 2 > len(moving):
+            k = max(bad, key=lambda k: worst[k] / spread[k])
+            window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"
+            yield Finding(
+                "end-transient",
+                "warning",
+                f"in the {name} {_END:g} s logged velocities and positions do not belong together: they part by {worst[k]:.3g} rad/s in "
+                f"{recording.joint_names[k]}, against {inner[k]:.2g} rad/s elsewhere, as at the end of a filtered signal",
+                f"Cut the {name} half second off in a recording sheet: [[windows]] {window}",
+                joint=recording.joint_names[k],
+                time=float(recording.t[0] if name == "first" else recording.t[-1] - _END),
+            )
 
 
 def _correlations(a: Array, b: Array) -> Array:

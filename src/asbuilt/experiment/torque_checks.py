@@ -193,7 +193,10 @@ def _filtered(recording: Recording) -> Iterator[Finding]:
     tau, rate = recording.tau[good], recording.rate
     if tau.shape[0] < 256 or not np.isfinite(rate):
         return
-    frequency, power = welch(tau, fs=rate, nperseg=min(1024, tau.shape[0]), detrend="linear", axis=0)
+    trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
+    level = tau - tau.mean(axis=0)
+    level = level - trend * (trend * level).sum(axis=0) / np.sum(trend**2)
+    frequency, power = welch(level, fs=rate, nperseg=min(1024, tau.shape[0]), axis=0)
     peak = power.max(axis=0)
     relative = power / np.where(peak > 0, peak, 1.0)
     floor = np.median(relative[frequency > 0.35 * rate], axis=0)
