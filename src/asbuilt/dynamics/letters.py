@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +82,7 @@ class Polynomial:
 
     def value(self, lengths: Mapping[str, float]) -> float:
         """Return the value at given lengths."""
-        return sum(factor * float(np.prod([lengths[letter] for letter in monomial])) for monomial, factor in self.terms.items())
+        return sum(factor * prod(lengths[letter] for letter in monomial) for monomial, factor in self.terms.items())
 
     def __repr__(self) -> str:
         return written([("", self)]) or "0"
