@@ -65,45 +65,54 @@ def _link_terms(rows, state, terms):
 
 
 @compiled
+def _position(row, stride, start):
+    return row * stride + start if row >= 0 else row
+
+
+@compiled
 def _columns_of_link(rows, screw, terms, places, out, stride, start):
     """Write z . (moment) + m . (force) per unit of each parameter, for one joint and one link, where `places` names a row of `out`.
 
     force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment (Atkeson, An and Hollerbach, 1986).
     """
+    o0, o1, o2 = _position(places[0], stride, start), _position(places[1], stride, start), _position(places[2], stride, start)
+    o3, o4, o5 = _position(places[3], stride, start), _position(places[4], stride, start), _position(places[5], stride, start)
+    o6, o7, o8 = _position(places[6], stride, start), _position(places[7], stride, start), _position(places[8], stride, start)
+    o9 = _position(places[9], stride, start)
     for at in range(0, BLOCK, LANES):
-        r, t, o = screw + at, terms + at, start + at
+        r, t = screw + at, terms + at
         zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
         mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-        if places[0] >= 0:
+        if o0 >= 0:
             xx = zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
-            store(out, places[0] * stride + o, xx)
-        if places[1] >= 0:
+            store(out, o0 + at, xx)
+        if o1 >= 0:
             xy = zx * load(rows, t + 9 * BLOCK) + zy * load(rows, t + 6 * BLOCK) + zz * load(rows, t + 14 * BLOCK)
-            store(out, places[1] * stride + o, xy)
-        if places[2] >= 0:
+            store(out, o1 + at, xy)
+        if o2 >= 0:
             xz = zx * load(rows, t + 10 * BLOCK) + zy * load(rows, t + 13 * BLOCK) + zz * load(rows, t + 7 * BLOCK)
-            store(out, places[2] * stride + o, xz)
-        if places[3] >= 0:
+            store(out, o2 + at, xz)
+        if o3 >= 0:
             yy = zy * load(rows, t + BLOCK) + zz * load(rows, t + 5 * BLOCK) - zx * load(rows, t + 3 * BLOCK)
-            store(out, places[3] * stride + o, yy)
-        if places[4] >= 0:
+            store(out, o3 + at, yy)
+        if o4 >= 0:
             yz = zx * load(rows, t + 12 * BLOCK) + zy * load(rows, t + 11 * BLOCK) + zz * load(rows, t + 8 * BLOCK)
-            store(out, places[4] * stride + o, yz)
-        if places[5] >= 0:
+            store(out, o4 + at, yz)
+        if o5 >= 0:
             izz = zx * load(rows, t + 3 * BLOCK) - zy * load(rows, t + 4 * BLOCK) + zz * load(rows, t + 2 * BLOCK)
-            store(out, places[5] * stride + o, izz)
+            store(out, o5 + at, izz)
         ax, ay, az = load(rows, t + 18 * BLOCK), load(rows, t + 19 * BLOCK), load(rows, t + 20 * BLOCK)
-        if places[6] >= 0:
+        if o6 >= 0:
             hx = my * load(rows, t + 10 * BLOCK) - mx * load(rows, t + 15 * BLOCK) - mz * load(rows, t + 9 * BLOCK)
-            store(out, places[6] * stride + o, hx + zz * ay - zy * az)
-        if places[7] >= 0:
+            store(out, o6 + at, hx + zz * ay - zy * az)
+        if o7 >= 0:
             hy = mz * load(rows, t + 6 * BLOCK) - my * load(rows, t + 16 * BLOCK) - mx * load(rows, t + 11 * BLOCK)
-            store(out, places[7] * stride + o, hy + zx * az - zz * ax)
-        if places[8] >= 0:
+            store(out, o7 + at, hy + zx * az - zz * ax)
+        if o8 >= 0:
             hz = mx * load(rows, t + 8 * BLOCK) - my * load(rows, t + 7 * BLOCK) - mz * load(rows, t + 17 * BLOCK)
-            store(out, places[8] * stride + o, hz + zy * ax - zx * ay)
-        if places[9] >= 0:
-            store(out, places[9] * stride + o, mx * ax + my * ay + mz * az)
+            store(out, o8 + at, hz + zy * ax - zx * ay)
+        if o9 >= 0:
+            store(out, o9 + at, mx * ax + my * ay + mz * az)
 
 
 @compiled

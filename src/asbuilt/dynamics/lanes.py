@@ -107,6 +107,19 @@ def _load(_typing: Any, array: Any, index: Any) -> Any:
     return lanes(array, types.intp), generate
 
 
+def _load_every(_typing: Any, array: Any, index: Any, step: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        vector, place = ir.Constant(_VECTOR, ir.Undefined), args[1]
+        for lane in range(LANES):
+            value = builder.load(builder.gep(data, [place]), align=8)
+            vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
+            place = builder.add(place, args[2])
+        return vector
+
+    return lanes(array, types.intp, types.intp), generate
+
+
 def _store(_typing: Any, array: Any, index: Any, value: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         builder.store(args[2], _address(context, builder, signature.args[0], *args[:2]), align=8)
@@ -147,6 +160,8 @@ def _by_quadrant(_typing: Any, quadrant: Any, even: Any, odd: Any, ahead: Any) -
 
 load: Any = intrinsic(_load)
 """`load(array, index)`: eight consecutive numbers of a contiguous array; nobody checks the index."""
+load_every: Any = intrinsic(_load_every)
+"""`load_every(array, index, step)`: eight numbers, `step` apart."""
 store: Any = intrinsic(_store)
 """`store(array, index, value)`: the reverse of `load`."""
 splat: Any = intrinsic(_splat)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.model import ROOT, Geometry, RobotModel
-from asbuilt.dynamics.lanes import LANES, LARGEST_ANGLE, compiled, exceeds, load, sine_cosine, splat, store
+from asbuilt.dynamics.lanes import LANES, LARGEST_ANGLE, compiled, exceeds, load, load_every, sine_cosine, splat, store
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -104,10 +104,14 @@ def scratch(blocks):
 @compiled
 def gather(source, start, count, n, rows, row):
     """Turn `count` samples of a sample-major array into n rows of a block; the last sample fills the rest."""
-    for sample in range(BLOCK):
-        at = (start + min(sample, count - 1)) * n
-        for j in range(n):
-            rows[(row + j) * BLOCK + sample] = source[at + j]
+    for j in range(n):
+        at = start * n + j
+        if count == BLOCK:
+            for sample in range(0, BLOCK, LANES):
+                store(rows, (row + j) * BLOCK + sample, load_every(source, at + sample * n, n))
+        else:
+            for sample in range(BLOCK):
+                rows[(row + j) * BLOCK + sample] = source[at + min(sample, count - 1) * n]
 
 
 @compiled
