@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
 
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.square_root_information import SquareRootInformation, one_blas_thread
 
 Array = NDArray[np.float64]
 Weighting = Literal["joint"]
@@ -130,20 +130,24 @@ def fit_least_squares(
         )
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
     floor = SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / rows)) or 1.0
+    iterated = isinstance(weights, str)
+    if iterated and weights != "joint":
+        raise UsageError(f"weights {weights!r} are unknown; give 'joint', None or {n} positive numbers, one per joint")
     w = np.ones(n) if weights is None or isinstance(weights, str) else _positive(weights, n)
     iterations, converged = 0, True
-    while True:
-        solution = solve_factor(information.stacked(w), rows * n, toward)
-        spent = _spent(information, solution, w)
-        sigma = np.sqrt(information.residual_energy(solution.x) / np.maximum(rows - spent, 1.0))
-        iterations += 1
-        if weights != "joint":
-            break
-        renewed = 1.0 / np.maximum(sigma, floor)
-        converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
-        if converged or iterations > MOST_ITERATIONS:
-            break
-        w = renewed
+    with one_blas_thread():
+        while True:
+            solution = solve_factor(information.stacked(w), rows * n, toward)
+            spent = _spent(information, solution, w)
+            sigma = np.sqrt(information.residual_energy(solution.x) / np.maximum(rows - spent, 1.0))
+            iterations += 1
+            if not iterated:
+                break
+            renewed = 1.0 / np.maximum(sigma, floor)
+            converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
+            if converged or iterations > MOST_ITERATIONS:
+                break
+            w = renewed
     if solution.rank < information.base.n_base and (toward is None or unexcited == "refuse"):
         raise IdentifiabilityError(_refusal(information, solution))
     variance = solution.residual_energy / max(rows * n - solution.rank, 1)

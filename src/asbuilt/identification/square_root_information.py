@@ -8,15 +8,17 @@ import os
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
@@ -212,7 +214,7 @@ class SquareRootInformation:
                 torque_sum = arrays["torque_sum"].astype(np.float64)
             blocks = tuple(TimeBlock(**block) for block in header["blocks"])
             names, joints = tuple(header["parameters"]), tuple(header["joints"])
-        except (OSError, ValueError, KeyError, TypeError, EOFError) as problem:
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as problem:
             raise ResultError(
                 f"square-root information cannot be read: {type(problem).__name__} {problem}; expected what `to_bytes` wrote"
             ) from problem
@@ -222,6 +224,16 @@ class SquareRootInformation:
                 f"not to {base.robot} with drive terms {base.drive} ({base.n_base} parameters)"
             )
         return cls(base, joints, tuple(supports), tuple(every), torque_sum, blocks)
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Keep the BLAS to one thread: its own threads only get in each other's way on matrices with some 50 columns."""
+    return cast(AbstractContextManager[object], _blas().limit(limits=1, user_api="blas"))
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
 
 
 def triangular_factor(rows: Array) -> Array:
@@ -287,7 +299,7 @@ def accumulate_stream(
     gathered = _Gathering()
     pending: deque[Future[_Reduced]] = deque()
     workers = max(1, threads if threads is not None else os.cpu_count() or 1)
-    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=workers) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
         for stretch, seconds in _stretches(stream, block_seconds):
             pending.append(pool.submit(_reduced, plan, stretch))
             gathered.seconds = max(gathered.seconds, seconds)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.identification.least_squares import Estimate
-from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.square_root_information import SquareRootInformation, one_blas_thread
 
 Array = NDArray[np.float64]
 
@@ -53,12 +53,13 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         return Uncertainty(estimate.covariance, float(n_samples), "textbook", n_blocks)
     residual = np.append(-estimate.beta, 1.0)
     moves = np.empty((n_blocks, estimate.rank))
-    for b in range(n_blocks):
-        factor = information.block_stacked(b, estimate.weights)
-        whitened = factor[:, :-1] @ root
-        leverage, axes = np.linalg.eigh(whitened.T @ whitened)
-        score = axes.T @ (whitened.T @ (factor @ residual))
-        moves[b] = axes @ (score / np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)))
+    with one_blas_thread():
+        for b in range(n_blocks):
+            factor = information.block_stacked(b, estimate.weights)
+            whitened = factor[:, :-1] @ root
+            leverage, axes = np.linalg.eigh(whitened.T @ whitened)
+            score = axes.T @ (whitened.T @ (factor @ residual))
+            moves[b] = axes @ (score / np.sqrt(1.0 - np.minimum(leverage, MOST_LEVERAGE)))
     clustered = np.sum((moves @ root.T) ** 2, axis=0)
     textbook = np.diag(estimate.covariance)
     variance = np.maximum(clustered, textbook)
