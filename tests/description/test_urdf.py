@@ -38,10 +38,15 @@ def random_urdf(seed: int, n: int = 12) -> str:
         A = rng.normal(size=(3, 3))
         I = A @ A.T
         I = np.trace(I) * np.eye(3) - I
-        tensor = " ".join(f'i{a}{b}="{I["xyz".index(a), "xyz".index(b)]!r}"'.replace("np.float64(", "").replace(")", "") for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))
+        tensor = " ".join(
+            f'i{a}{b}="{I["xyz".index(a), "xyz".index(b)]!r}"'.replace("np.float64(", "").replace(")", "")
+            for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
+        )
         kind = "revolute" if i == 1 else rng.choice(["revolute", "prismatic", "continuous", "fixed", "fixed"])
         axis = rng.choice(["0 0 1", "0 0 -1", "1 0 0", "0 -1 0", "0.6 0 0.8"])
-        inertial = f'<inertial><origin xyz="{row(rng)}" rpy="{row(rng)}"/><mass value="{rng.uniform(0.1, 5)}"/><inertia {tensor}/></inertial>'
+        inertial = (
+            f'<inertial><origin xyz="{row(rng)}" rpy="{row(rng)}"/><mass value="{rng.uniform(0.1, 5)}"/><inertia {tensor}/></inertial>'
+        )
         text += f'<link name="link{i}">{inertial if rng.random() < 0.8 else ""}</link>'
         text += (
             f'<joint name="joint{i}" type="{kind}"><origin xyz="{row(rng)}" rpy="{row(rng)}"/><axis xyz="{axis}"/>'
@@ -82,7 +87,9 @@ def agrees_with_pinocchio(model: RobotModel, text: str) -> None:
 @pytest.mark.parametrize("name", SHARED_URDFS)
 def test_descriptions_from_strangers_agree_with_pinocchio(shared, name):
     path = shared / "models" / name
-    text = path.read_text().replace('<origin rpy="0 0 0" xyz="-0.25 0 1"/>\n    <origin rpy="0 0 0" xyz="0 0 0"/>', '<origin xyz="-0.25 0 1"/>')
+    text = path.read_text().replace(
+        '<origin rpy="0 0 0" xyz="-0.25 0 1"/>\n    <origin rpy="0 0 0" xyz="0 0 0"/>', '<origin xyz="-0.25 0 1"/>'
+    )
     agrees_with_pinocchio(load_robot(path), text)
 
 
@@ -120,7 +127,11 @@ def test_fixed_links_become_parts_and_frames():
     assert arm.inertia.mass == 4.0
     assert np.isclose(arm.inertia.inertia[0, 0], 0.1 + 0.1 + 2.0 * 1.0**2)
     assert np.allclose(sum(part.parameters for _, part in arm.parts), arm.inertia.parameters)
-    assert {frame.name: (frame.link, frame.placement[2, 3]) for frame in model.frames} == {"tool": (0, 1.0), "tip": (0, 1.5), "stand": (ROOT, 0.0)}
+    assert {frame.name: (frame.link, frame.placement[2, 3]) for frame in model.frames} == {
+        "tool": (0, 1.0),
+        "tip": (0, 1.5),
+        "stand": (ROOT, 0.0),
+    }
 
 
 def test_a_link_without_inertial_is_marked():
@@ -150,13 +161,21 @@ def test_meshes_need_not_be_there():
     assert read_urdf(two_links().replace('<link name="arm">', mesh)).n_joints == 1
 
 
-BOMB = "<!DOCTYPE b [" + '<!ENTITY a0 "ha">' + "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12)) + "]><robot name='&a11;'/>"
+BOMB = (
+    "<!DOCTYPE b ["
+    + '<!ENTITY a0 "ha">'
+    + "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+    + "]><robot name='&a11;'/>"
+)
 FLOATING = JOINT.format("j1", "base", "arm").replace("revolute", "floating")
 MIMIC = JOINT.format("j1", "base", "arm").replace("</joint>", '<mimic joint="other"/></joint>')
 HOSTILE = {
     "expansion bomb": (BOMB, r"declares or refers to entities.*remove them"),
     "external entity": ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', r"declares or refers to entities"),
-    "external DTD": ('<!DOCTYPE robot SYSTEM "http://example.org/x.dtd"><robot name="r"/>', r"external reference|no <link>|declares or refers"),
+    "external DTD": (
+        '<!DOCTYPE robot SYSTEM "http://example.org/x.dtd"><robot name="r"/>',
+        r"external reference|no <link>|declares or refers",
+    ),
     "broken XML": ("<robot><link name='a'>", r"not well-formed XML.*line 1"),
     "empty": ("<robot/>", r"has no <link>"),
     "not a robot": ("<html><body/></html>", r"outermost element is <html>"),
@@ -170,10 +189,16 @@ HOSTILE = {
     "word for mass": (two_links().replace('value="2"', 'value="heavy"'), r"value of <mass> is 'heavy'; it must be a number"),
     "two numbers in xyz": (two_links().replace('xyz="0 0 1"', 'xyz="0 1"'), r"joint 'j1': xyz of <axis> is '0 1'; expected 3 numbers"),
     "infinite axis": (two_links().replace('xyz="0 0 1"', 'xyz="0 0 inf"'), r"xyz of <axis> is inf; it must be finite"),
-    "axis of length zero": (two_links().replace('xyz="0 0 1"', 'xyz="0 0 0"'), r"joint 'j1': the axis is \[0.0, 0.0, 0.0\].*give a unit vector"),
+    "axis of length zero": (
+        two_links().replace('xyz="0 0 1"', 'xyz="0 0 0"'),
+        r"joint 'j1': the axis is \[0.0, 0.0, 0.0\].*give a unit vector",
+    ),
     "two links of one name": (two_links(LINK.format("arm")), r"two links are named 'arm'"),
     "two joints of one name": (two_links(LINK.format("b") + JOINT.format("j1", "arm", "b")), r"two joints are named 'j1'"),
-    "unknown parent": (two_links(joint=JOINT.format("j1", "bas", "arm")), r"the parent link 'bas' does not exist \(did you mean 'base'\?\)"),
+    "unknown parent": (
+        two_links(joint=JOINT.format("j1", "bas", "arm")),
+        r"the parent link 'bas' does not exist \(did you mean 'base'\?\)",
+    ),
     "no child": (two_links().replace('<child link="arm"/>', ""), r"joint 'j1': <child link=...> is missing"),
     "two roots": (two_links(LINK.format("lost")), r"2 links have no parent joint \('base', 'lost'\)"),
     "loop without root": (two_links(JOINT.format("j2", "arm", "base")), r"every link is the child of a joint.*loop"),
@@ -181,7 +206,10 @@ HOSTILE = {
         two_links(LINK.format("a") + LINK.format("b") + JOINT.format("j2", "a", "b") + JOINT.format("j3", "b", "a")),
         r"link 'a' cannot be reached.*loop",
     ),
-    "two parents": (two_links(LINK.format("b") + JOINT.format("j2", "base", "b") + JOINT.format("j3", "arm", "b")), r"link 'b' is the child of joint 'j2' and"),
+    "two parents": (
+        two_links(LINK.format("b") + JOINT.format("j2", "base", "b") + JOINT.format("j3", "arm", "b")),
+        r"link 'b' is the child of joint 'j2' and",
+    ),
     "self": (two_links(joint=JOINT.format("j1", "arm", "arm")), r"connects link 'arm' with itself"),
     "floating": (two_links(joint=FLOATING), r"joint 'j1': type is 'floating'.*replace it"),
     "planar": (two_links(joint=FLOATING.replace("floating", "planar")), r"type is 'planar'"),
