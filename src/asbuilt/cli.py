@@ -328,7 +328,7 @@ def simulate(
 def reproduce(out: Out = None, as_json: AsJson = False) -> None:
     """Redo the 2015 paper that asbuilt grew from, table by table and figure by figure."""
     from asbuilt.reproduce import reproduce as redo
-    from asbuilt.reproduce import reproduction_document, reproduction_text, write_reproduction
+    from asbuilt.reproduce_tables import reproduction_document, reproduction_text, write_reproduction
 
     with _progress() as report:
         redone = redo(progress=report)

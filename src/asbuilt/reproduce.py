@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
@@ -29,8 +30,8 @@ from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.experiment.simulation import InstalledRobot, simulate_recording
 from asbuilt.hayat2015 import Paper, published
 from asbuilt.identification.consistency import consistency_margin
-from asbuilt.validation.prediction import Validation
-from asbuilt.validation.study import Study, StudyOptions, identify
+from asbuilt.identification.identify import identify
+from asbuilt.validation.study import Study, StudyOptions, run_study
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -38,8 +39,6 @@ Progress = Callable[[str, float], None]
 ROBOT = "kuka-iiwa7-r800"
 RATE = 1000.0
 SEED = 2015
-TABLE_2_DIGITS = 5e-10
-"""Table 2 prints nine decimals where it has the most; rows with fewer are allowed half of their last digit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,13 +79,24 @@ class Reproduction:
     cad_margin: float
     robot_margin: float
     installed: tuple[str, ...]
+    n_logged: int
     rigid: Study
     full: Study
 
     @property
-    def figure_3(self) -> Validation:
-        """Simulated torque against the prediction, on the test motion."""
-        return self.rigid.validations[0]
+    def n_same_expressions(self) -> int:
+        """Number of expressions equal to the paper's as corrected."""
+        return sum(row.same_expression for row in self.parameters)
+
+    @property
+    def n_same_values(self) -> int:
+        """Number of CAD values equal to the paper's within rounding."""
+        return sum(row.same_value for row in self.parameters)
+
+    @property
+    def largest_difference(self) -> float:
+        """Largest difference of a CAD value from the paper's."""
+        return max(abs(row.cad_ours - row.cad_printed) for row in self.parameters)
 
 
 def reproduce(progress: Progress | None = None) -> Reproduction:
@@ -97,7 +107,7 @@ def reproduce(progress: Progress | None = None) -> Reproduction:
     base = find_base_parameters(model)
     simulated = _identified_from_simulation(model)
     parameters = _table_2(model, base, paper, simulated)
-    margins = [consistency_margin(model, base, column) for column in (paper.cad, paper.robot)]
+    margins = [consistency_margin(base, column) for column in (paper.cad, paper.robot)]
     report("Tables 1 and 2", 1.0)
     robot, installed = installed_robot(model)
     bounds = MotionBounds.assumed(model, 0.9)
@@ -106,7 +116,9 @@ def reproduce(progress: Progress | None = None) -> Reproduction:
     training = robot.record(_training_motion(model, bounds, rng), RATE, rng=SEED).recording
     test = robot.record(_test_motion(model, rng), RATE, rng=SEED + 1).recording
     report("motions and recordings", 1.0)
-    rigid = _study(model, training, test, StudyOptions(drive=DriveSet(), method="ols", chain=SignalChain.preset("paper2015"), checked=False))
+    rigid = _study(
+        model, training, test, StudyOptions(drive=DriveSet(), method="ols", chain=SignalChain.preset("paper2015"), checked=False)
+    )
     full = _study(model, training, test, StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), checked=False))
     return Reproduction(
         model=model,
@@ -117,6 +129,7 @@ def reproduce(progress: Progress | None = None) -> Reproduction:
         cad_margin=margins[0],
         robot_margin=margins[1],
         installed=installed,
+        n_logged=training.n_samples,
         rigid=rigid,
         full=full,
     )
@@ -140,12 +153,10 @@ def _identified_from_simulation(model: RobotModel) -> Array:
     rng = np.random.default_rng(SEED)
     poses = rng.uniform(bounds.lower, bounds.upper, size=(12, model.n_joints))
     motion = QuinticMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration)
-    recording = simulate_recording(model, motion, rate=100.0)
-    assert recording.qd is not None and recording.qdd is not None
-    samples = Samples(
-        recording.t, recording.q, recording.qd, recording.qdd, recording.tau, rate=100.0, joint_names=recording.joint_names, source="quintic motion"
-    )
-    return identify(model, [samples], options=StudyOptions(drive=DriveSet(), method="ols", checked=False)).result.estimates
+    moved = motion.sample(100.0)
+    tau = simulate_recording(model, motion, rate=100.0).tau
+    samples = Samples(moved.t, moved.q, moved.qd, moved.qdd, tau, rate=100.0, joint_names=model.joint_names, source="quintic motion")
+    return identify(model, samples, method="ols").estimates
 
 
 def _table_2(model: RobotModel, base: BaseParameters, paper: Paper, simulated: Array) -> tuple[ReproducedParameter, ...]:
@@ -199,8 +210,6 @@ def _table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
 
 def _mismatches_with_printed_alpha(model: RobotModel, base: BaseParameters, paper: Paper) -> int:
     """Count the CAD values of Table 2 that link 7 with alpha_7 as printed in Table 1 would not give."""
-    from asbuilt.description.dh import DHRow, robot_from_dh
-
     offsets = [model.lengths.get(f"b{i + 1}", 0.0) for i in range(model.n_joints)]
     twists = [90.0, -90.0, -90.0, 90.0, 90.0, -90.0, paper.alpha_7_printed]
     rows = [DHRow(b=b, alpha=np.deg2rad(alpha), inertia=link.inertia) for b, alpha, link in zip(offsets, twists, model.links, strict=True)]
@@ -229,4 +238,4 @@ def _test_motion(model: RobotModel, rng: np.random.Generator) -> Motion:
 
 
 def _study(model: RobotModel, training: Recording, test: Recording, options: StudyOptions) -> Study:
-    return identify(model, [prepare_samples(training, options.chain)], validate=[prepare_samples(test, options.chain)], options=options)
+    return run_study(model, [prepare_samples(training, options.chain)], validation=[prepare_samples(test, options.chain)], options=options)
