@@ -33,7 +33,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     """Return the largest t such that some standard parameters with `K chi = beta` have pseudo-inertias `P_i >= t 1` for every link.
 
     The 4 x 4 pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a real body is positive semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a
-    negative margin says that no bodies can have these base parameters. Armatures, where among the drive terms, may not be negative; friction
+    negative margin says that no bodies can have these base parameters. Armatures, where among the drive terms, must be at least t as well; friction
     is not judged. A semidefinite program, solved by Clarabel in milliseconds. Infinite where nothing bounds t.
 
     Raises `IdentifiabilityError` where beta is not of shape (p,) or not finite, or the solver gives up.
@@ -47,7 +47,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     rows = np.flatnonzero(np.any(base.regrouping[:, free] != 0, axis=1))
     n = len(free)
     fixed = sparse.hstack([sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))])
-    positive = sparse.csc_matrix((-np.ones(len(armatures)), (range(len(armatures)), armatures)), shape=(len(armatures), n + 1))
+    positive = sparse.hstack([-sparse.eye_array(len(armatures), n, k=10 * n_links), sparse.csc_matrix(np.ones((len(armatures), 1)))])
     bodies = sparse.hstack(
         [
             sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-_PSEUDO_INERTIA)),
