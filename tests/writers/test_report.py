@@ -149,6 +149,10 @@ def test_page_works_in_a_browser(browser: Any, page: Path, example: Any) -> None
     assert run("return document.getElementById('torque-plot').data[0].y[5]") != before
     assert run("return document.getElementById('torque-plot').data[0].y.includes(null)")
 
+    titles = run("return Array.from(document.querySelectorAll('.modebar-btn')).map(b => b.dataset.title)")
+    assert titles
+    assert not any("hare" in title or "loud" in title for title in titles)
+
     visible = (
         "return Array.from(document.querySelectorAll('#parameter-table tbody tr')).filter(r => !r.hidden).map(r => r.cells[0].textContent)"
     )

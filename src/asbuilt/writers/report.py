@@ -21,6 +21,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
+from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Table, deviation, percent, rounded, share, significant
 from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, design_text, recording_name
@@ -74,10 +75,7 @@ def report_html(
     """
     comparison = compare(result, validation=validations or None)
     shown = [*validations, *fitted]
-    labels = [
-        f"{recording_name(item.source)}, {'held out' if place < len(validations) else 'used for fitting'}"
-        for place, item in enumerate(shown)
-    ]
+    labels = [recording_name(item.source) + ("" if place < len(validations) else ", used for fitting") for place, item in enumerate(shown)]
     page = _environment().get_template("report.html.j2")
     return page.render(
         title=f"{result.robot}, as built",
@@ -110,8 +108,7 @@ def verdict(result: IdentificationResult, comparison: Comparison) -> tuple[Findi
 def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding:
     cad, built = comparison.torque[0]
     error = share(built.relative_error)
-    worst = int(np.nanargmax(built.relative_error_per_joint))
-    weak = f" Joint {built.joint_names[worst]} is predicted worst: its error is {share(float(built.relative_error_per_joint[worst]), 0)} of its own torque."
+    weak = _weakest_joint(built)
     source = recording_name(built.source)
     if not result.validation:
         return Finding(
@@ -131,6 +128,14 @@ def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding
     return Finding(
         "bad", error, f"torque error held out, against {against}", sentence + " Do not use it as it is; see the warnings." + weak
     )
+
+
+def _weakest_joint(metrics: TorqueMetrics) -> str:
+    relative = metrics.relative_error_per_joint
+    if not np.any(np.isfinite(relative)):
+        return ""
+    worst = int(np.nanargmax(relative))
+    return f" Joint {metrics.joint_names[worst]} is predicted worst: its error is {share(float(relative[worst]), 0)} of its own torque."
 
 
 def _consistency(result: IdentificationResult) -> Finding:
@@ -166,7 +171,9 @@ def _difference(comparison: Comparison) -> Finding:
 
 
 def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
-    relative = share(result.train.relative_error)
+    relative = f"{share(result.train.relative_error)} on the data fitted"
+    if result.validation:
+        relative += f", {', '.join(share(metrics.relative_error) for metrics in result.validation)} held out"
     return [
         ("method", result.method),
         ("drive terms", str(result.base.drive)),
@@ -174,11 +181,7 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
         ("independent samples", significant(result.effective_samples)),
         ("rank", f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)"),
         ("condition number", f"{significant(result.condition_number)} (columns scaled {significant(result.scaled_condition_number)})"),
-        (
-            "relative error",
-            f"{relative} on the data fitted"
-            + "".join(f", {share(m.relative_error)} on {recording_name(m.source)}" for m in result.validation),
-        ),
+        ("relative error", relative),
         ("consistency", {True: "OK", False: "NOT CONSISTENT", None: "not checked"}[result.physically_consistent]),
     ]
 

@@ -4,7 +4,8 @@
   const element = (id) => document.getElementById(id);
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
   const narrow = () => window.innerWidth < 640;
-  const options = { responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"] };
+  const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
+  const options = { responsive: true, displaylogo: false, modeBarButtons: buttons };
   const bare = { ...options, displayModeBar: false };
   let recording = 0;
   let joint = 0;
@@ -88,7 +89,7 @@
     });
     const traces = [part(0, data.rank, "determined", "measured", "circle")];
     if (data.rank < values.length) traces.push(part(data.rank, values.length, "not determined", "built", "x"));
-    Plotly.react("singular-plot", traces, layout({ hovermode: "closest", xaxis: axis("number"), yaxis: axis("singular value", { type: "log", exponentformat: "power" }) }), bare);
+    Plotly.react("singular-plot", traces, layout({ hovermode: "closest", xaxis: axis("number"), yaxis: axis("singular value", { type: "log", dtick: 1, tickformat: "~g" }) }), bare);
   }
 
   function draw() {
