@@ -152,7 +152,7 @@ def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
             return f"{view.phrase}, so its moments of inertia never act"
         if view.turns == 1:
             return f"{view.phrase}, so only its inertia about {'that axis' if view.screws == 1 else 'that direction'} acts"
-        return f"{view.phrase}, but never so that this product of inertia acts"
+        return f"{view.phrase}, but never so that this {'moment' if letter[1] == letter[2] else 'product'} of inertia acts"
     if letter == "m":
         still = "the origin of its frame lies on that axis" if view.turns == view.screws == 1 else "the origin of its frame never moves"
         return f"{view.phrase} and {still}, so a mass there needs no torque"
@@ -211,13 +211,27 @@ def _moved_to_parent(model: RobotModel, found: Regrouping, views: Sequence[_Link
     kind = 0 if letter == "m" else 1 if letter.startswith("m") else 2
     if not joint.is_revolute and kind == 2:
         return f"joint {number} slides, so link {number} always turns with {parent} and their inertias add up"
-    if not joint.is_revolute or abs(float(found.axial_blocks[link][kind, column % 10])) < SMALL:
-        return f"{views[joint.parent].phrase}, too little to tell this part of link {number} from {parent}"
-    if kind == 0:
-        return f"the mass of link {number} acts only together with {parent}, because a mass on {axis} moves with {parent} whatever joint {number} does"
-    if kind == 1:
+    axial = np.abs(found.axial_blocks[link][:, column % 10]) > SMALL
+    if joint.is_revolute and axial[2]:
+        return f"equal inertias in the two directions across {axis} look the same at every angle of joint {number}, so they act as if they belonged to {parent}"
+    if joint.is_revolute and column in found.columns:
+        summed = found.matrix[int(np.searchsorted(found.columns, column)), 10 * link : 10 * link + 10] != 0.0
+        for present, what, short in (
+            (axial[0] and summed[9], f"a mass on {axis}", "mass"),
+            (axial[1] and summed[6:9].any(), f"a first moment along {axis}", "first moment"),
+        ):
+            if present:
+                return f"{what} acts as if it belonged to {parent}, and what else the {short} does, it does as {letter}{number}"
+    if joint.is_revolute and axial[kind]:
+        if kind == 0:
+            return f"the mass of link {number} acts only together with {parent}, because a mass on {axis} moves with {parent} whatever joint {number} does"
         return f"a first moment along {axis} stays as it is while joint {number} turns, so it acts as if it belonged to {parent}"
-    return f"equal inertias in the two directions across {axis} look the same at every angle of joint {number}, so they act as if they belonged to {parent}"
+    block = found.null_blocks[link]
+    mine = np.abs(block[:, column]) > SMALL
+    if np.abs(block[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
+        return f"{views[joint.parent].phrase}, never along {axis}, so a part of the drive of joint {number} acts just as it does"
+    moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max() > SMALL
+    return f"{views[joint.parent].phrase}, too little to tell this part of link {number} from {parent if moves else 'its others'}"
 
 
 def _of_drive(model: RobotModel, views: Sequence[_LinkView], joint: int, *, letter: str, status: Status) -> str:
