@@ -11,12 +11,12 @@ import pinocchio as pin
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import newton_euler
+from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
 
 ROBOT = "kuka-iiwa7-r800"
-BASE_COLUMNS = 43
-BLOCK = 512
+BLOCK = 2048
 LONG = 32768
 
 
@@ -47,9 +47,7 @@ def measure() -> dict[str, float | str]:
     """Return microseconds per sample and ratios to Pinocchio."""
     model, rng = load_robot(ROBOT), np.random.default_rng(0)
     drive = DriveSet.parse("viscous,coulomb,offset")
-    links = 10 * model.n_joints
-    base = np.arange(links - BASE_COLUMNS, links)
-    chosen = np.concatenate([base, np.arange(links, links + drive.columns_per_joint * model.n_joints)])
+    chosen = find_base_parameters(model, drive).columns
     motion = tuple(rng.uniform(-2.0, 2.0, (LONG, model.n_joints)) for _ in range(3))
     block = tuple(array[:BLOCK] for array in motion)
     q, qd, qdd = motion
@@ -70,6 +68,7 @@ def measure() -> dict[str, float | str]:
         "observation_matrix_us_per_sample": best(lambda: standard.stack(*motion), LONG, 5),
         "observation_matrix_43_base_21_drive_us_per_sample": best(lambda: wanted.stack(*motion), LONG, 5),
         "inverse_dynamics_us_per_sample": inverse,
+        "inverse_dynamics_all_cores_us_per_sample": best(lambda: newton_euler.inverse_dynamics(model, q, qd, qdd), LONG, 10),
         "mass_matrix_us_per_sample": best(lambda: newton_euler.mass_matrix(model, q[:8000]), 8000, 10),
         "coriolis_matrix_us_per_sample": best(lambda: newton_euler.coriolis_matrix(model, q[:1024], qd[:1024]), 1024, 5),
         "forward_dynamics_us_per_sample": best(lambda: newton_euler.forward_dynamics(model, q[:8000], qd[:8000], tau[:8000]), 8000, 5),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from pinocchio_oracle import pinocchio_model, random_robot
 
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.recursion import BLOCK
@@ -71,6 +74,28 @@ def test_drive_columns_follow_the_links_joint_by_joint():
         expected[:, k, 4 * k : 4 * k + 4] = np.stack([qdd[:, k], qd[:, k], np.sign(qd[:, k]), np.ones(9)], axis=1)
     np.testing.assert_array_equal(matrix[:, :, 30:], expected)
     np.testing.assert_array_equal(matrix[:, :, :30], observation_matrix(model, q, qd, qdd).reshape(9, 3, 30))
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFriction(DriveTerm):
+    key = "load"
+    position = 35
+    letters = ("Fl",)
+    revolute_units = prismatic_units = ("1",)
+    needs_load = True
+
+    def evaluate(self, q, qd, qdd, load, out):
+        out[0] = np.abs(load) * np.sign(qd)
+
+
+def test_a_term_that_needs_the_load_is_given_the_torque_of_the_bodies():
+    model, q, qd, qdd = drawn(1, 3)
+    drive = DriveSet((LoadFriction(), *ALL.terms))
+    expected = np.abs(inverse_dynamics(model, q, qd, qdd)) * np.sign(qd)
+    matrix = observation_matrix(model, q, qd, qdd, drive=drive).reshape(9, 3, -1)
+    for k, rows in enumerate(RegressorPlan.of(model, drive, [33, 38, 43]).evaluate(q, qd, qdd)):
+        np.testing.assert_array_equal(rows[-1], expected[:, k])
+        np.testing.assert_array_equal(matrix[:, k, 30 + 5 * k + 3], expected[:, k])
 
 
 def test_one_sample_is_a_row_of_the_stack():

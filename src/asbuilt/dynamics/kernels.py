@@ -7,7 +7,7 @@ Sample-major arrays come in and go out flat; a call works on samples start ... s
 
 from __future__ import annotations
 
-from asbuilt.dynamics.lanes import LANES, compiled, load, splat, store
+from asbuilt.dynamics.lanes import LANES, compiled, load, load_every, splat, store
 from asbuilt.dynamics.recursion import (
     AFTER,
     BEFORE,
@@ -166,7 +166,10 @@ def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q
 
 @compiled
 def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, columns, q, qd, qdd, start, stop, out, width):
-    """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest."""
+    """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest.
+
+    `columns` increases within a joint, so that neighbours can be moved by the vector.
+    """
     n = codes.shape[0]
     rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
     angles = n_slots * (STATE + 6 * n) + TERMS
@@ -179,10 +182,16 @@ def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, 
         gather(qdd, block, count, n, rows, angles + 2 * n)
         _regressor_block(codes, chain, placements, n_slots, places, rows, tile, BLOCK, 0)
         for k in range(n):
-            for sample in range(count):
-                o = ((block + sample) * n + k) * width
-                for row in range(bounds[k, 0], bounds[k, 1]):
-                    out[o + columns[row]] = tile[row * BLOCK + sample]
+            row = bounds[k, 0]
+            while row < bounds[k, 1]:
+                neighbours = row + LANES <= bounds[k, 1] and columns[row + LANES - 1] - columns[row] == LANES - 1
+                o = (block * n + k) * width + columns[row]
+                for sample in range(count):
+                    if neighbours:
+                        store(out, o + sample * n * width, load_every(tile, row * BLOCK + sample, BLOCK))
+                    else:
+                        out[o + sample * n * width] = tile[row * BLOCK + sample]
+                row += LANES if neighbours else 1
 
 
 @compiled
