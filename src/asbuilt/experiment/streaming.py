@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.formats.delimited import bad_cell, find_dialect, scan_delimited
-from asbuilt.experiment.formats.parquet import scan_parquet
+from asbuilt.experiment.formats.parquet import scan_parquet, seconds
 from asbuilt.experiment.formats.table import Array, Table
-from asbuilt.experiment.layout import Layout, find_layout
+from asbuilt.experiment.layout import find_layout
 from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, apply_sheet, build_recording, clock_origin, find_sheet, read_recording
 from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.experiment.sheet import RecordingSheet
@@ -57,8 +57,8 @@ def stream_recording(
         )
         yield from _cut(whole, chunk_samples, overlap)
         return
-    source, names, frames = _frames(path, described, chunk_samples, overlap)
-    layout = find_layout(source, names, model=model, sheet=described)
+    source = str(path)
+    layout = find_layout(source, _column_names(path, described), model=model, sheet=described)
     layout = replace(
         layout, quantities={k: v for k, v in layout.quantities.items() if k in {"position", "velocity", "acceleration", "torque"}}
     )
@@ -66,7 +66,7 @@ def stream_recording(
     windowless = described.model_copy(update={"windows": []})
     origin: float | None = None
     start = 0.0
-    for first, frame in frames(layout):
+    for first, frame in _frames(path, described, layout.columns, chunk_samples, overlap):
         table = Table(source=source, columns={name: _numbers(frame[name]) for name in layout.columns})
         if origin is None and layout.time is not None:
             t = table.columns[layout.time] * layout.scales[layout.time]
@@ -86,51 +86,42 @@ def stream_recording(
         yield chunk
 
 
-class _Frames:
-    """Iterate over (index of the first row, frame of the needed columns)."""
-
-    def __init__(self, path: Path, sheet: RecordingSheet, chunk_samples: int, overlap: int) -> None:
-        self.path, self.sheet, self.chunk_samples, self.overlap = path, sheet, chunk_samples, overlap
-
-    def __call__(self, layout: Layout) -> Iterator[tuple[int, pl.DataFrame]]:
-        if self.path.suffix.lower() == ".parquet":
-            scanned, _, _ = scan_parquet(self.path)
-            total = int(scanned.select(pl.len()).collect().item())
-            for begin in range(0, total, self.chunk_samples):
-                first = max(0, begin - self.overlap)
-                yield first, scanned.select(layout.columns).slice(first, begin + self.chunk_samples - first).collect()
-            return
-        dialect = find_dialect(self.path, header=self.sheet.header, separator=self.sheet.separator)
-        tail: pl.DataFrame | None = None
-        done = 0
-        try:
-            for frame in (
-                scan_delimited(self.path, dialect)
-                .select(layout.columns)
-                .collect_batches(chunk_size=self.chunk_samples, maintain_order=True)
-            ):
-                led = frame if tail is None else pl.concat([tail, frame])
-                yield done - (0 if tail is None else tail.height), led
-                done += frame.height
-                tail = led.tail(self.overlap) if self.overlap else None
-        except pl.exceptions.PolarsError as error:
-            raise RecordingError(bad_cell(self.path, dialect, error)) from error
-
-
-def _frames(path: Path, sheet: RecordingSheet, chunk_samples: int, overlap: int) -> tuple[str, tuple[str, ...], _Frames]:
+def _column_names(path: Path, sheet: RecordingSheet) -> tuple[str, ...]:
     if path.suffix.lower() == ".parquet":
-        names: tuple[str, ...] = scan_parquet(path)[1]
-    else:
-        dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
-        if dialect.headless and sheet.columns.position is None:
-            raise RecordingError(
-                f"{path} has {len(dialect.names)} columns without names; say what they are in a recording sheet: [columns] position = ..."
-            )
-        names = tuple(name for name in dialect.names if name not in dialect.text_columns)
-    return str(path), names, _Frames(path, sheet, chunk_samples, overlap)
+        return scan_parquet(path)[1]
+    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
+    if dialect.headless and sheet.columns.position is None:
+        raise RecordingError(
+            f"{path} has {len(dialect.names)} columns without names; say what they are in a recording sheet: [columns] position = ..."
+        )
+    return tuple(name for name in dialect.names if name not in dialect.text_columns)
+
+
+def _frames(path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples: int, overlap: int) -> Iterator[tuple[int, pl.DataFrame]]:
+    """Yield the index of the first row, and the frame of the needed columns."""
+    if path.suffix.lower() == ".parquet":
+        scanned = scan_parquet(path)[0]
+        total = int(scanned.select(pl.len()).collect().item())
+        for begin in range(0, total, chunk_samples):
+            first = max(0, begin - overlap)
+            yield first, scanned.select(columns).slice(first, begin + chunk_samples - first).collect()
+        return
+    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
+    tail: pl.DataFrame | None = None
+    done = 0
+    try:
+        for frame in scan_delimited(path, dialect).select(columns).collect_batches(chunk_size=chunk_samples, maintain_order=True):
+            led = frame if tail is None else pl.concat([tail, frame])
+            yield done - (0 if tail is None else tail.height), led
+            done += frame.height
+            tail = led.tail(overlap) if overlap else None
+    except pl.exceptions.PolarsError as error:
+        raise RecordingError(bad_cell(path, dialect, error)) from error
 
 
 def _numbers(series: pl.Series) -> Array:
+    if series.dtype in (pl.Datetime, pl.Duration):
+        return seconds(series)
     if series.dtype != pl.Float64:
         series = series.cast(pl.Float64)
     return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()

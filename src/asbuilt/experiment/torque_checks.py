@@ -17,6 +17,7 @@ from asbuilt.experiment.torque_fit import TorqueFit, best_assignment
 _CLEAR = 0.9
 _SPEAKING_SHARE = 0.02
 _PLAUSIBLE = (0.3, 3.0)
+_BRAKING = 0.5
 _QUIET_FLOOR = 1e-9
 _PLATEAU_RUN = 5
 
@@ -108,6 +109,16 @@ def _sign_and_scale(model: RobotModel, recording: Recording, fit: TorqueFit, rat
                 f"Turn it in a recording sheet: sign = [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
                 joint=names[k],
             )
+    silent = ~np.isin(np.arange(model.n_joints), speaking)
+    for k in np.flatnonzero(silent & (sign * fit.friction_correlation < -_BRAKING)):
+        yield Finding(
+            "joint-torque-flipped",
+            "warning",
+            f"the torque of {names[k]} acts against its motion (correlation with the direction of motion {sign * fit.friction_correlation[k]:.2f}), as friction "
+            "does not; its sign may be the opposite of the other joints'",
+            f"Turn it in a recording sheet: sign = [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
+            joint=names[k],
+        )
     if not _PLAUSIBLE[0] < scale < _PLAUSIBLE[1]:
         yield _scale_finding(model, recording, scale, evidence)
         return

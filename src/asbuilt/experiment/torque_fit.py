@@ -86,6 +86,16 @@ class TorqueFit:
         factor: Array = np.sum(x * y, axis=0) / np.where(energy > 0, energy, 1.0)
         return factor
 
+    @property
+    def friction_correlation(self) -> Array:
+        """Correlation of each joint's measured torque with the direction of its motion, tanh(qd_k / 0.02), shape (n,)."""
+        way = np.tanh(self.qd[:, list(self.motion_of)] / _BREAKAWAY)
+        tau = self.tau[:, list(self.torque_of)]
+        way, tau = way - way.mean(axis=0), tau - tau.mean(axis=0)
+        norms = np.linalg.norm(way, axis=0) * np.linalg.norm(tau, axis=0)
+        likeness: Array = np.sum(way * tau, axis=0) / np.where(norms > 0, norms, 1.0)
+        return likeness
+
     def misfit(self, sign: int) -> Array:
         """Return `|y_k - sign x_k|^2 / (|y_k|^2 + |x_k|^2)` of each joint, shape (n,)."""
         x, y = self._residuals

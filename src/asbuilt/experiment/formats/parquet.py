@@ -7,7 +7,7 @@ from pathlib import Path
 import polars as pl
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.formats.table import Table
+from asbuilt.experiment.formats.table import Array, Table
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
@@ -43,7 +43,13 @@ def read_parquet(path: Path) -> Table:
     for name in numeric:
         series = frame[name]
         if series.dtype in (pl.Datetime, pl.Duration):
-            nanoseconds = series.cast(pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")).cast(pl.Int64)
-            series = (nanoseconds - nanoseconds[0]).cast(pl.Float64) * 1e-9
+            columns[name] = seconds(series)
+            continue
         columns[name] = series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
     return Table(source=str(path), columns=columns, text_columns=text)
+
+
+def seconds(series: pl.Series) -> Array:
+    """Turn time stamps or durations into seconds, time stamps since 1970."""
+    kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
+    return (series.cast(kind).cast(pl.Int64).cast(pl.Float64) * 1e-9).fill_null(float("nan")).to_numpy()
