@@ -26,7 +26,7 @@ from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Table, deviation, percent, rounded, share, significant
 from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, design_text, recording_name
 from asbuilt.validation.prediction import Validation
-from asbuilt.validation.residuals import ResidualAnalysis
+from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.thinning import thinned
 
@@ -75,6 +75,7 @@ def report_html(
     """
     comparison = compare(result, validation=validations or None)
     shown = [*validations, *fitted]
+    analyses = [item.residuals() for item in shown]
     labels = [recording_name(item.source) + ("" if place < len(validations) else ", used for fitting") for place, item in enumerate(shown)]
     page = _environment().get_template("report.html.j2")
     return page.render(
@@ -88,8 +89,8 @@ def report_html(
         torque_table=_table(comparison.torque_table(), "torque-table"),
         sources=", ".join(recording_name(source) for source in result.sources),
         labels=labels,
-        residual_rows=[_residual_rows(validation) for validation in shown],
-        data=_page_data(result, shown),
+        residual_rows=[_residual_rows(item, analysis) for item, analysis in zip(shown, analyses, strict=True)],
+        data=_page_data(result, shown, analyses),
         command=shlex.join(command),
         citation=CITATION,
         robot_citation=result.model.citation,
@@ -219,8 +220,8 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
     }
 
 
-def _residual_rows(validation: Validation) -> list[dict[str, Any]]:
-    analysis, built, cad = validation.residuals(), validation.metrics_as_built, validation.metrics_cad
+def _residual_rows(validation: Validation, analysis: ResidualAnalysis) -> list[dict[str, Any]]:
+    built, cad = validation.metrics_as_built, validation.metrics_cad
     return [
         {
             "joint": name,
@@ -239,36 +240,34 @@ def _residual_rows(validation: Validation) -> list[dict[str, Any]]:
     ]
 
 
-def _page_data(result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Any]:
+def _page_data(result: IdentificationResult, validations: Sequence[Validation], analyses: Sequence[ResidualAnalysis]) -> dict[str, Any]:
     """Return what the page's script draws: curves per recording and joint, singular values; numbers to five digits."""
     joints = max(1, sum(len(validation.joint_names) for validation in validations))
     points = int(np.clip(CURVE_POINTS / joints / 4, 400, 2500))
     return {
         "joints": list(result.joint_names),
-        "recordings": [_recording_data(validation, points) for validation in validations],
+        "recordings": [_recording_data(item, analysis, points) for item, analysis in zip(validations, analyses, strict=True)],
         "singular_values": _listed(result.singular_values),
         "rank": result.rank,
     }
 
 
-def _recording_data(validation: Validation, points: int) -> dict[str, Any]:
-    analysis = validation.residuals()
+def _recording_data(validation: Validation, analysis: ResidualAnalysis, points: int) -> dict[str, Any]:
+    curves = validation.friction_curves()
     return {
         "n_samples": len(validation.t),
-        "joints": [_joint_data(validation, analysis, k, points) for k in range(len(validation.joint_names))],
+        "joints": [_joint_data(validation, analysis, curves[k], k, points) for k in range(len(validation.joint_names))],
     }
 
 
-def _joint_data(validation: Validation, analysis: ResidualAnalysis, k: int, points: int) -> dict[str, Any]:
+def _joint_data(validation: Validation, analysis: ResidualAnalysis, friction: VelocityCurve, k: int, points: int) -> dict[str, Any]:
     measured, built, cad = (torque[:, k] for torque in (validation.measured, validation.predicted, validation.predicted_cad))
     t, *curves = thinned(validation.t, measured, built, cad, measured - built, points=points)
     error = measured - built
     spread = float(np.std(error)) or 1.0
     counts, edges = np.histogram(np.clip((error - error.mean()) / spread, -5, 5), bins=51, range=(-5, 5), density=True)
     step = max(1, len(analysis.lags) // 200)
-    friction = validation.friction_curves()[k]
     dots = np.linspace(0, len(validation.t) - 1, min(len(validation.t), 600)).astype(int)
-    speed = np.sort(validation.velocity[dots, k])
     order = dots[np.argsort(validation.velocity[dots, k])]
     return {
         "unit": validation.units[k],
@@ -284,8 +283,8 @@ def _joint_data(validation: Validation, analysis: ResidualAnalysis, k: int, poin
         "correlation": _listed(analysis.autocorrelation[::step, k]),
         "band": float(f"{1.96 / math.sqrt(analysis.n_samples):.4g}"),
         "friction": {
-            "speed": _listed(speed, 4),
-            "torque": _listed(validation.friction[order, k], 4),
+            "speed": _listed(validation.velocity[order, k], 4),
+            "torque": _listed(error[order] + validation.drive[order, k], 4),
             "law": _listed(validation.drive[order, k], 4),
             "bin": _listed(friction.velocity, 4),
             "median": _listed(friction.median, 4),
