@@ -94,7 +94,7 @@ def test_flat_and_broken_meshes(tmp_path):
     with pytest.raises(DescriptionError, match="no volume"):
         link_from_meshes("a", [MeshPart(path=tmp_path / "flat.stl", material=1.0, unit="m")])
     (tmp_path / "junk.obj").write_text("this is no mesh")
-    with pytest.raises(DescriptionError, match="cannot be read|no finite triangles"):
+    with pytest.raises(DescriptionError, match=r"cannot be read|no finite triangles"):
         link_from_meshes("a", [MeshPart(path=tmp_path / "junk.obj", material=1.0, unit="m")])
     with pytest.raises(DescriptionError, match="no parts are given"):
         link_from_meshes("a", [])

@@ -140,6 +140,10 @@ def test_files_are_told_apart_by_content(tmp_path):
     urdf = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="prismatic"><parent link="a"/><child link="b"/></joint></robot>'
     (tmp_path / "robot.xml").write_text(urdf)
     assert load_robot(tmp_path / "robot.xml").joints[0].kind == "prismatic"
+    (tmp_path / "gazebo.urdf").write_text(
+        "<?xml version='1.0'?><!-- <mujoco/> -->" + urdf.replace("</robot>", "<mujoco><compiler/></mujoco></robot>")
+    )
+    assert load_robot(tmp_path / "gazebo.urdf").n_joints == 1
     (tmp_path / "notes.xml").write_text("just text")
     with pytest.raises(DescriptionError, match="not a robot description"):
         load_robot(tmp_path / "notes.xml")

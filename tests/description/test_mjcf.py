@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -133,3 +135,14 @@ def test_without_mujoco_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'asbuilt\[sim\]'"):
         read_mjcf(TREE)
+
+
+def test_mujocos_warnings_become_notes_and_not_a_log_file(monkeypatch, tmp_path, capfd):
+    monkeypatch.chdir(tmp_path)
+    light = '<body><joint name="j"/><inertial pos="0 0 0" mass="1e-8" diaginertia="1e-14 1e-14 1e-14"/></body>'
+    nan = '<body pos="nan 0 0"><joint/><geom size="1"/></body>'
+    for body in (light, nan):
+        with contextlib.suppress(DescriptionError):
+            read_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")

@@ -117,12 +117,15 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
     doubts = []
     mesh.merge_vertices()
     mesh.apply_scale(LENGTH[part.unit])
+    with np.errstate(invalid="ignore"):
+        volume = float(mesh.volume)
     if not mesh.is_watertight:
         doubts.append(f"{path.name}: the surface is not closed, so volume and mass are not reliable; repair the mesh")
-    if mesh.volume < 0.0:
+    if volume < 0.0:
         mesh.invert()
+        volume = -volume
         doubts.append(f"{path.name}: the surface was turned inside out and is turned back")
-    if not mesh.volume > 0.0:
+    if not volume > 0.0:
         raise DescriptionError(f"{path}: the mesh encloses no volume; export the solid as a closed surface")
     size = float(np.max(mesh.extents))
     if size > 10.0 or size < 1e-3:

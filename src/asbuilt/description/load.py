@@ -9,6 +9,7 @@ from pathlib import Path
 
 from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
 from asbuilt.description.model import RobotModel
+from asbuilt.description.xml import outermost_tag
 from asbuilt.errors import DescriptionError
 
 SUFFIXES = (".toml", ".csv", ".urdf", ".xml", ".mjcf")
@@ -50,9 +51,10 @@ def _read(path: Path) -> RobotModel:
         content = path.read_bytes()
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
-    if b"<mujoco" in content:
+    tag = outermost_tag(content)
+    if tag == "mujoco":
         return _reader("mjcf", "read_mjcf")(path)
-    if b"<" in content:
+    if tag:
         return _reader("urdf", "read_urdf")(path)
     raise DescriptionError(f"{path} is not a robot description that asbuilt knows; it reads TOML, a DH table (CSV), URDF and MJCF (XML)")
 

@@ -53,11 +53,9 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     except ImportError:
         raise MissingExtraError("mujoco", "sim", "reading MJCF") from None
     unknown = _without_shapes(root, source)
-    try:
-        compiled = mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode"))
-    except ValueError as error:
-        raise DescriptionError(f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+    compiled, warnings = _compiled(mujoco, root, source)
     tree = _Tree(mujoco, compiled, source, unknown)
+    tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
     for body in range(1, compiled.nbody):
         tree.add(body)
     if not tree.joints:
@@ -75,6 +73,19 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
         source="MJCF text" if source == "the description" else source,
         notes=tuple(tree.notes),
     )
+
+
+def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
+    """Return the compiled model and MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
+    warnings: list[str] = []
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warnings.append)
+    try:
+        return mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode")), warnings
+    except ValueError as error:
+        raise DescriptionError(f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+    finally:
+        mujoco.set_mju_user_warning(previous)
 
 
 def _without_shapes(root: Element, source: str) -> set[str]:

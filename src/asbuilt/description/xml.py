@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError
@@ -29,6 +30,12 @@ def described_text(path_or_text: str | Path) -> tuple[bytes, str]:
         return path.read_bytes(), str(path)
     except (OSError, ValueError) as error:
         raise DescriptionError(f"{path} cannot be read: {error}") from None
+
+
+def outermost_tag(content: bytes) -> str:
+    """Return the name of the first element of an XML text, comments passed over; an empty text where there is none."""
+    match = re.search(rb"<(?:\w+:)?([A-Za-z_][\w.-]*)", re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL))
+    return match[1].decode() if match else ""
 
 
 def parsed_xml(content: bytes, source: str) -> Element:
