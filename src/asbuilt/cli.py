@@ -167,13 +167,13 @@ def check(
 ) -> None:
     """Say what is wrong with a recording before it is used."""
     from asbuilt.experiment.checks import check_recording
-    from asbuilt.writers.check_tables import check_document, check_text
+    from asbuilt.writers.tabular import check_document
 
     model = _load(robot)
     recordings = _read(model, log, rate, flip_torque, gain, torque_source, sheet)
     checks = [check_recording(model, recording) for recording in recordings]
-    _answer(as_json, lambda: check_document(model, checks), lambda: check_text(model, checks))
-    if not all(found.is_usable for found in checks):
+    _answer(as_json, lambda: check_document(model, checks), lambda: "\n\n".join(found.as_text() for found in checks))
+    if not all(found.ok for found in checks):
         raise typer.Exit(1)
 
 
@@ -187,9 +187,16 @@ def _read(
     sheet: Path | None,
 ) -> list[Recording]:
     from asbuilt.experiment.readers import read_recordings
+    from asbuilt.experiment.recording import TORQUE_SOURCES
 
     return read_recordings(
-        list(logs), model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=_gains(gain), torque_source=torque_source
+        list(logs),
+        model=model,
+        sheet=sheet,
+        rate=rate,
+        flip_torque=flip_torque,
+        gain=_gains(gain),
+        torque_source=_one_of("--torque-source", torque_source, TORQUE_SOURCES) if torque_source else None,
     )
 
 

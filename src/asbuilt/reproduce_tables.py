@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.reproduce import Reproduction
-from asbuilt.tables import Column, Table
+from asbuilt.tables import Cell, Column, Table
 from asbuilt.validation.prediction import Validation
 from asbuilt.writers.figures import save_figure, torque_figure
 from asbuilt.writers.files import atomic_write
@@ -89,7 +89,7 @@ def table_3(redone: Reproduction) -> Table:
     joints = redone.paper.table3_joints
     rigid, full = redone.rigid.validations[0], redone.full.validations[0]
     pick = np.array(joints) - 1
-    rows = (
+    rows: tuple[tuple[Cell, ...], ...] = (
         ("paper, its robot", "CAD", *redone.paper.table3_cad),
         ("paper, its robot", "identified", *redone.paper.table3_robot),
         ("virtual robot", "CAD", *rigid.metrics_cad.rms[pick].tolist()),

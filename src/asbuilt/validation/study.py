@@ -11,7 +11,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import RecordingError, UsageError
+from asbuilt.errors import UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.recording import Recording, TorqueSource
@@ -89,7 +89,8 @@ def run_study(
     checks = (
         tuple(check_recording(model, item) for item in (*recordings, *validation) if isinstance(item, Recording)) if options.checked else ()
     )
-    _refuse(checks)
+    for check in checks:
+        check.raise_errors()
     report("filter", 0.0)
     logged = [item for item in recordings if isinstance(item, Recording)]
     chain = options.chain.resolved(*logged) if logged else options.chain
@@ -122,19 +123,12 @@ def _prepared(item: Recording | Samples, chain: SignalChain) -> Samples:
     return item if isinstance(item, Samples) else prepare_samples(item, chain)
 
 
-def _refuse(checks: Sequence[RecordingCheck]) -> None:
-    errors = [f"{check.source}: {finding.message}" for check in checks for finding in check.findings if finding.severity == "error"]
-    if errors:
-        raise RecordingError("\n".join(errors))
-
-
 def _judged(result: IdentificationResult, checks: Sequence[RecordingCheck], validations: Sequence[Validation]) -> IdentificationResult:
     """Return the result with its held-out metrics, the findings of the checks and the verdict on generalisation among its warnings."""
     found = [
-        IdentificationWarning(finding.code, f"{check.source}: {finding.message}")
+        IdentificationWarning(finding.code, f"{check.source}: {finding.message}. {finding.cure}.")
         for check in checks
-        for finding in check.findings
-        if finding.severity == "warning"
+        for finding in check.warnings
     ]
     for validation in validations:
         found += _generalisation(result.train, validation)

@@ -12,7 +12,7 @@ from asbuilt.description.document import model_document
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.tables import Column, Table
+from asbuilt.tables import Cell, Column, Table
 
 
 def robots_table(models: Sequence[RobotModel]) -> Table:
@@ -89,7 +89,7 @@ def joints_table(model: RobotModel) -> Table:
 
 def links_table(model: RobotModel) -> Table:
     """List the links: mass, centre of mass and inertia about it in link axes, and whether such a body can exist."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
     for link in model.links:
         inertia = link.inertia
         if not link.inertia_known:

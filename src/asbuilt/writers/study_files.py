@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from asbuilt.errors import AsbuiltError
+from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
+from asbuilt.validation.prediction import Validation
 from asbuilt.validation.study import Study
 from asbuilt.writers.figures import save_figure, torque_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.report import write_report
 from asbuilt.writers.robot_toml import as_built_model, write_robot_toml
-from asbuilt.writers.tabular import write_parameters_csv
+from asbuilt.writers.tabular import prediction_table, write_parameters_csv
 
 
 def study_text(study: Study) -> str:
@@ -31,19 +33,33 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
         "summary": atomic_write(folder / "summary.txt", study_text(study)),
         "parameters": write_parameters_csv(folder / "parameters.csv", result),
     }
-    shown = (study.validations or study.training)[0]
-    figure = torque_figure(
-        shown.t,
-        shown.measured,
-        shown.predicted,
-        joint_names=shown.joint_names,
-        units=shown.units,
-        title=f"{result.robot}: {shown.source}",
-    )
-    files["torque"] = save_figure(figure, folder / "torque.png")
-    files["report"] = write_report(folder / "report.html", result, [*study.validations, *study.training], command=command)
+    files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
+    files["report"] = write_report(folder / "report.html", result, study.validations, fitted=study.training, command=command)
     try:
         files["robot"] = write_robot_toml(folder / "robot.toml", as_built_model(result))
     except AsbuiltError:
         return files
     return files
+
+
+def write_validations(folder: Path, result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Path]:
+    """Write for each validation its torques (CSV) and their figure (PNG); returns the path of each, by kind."""
+    files: dict[str, Path] = {}
+    for k, validation in enumerate(validations, start=1):
+        number = "" if len(validations) == 1 else f"_{k}"
+        files[f"prediction{number}"] = atomic_write(folder / f"prediction{number}.csv", prediction_table(validation).as_csv())
+        files[f"torque{number}"] = _draw(folder / f"torque{number}.png", result, validation)
+    return files
+
+
+def _draw(path: Path, result: IdentificationResult, shown: Validation) -> Path:
+    figure = torque_figure(
+        shown.t,
+        shown.measured,
+        shown.predicted,
+        cad=shown.predicted_cad,
+        joint_names=shown.joint_names,
+        units=shown.units,
+        title=f"{result.robot}: {Path(shown.source).name}",
+    )
+    return save_figure(figure, path)

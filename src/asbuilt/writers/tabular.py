@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.experiment.checks import RecordingCheck
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Column, Table
@@ -81,7 +83,9 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
     }
 
 
-def validate_document(result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Any]:
+def validate_document(
+    result: IdentificationResult, validations: Sequence[Validation], *, files: Mapping[str, str | os.PathLike[str]] | None = None
+) -> dict[str, Any]:
     """Return what `asbuilt validate --json` prints: metrics as built and of the CAD values on each recording."""
     return {
         "robot": result.robot,
@@ -89,6 +93,26 @@ def validate_document(result: IdentificationResult, validations: Sequence[Valida
         "joints": list(result.joint_names),
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
         "cad": [validation.metrics_cad.as_dict() for validation in validations],
+        "files": {kind: str(path) for kind, path in (files or {}).items()},
+    }
+
+
+def check_document(model: RobotModel, checks: Sequence[RecordingCheck]) -> dict[str, Any]:
+    """Return what `asbuilt check --json` prints."""
+    return {
+        "robot": model.name,
+        "ok": all(check.ok for check in checks),
+        "recordings": [
+            {
+                "source": check.source,
+                "n_samples": check.n_samples,
+                "n_joints": check.n_joints,
+                "rate": _number(check.rate),
+                "duration": check.duration,
+                "findings": [asdict(finding) for finding in check.findings],
+            }
+            for check in checks
+        ],
     }
 
 
