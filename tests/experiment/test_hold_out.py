@@ -22,6 +22,14 @@ def test_blocks_partition_the_samples_and_every_third_is_held():
     assert [b - a for a, b in train.segments] == [1000] * 4
 
 
+def test_blocks_count_from_where_the_recording_began_whatever_was_trimmed():
+    whole = made()
+    trimmed = whole.between(7.8, 60.0)
+    assert trimmed.origin == 7.0
+    np.testing.assert_allclose(hold_out(trimmed, "blocks:5s:3")[1].t[0], 17.0)
+    assert trimmed.time_blocks(5.0)[0].t[-1] < 12.0
+
+
 def test_last_holds_the_last_share():
     train, held = hold_out(made(), "last:0.3")
     assert (train.n_samples, held.n_samples) == (4200, 1800)

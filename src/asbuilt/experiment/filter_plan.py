@@ -27,6 +27,8 @@ LOWEST_RATE = 100.0
 """Logs are not thinned below this rate [Hz] before the regressor is evaluated."""
 RATE_IN_CUTOFFS = 12.0
 """Nor below this multiple of the position cutoff."""
+PARALLEL_IN_CUTOFFS = 1.0
+"""Default cutoff of the parallel filter, in position cutoffs."""
 OUTPUT_RATE_IN_CUTOFFS = 4.0
 """Rate after the parallel filter in its cutoffs, where the user does not say otherwise."""
 EXACT = 1e-12
@@ -71,7 +73,7 @@ class FilterPlan:
         margin = margin if chain.trimmed else 0
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
-        low = chain.parallel_cutoff or min(cutoff, 0.5 * rate / STOP_BAND_EDGE)
+        low = chain.parallel_cutoff or min(PARALLEL_IN_CUTOFFS * cutoff, 0.5 * rate / STOP_BAND_EDGE)
         thinning = max(1, int(rate / max(LOWEST_RATE, RATE_IN_CUTOFFS * cutoff) + 1e-9))
         if total is not None:
             thinning = max(factor for factor in range(1, thinning + 1) if total % factor == 0)

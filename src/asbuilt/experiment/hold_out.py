@@ -13,6 +13,8 @@ FORMS = "blocks:5s:3 (every third 5 s block) or last:0.3 (the last 30 %)"
 def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
     """Return (train, held out) by a rule: `blocks:5s:3` holds out every third 5 s block, `last:0.3` the last 30 % of the time.
 
+    Time counts from where the recording began, whatever was trimmed, so that the division does not depend on the filters.
+
     Every sample goes to exactly one side and every border cuts a segment, so the parallel filter, which needs `margin` inputs on either side of an output
     and drops outputs that lack them, never mixes torques of the two sides: the margins are the guard bands.
 
@@ -30,7 +32,7 @@ def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
     >>> [part.n_samples for part in hold_out(samples, "blocks:5s:3")]
     [20, 10]
     """
-    since = samples.t - samples.t[0]
+    since = samples.t - samples.origin
     kind, *arguments = rule.strip().split(":")
     if kind == "blocks" and len(arguments) == 2:
         seconds = _number(arguments[0].removesuffix("s"), rule, "a block length in seconds")

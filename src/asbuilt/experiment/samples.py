@@ -24,6 +24,7 @@ class Samples:
     `segments` are the half-open index ranges of contiguous, uniformly sampled runs at `rate` [Hz]; between them lie gaps. `parallel` is a filter still to be
     applied, run by run and alike, to the torque and to every regressor column (`filtered`); None where there is none. `tau` is what that
     filter takes; `tau_raw` is the torque as logged, unfiltered, at the same instants, for errors that filtering cannot flatter.
+    `origin` [s] is where the recording began, before trimming, and where blocks of time begin; by default the first sample.
     `provenance` says in sentences what was done.
 
     Examples
@@ -46,6 +47,7 @@ class Samples:
     torque_source: TorqueSource = "unknown"
     parallel: ParallelFilter | None = None
     tau_raw: Array = field(default_factory=lambda: np.empty((0, 0)))
+    origin: float = np.nan
     provenance: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -53,6 +55,8 @@ class Samples:
         if t.ndim != 1 or t.size == 0:
             raise RecordingError(f"{self.source}: t must be a vector of at least one time, got shape {t.shape}")
         object.__setattr__(self, "t", t)
+        if np.isnan(self.origin):
+            object.__setattr__(self, "origin", float(t[0]))
         shape = (t.size, len(self.joint_names))
         if self.tau_raw.size == 0:
             object.__setattr__(self, "tau_raw", self.tau)
@@ -128,7 +132,7 @@ class Samples:
     def time_blocks(self, seconds: float) -> list[Samples]:
         """Divide into blocks of about `seconds` [s] whose filtered samples, put together, are exactly those of the whole, each once.
 
-        Blocks begin at multiples of `seconds` after the first sample. Where a parallel filter is still to come, each block brings along the `margin` samples
+        Blocks begin at multiples of `seconds` after `origin`. Where a parallel filter is still to come, each block brings along the `margin` samples
         on either side that its own outputs need, so neighbouring blocks share inputs but no output.
         """
         if not seconds > 0:
@@ -138,7 +142,7 @@ class Samples:
         margin = self.parallel.margin if self.parallel else 0
         for a, b in self.segments:
             centres = a + margin + step * np.arange(self._n_outputs(b - a))
-            number = np.floor((self.t[centres] - self.t[0]) / seconds + 1e-9).astype(int)
+            number = np.floor((self.t[centres] - self.origin) / seconds + 1e-9).astype(int)
             for k in np.unique(number).tolist():
                 own = centres[number == k]
                 blocks.setdefault(k, []).append((int(own[0]) - margin, int(own[-1]) + margin + 1))

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Derivative = Literal["central", "savitzky-golay", "spline"]
 Velocity = Literal["auto", "measured", "derived"]
 
-POSITION_BANDWIDTHS = 20.0
+POSITION_BANDWIDTHS = 10.0
 """Default position cutoff, in bandwidths of the motion."""
 LOWEST_CUTOFF = 3.0
 """Lowest default cutoff [Hz]: however slow the motion, friction changes sign within a fraction of a second."""
@@ -37,11 +37,12 @@ HIGHEST_CUTOFF = 0.2
 class SignalChain:
     """Say how recordings become samples; what is None is chosen from the recording and stated in the samples' provenance.
 
-    `cutoff` [Hz] low-passes positions (-3 dB of both passes; `corrected=False`: of each pass) with a Butterworth filter of `order`;
-    `derivative` makes velocity and acceleration; `velocity` says whether logged velocities are used. `parallel` filters torque and regressor columns alike at
-    `parallel_cutoff` [Hz] instead of the torque alone. `rate` [Hz] resamples; `decimate` is the number of logged samples per sample used in the end, `max_gap` [s]
-    the longest pause that is bridged. Where a joint is slower than `standstill` (one speed per joint) for 0.1 s or more its velocity and acceleration are exactly
-    zero, and where all joints stand for 0.5 s or more the samples are left out, unless `rests`.
+    `cutoff` [Hz] low-passes positions with a Butterworth filter of `order` forwards and backwards, -3 dB of both passes (`corrected=False`: of each
+    pass); `derivative` makes velocity and acceleration; `velocity` says whether logged velocities are used. `parallel` low-passes torque and regressor columns
+    alike at `parallel_cutoff` [Hz], by default `cutoff`; without it the torque stays as it is. `rate` [Hz] resamples; `decimate` is how many logged
+    samples make one row in the end; `max_gap` [s] is the longest pause that is bridged; `trimmed` drops what the ends disturb. Where a joint is slower than
+    `standstill` (one speed per joint) for 0.25 s or more its velocity and acceleration are exactly zero, and where all joints stand for 0.5 s or more
+    the samples are left out, unless `rests`.
 
     Examples
     --------
@@ -95,9 +96,12 @@ class SignalChain:
         return presets[name]
 
     def resolved(self, *recordings: Recording) -> SignalChain:
-        """Return the chain with the cutoffs that it would choose for these recordings, so that others are treated alike."""
+        """Return the chain with the cutoff and standstill speeds that it would choose for these recordings, so that others are treated alike.
+
+        Whether logged velocities are good is left to be decided recording by recording.
+        """
         chains = [_resolved(self, *uniform_runs(recording, self.rate, self.max_gap)[:2])[0] for recording in recordings]
-        return max(chains, key=lambda chain: chain.cutoff or 0.0)
+        return replace(max(chains, key=lambda chain: chain.cutoff or 0.0), velocity=self.velocity)
 
     def overlap_samples(self, rate: float) -> int:
         """Return on how many logged samples at `rate` [Hz] to either side a filtered sample depends; the chain must have a cutoff."""
@@ -125,7 +129,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
             f"{recording.source}: nothing is left. The longest run without a gap has {max(run.t.size for run in runs)} samples; a low-pass at {chain.cutoff:.3g} Hz "
             f"takes {2 * plan.margin} at {rate:g} Hz, and rests are left out. Raise the cutoff, record longer, or check that the robot moves"
         )
-    samples = _assembled(recording, plan, pieces, (*recording.notes, *notes, *chosen, *plan.description()))
+    samples = _assembled(recording, plan, pieces, float(runs[0].t[0]), (*recording.notes, *notes, *chosen, *plan.description()))
     if samples.parallel is not None and samples.n_filtered == 0:
         raise RecordingError(
             f"{recording.source}: no segment is as long as the parallel filter at {samples.parallel.cutoff:.3g} Hz, {samples.parallel.taps.size / samples.rate:.3g} s; "
@@ -152,6 +156,7 @@ def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = 
     plan: FilterPlan | None = None
     held: Recording | None = None
     low = -np.inf
+    origin = np.nan
     for chunk, more in _with_more(recordings):
         joined = chunk if held is None else _joined(held, chunk)
         held = joined
@@ -166,6 +171,7 @@ def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = 
                     "a chain that decimates without a parallel filter cannot run in chunks; prepare the whole recording at once"
                 )
             notes = (*chosen, *notes)
+            origin = float(runs[0].t[0])
         pieces: list[Piece] = []
         for k, run in enumerate(runs):
             goes_on = more and k == len(runs) - 1
@@ -179,7 +185,7 @@ def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = 
                 low = float(run.t[0] + after / rate) if after > plan.margin or np.isfinite(low) else -np.inf
                 held = joined.between(run.t[0] + (after - plan.reach - 0.5) / rate, np.inf)
         if pieces:
-            samples = _assembled(joined, plan, pieces, (*joined.notes, *notes, *plan.description()))
+            samples = _assembled(joined, plan, pieces, origin, (*joined.notes, *notes, *plan.description()))
             if samples.n_filtered:
                 yield samples
 
@@ -220,7 +226,7 @@ def _velocity_verdict(chain: SignalChain, runs: Sequence[UniformRun], rate: floa
     return compare_velocities(pairs, rate) if pairs else None
 
 
-def _assembled(recording: Recording, plan: FilterPlan, pieces: list[Piece], provenance: tuple[str, ...]) -> Samples:
+def _assembled(recording: Recording, plan: FilterPlan, pieces: list[Piece], origin: float, provenance: tuple[str, ...]) -> Samples:
     bounds = [0, *np.cumsum([piece[0].size for piece in pieces]).tolist()]
     t, q, qd, qdd, tau, tau_raw = (np.concatenate(parts) if len(pieces) > 1 else parts[0] for parts in zip(*pieces, strict=True))
     return Samples(
@@ -236,6 +242,7 @@ def _assembled(recording: Recording, plan: FilterPlan, pieces: list[Piece], prov
         source=recording.source,
         torque_source=recording.torque_source,
         parallel=plan.parallel,
+        origin=origin,
         provenance=provenance,
     )
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLOW = 0.01
+SLOW = 0.005
 """Share of a joint's top speed below which it may be standing."""
-SLOWEST = 0.003
+SLOWEST = 0.002
 """The same as a share of the fastest joint's top speed, for joints that hardly move at all."""
-PAUSE = 0.1
+PAUSE = 0.25
 """How long [s] a joint must be slow to be standing; a reversal is over sooner."""
 REST = 0.5
 """How long [s] all joints must stand to be left out."""
