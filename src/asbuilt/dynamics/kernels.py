@@ -1,4 +1,4 @@
-"""Batched regressor, inverse dynamics and mass matrix: one set of compiled functions for every robot, samples innermost.
+"""Batched regressor and inverse dynamics: one set of compiled functions for every robot, samples innermost.
 
 Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1, so that threads share one array.
 """
@@ -283,54 +283,3 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
         for sample in range(count):
             for i in range(n):
                 out[(block + sample) * n + i] = rows[torques + i * BLOCK + sample]
-
-
-@compiled
-def _add_link(depth, rows, screws, chi, joints, masses):
-    """Add a link's share s_k^T I s_j to the mass matrix of the joints above it."""
-    n = joints.size
-    for at in range(0, BLOCK, LANES):
-        for j in range(depth + 1):
-            r = screws + 6 * j * BLOCK + at
-            zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-            mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-            hx, hy, hz, m = chi[6], chi[7], chi[8], chi[9]
-            fx, fy, fz = mx * m + zy * hz - zz * hy, my * m + zz * hx - zx * hz, mz * m + zx * hy - zy * hx
-            nx = zx * chi[0] + zy * chi[1] + zz * chi[2] + mz * hy - my * hz
-            ny = zx * chi[1] + zy * chi[3] + zz * chi[4] + mx * hz - mz * hx
-            nz = zx * chi[2] + zy * chi[4] + zz * chi[5] + my * hx - mx * hy
-            for k in range(j + 1):
-                r = screws + 6 * k * BLOCK + at
-                turn = load(rows, r) * nx + load(rows, r + BLOCK) * ny + load(rows, r + 2 * BLOCK) * nz
-                slide = load(rows, r + 3 * BLOCK) * fx + load(rows, r + 4 * BLOCK) * fy + load(rows, r + 5 * BLOCK) * fz
-                place = masses + (joints[k] * n + joints[j]) * BLOCK + at
-                store(rows, place, load(rows, place) + turn + slide)
-
-
-@compiled
-def mass_matrices(codes, chain, placements, n_slots, chi, q, start, stop, out):
-    """Write `sum_i J_i^T I_i J_i`, sample-major, both triangles."""
-    n = codes.shape[0]
-    slot = (STATE + 6 * n) * BLOCK
-    angles = n_slots * slot
-    cosine = angles + n * BLOCK
-    sine = cosine + BLOCK
-    masses = sine + BLOCK
-    rows = scratch(masses // BLOCK + n * n)
-    for block in range(start, stop, BLOCK):
-        count = min(BLOCK, stop - block)
-        gather(q, block, count, n, rows, angles // BLOCK)
-        rows[masses : masses + n * n * BLOCK] = 0.0
-        for i in range(n):
-            code, angle = codes[i], angles + i * BLOCK
-            read, write = code[READ] * slot, code[WRITE] * slot
-            if code[REVOLUTE]:
-                trigonometry(rows, angle, cosine, sine)
-            move_screws(code, placements[i], rows, read, write, angle, cosine, sine)
-            _add_link(code[DEPTH], rows, write + STATE * BLOCK, chi[i], chain[i], masses)
-        for sample in range(count):
-            for k in range(n):
-                for j in range(k, n):
-                    mass = rows[masses + (k * n + j) * BLOCK + sample]
-                    out[((block + sample) * n + k) * n + j] = mass
-                    out[((block + sample) * n + j) * n + k] = mass

@@ -37,23 +37,21 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
     return poses.reshape(*np.shape(q), 4, 4)
 
 
-def link_jacobians(model: RobotModel, q: ArrayLike, qd: ArrayLike) -> tuple[Array, Array]:
-    """Return the Jacobian of every link and its time derivative, in link axes: shape (n_samples, n_joints, 6, n_joints), without n_samples for one.
+def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
+    """Return the Jacobian of every link in link axes, shape (n_joints, 6, n_joints), or with n_samples before that for many samples.
 
     Rows: angular velocity, then velocity of the link origin, so that `J_i qd` is the twist of link i.
-    A screw carried from link k to link i obeys `ds/dt = -(v_i - v_k) x s`, and `v_i - v_k` is what the joints between add.
     """
-    qs, qds = joint_samples(model, q=q, qd=qd)
+    (qs,) = joint_samples(model, q=q)
     samples, n = qs.shape
     motions = _motions(model, qs)
-    jacobians, rates = np.zeros((samples, n, 6, n)), np.zeros((samples, n, 6, n))
+    jacobians = np.zeros((samples, n, 6, n))
     for i, (joint, parent) in enumerate(zip(model.joints, model.parents, strict=True)):
         rotation, translation = motions[:, i, :3, :3], motions[:, i, :3, 3]
         if parent != ROOT:
             above = np.swapaxes(jacobians[:, parent], 1, 2)
-            angular = above[..., :3]
-            linear = above[..., 3:] + np.cross(angular, translation[:, None, :])
-            jacobians[:, i, :3] = np.swapaxes(angular @ rotation, 1, 2)
+            linear = above[..., 3:] + np.cross(above[..., :3], translation[:, None, :])
+            jacobians[:, i, :3] = np.swapaxes(above[..., :3] @ rotation, 1, 2)
             jacobians[:, i, 3:] = np.swapaxes(linear @ rotation, 1, 2)
         axis = joint.after[2, :3]
         if joint.is_revolute:
@@ -61,11 +59,4 @@ def link_jacobians(model: RobotModel, q: ArrayLike, qd: ArrayLike) -> tuple[Arra
             jacobians[:, i, 3:, i] = joint.after[:3, :3].T @ np.cross([0.0, 0.0, 1.0], joint.after[:3, 3])
         else:
             jacobians[:, i, 3:, i] = axis
-        between = np.zeros((samples, 6))
-        for k in reversed(model.ancestors(i)):
-            screw = jacobians[:, i, :, k]
-            rates[:, i, :3, k] = -np.cross(between[:, :3], screw[:, :3])
-            rates[:, i, 3:, k] = -np.cross(between[:, :3], screw[:, 3:]) - np.cross(between[:, 3:], screw[:, :3])
-            between += screw * qds[:, k : k + 1]
-    shape = (*np.shape(q), 6, n)
-    return jacobians.reshape(shape), rates.reshape(shape)
+    return jacobians.reshape(*np.shape(q), 6, n)

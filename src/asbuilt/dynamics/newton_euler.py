@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import kernels
 from asbuilt.dynamics.batches import flat, inertial_parameters, joint_samples, over_samples
-from asbuilt.dynamics.kinematics import link_jacobians, link_poses
+from asbuilt.dynamics.joint_space import joint_space_matrices
+from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.dynamics.recursion import layout_of
 from asbuilt.errors import InertiaError
 
@@ -25,6 +26,18 @@ def _torques(model: RobotModel, q: Array, qd: Array, qdd: Array, chi: Array, gra
         threads,
     )
     return torques
+
+
+def _joint_space(model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis: bool) -> Array:
+    layout, (samples, n) = layout_of(model), q.shape
+    matrices = np.empty((samples, n, n))
+    angles, rates, out = flat(q), flat(qd), matrices.reshape(-1)
+
+    def work(start: int, stop: int) -> None:
+        joint_space_matrices(layout.codes, layout.chain, layout.placements, layout.n_slots, chi, angles, rates, coriolis, start, stop, out)
+
+    over_samples(work, samples, None)
+    return matrices
 
 
 def inverse_dynamics(
@@ -56,15 +69,7 @@ def coriolis_torque(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameter
 def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
     """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples, n_joints, n_joints) for many samples."""
     (qs,) = joint_samples(model, q=q)
-    layout, chi, n = layout_of(model), inertial_parameters(model, parameters), model.n_joints
-    masses = np.empty((qs.shape[0], n, n))
-    angles, out = flat(qs), masses.reshape(-1)
-
-    def work(start: int, stop: int) -> None:
-        kernels.mass_matrices(layout.codes, layout.chain, layout.placements, layout.n_slots, chi, angles, start, stop, out)
-
-    over_samples(work, qs.shape[0], None)
-    return masses.reshape(*np.shape(q), n)
+    return _joint_space(model, qs, qs, inertial_parameters(model, parameters), coriolis=False).reshape(*np.shape(q), model.n_joints)
 
 
 def coriolis_matrix(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
@@ -75,17 +80,7 @@ def coriolis_matrix(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameter
     (1991), written for link frames. It is not the Christoffel factor, which agrees with it only in these two properties.
     """
     qs, qds = joint_samples(model, q=q, qd=qd)
-    chi = inertial_parameters(model, parameters)
-    jacobians, rates = link_jacobians(model, qs, qds)
-    total = np.zeros((qs.shape[0], model.n_joints, model.n_joints))
-    for i in range(model.n_joints):
-        inertia = _spatial_inertia(chi[i])
-        momentum = np.einsum("ab,sbj,sj->sa", inertia, jacobians[:, i], qds)
-        turning = np.zeros((qs.shape[0], 6, 6))
-        turning[:, :3, :3], turning[:, :3, 3:] = _hat(-momentum[:, :3]), _hat(-momentum[:, 3:])
-        turning[:, 3:, :3] = turning[:, :3, 3:]
-        total += np.swapaxes(jacobians[:, i], 1, 2) @ (inertia @ rates[:, i] + turning @ jacobians[:, i])
-    return total.reshape(*np.shape(q), model.n_joints)
+    return _joint_space(model, qs, qds, inertial_parameters(model, parameters), coriolis=True).reshape(*np.shape(q), model.n_joints)
 
 
 def forward_dynamics(model: RobotModel, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
@@ -123,21 +118,3 @@ def potential_energy(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike |
     poses = link_poses(model, qs)
     moments = np.einsum("siab,ib->sia", poses[..., :3, :3], chi[:, 6:9]) + poses[..., :3, 3] * chi[:, 9:10]
     return np.reshape(-moments.sum(axis=1) @ model.gravity, np.shape(q)[:-1])
-
-
-def _hat(v: Array) -> Array:
-    hat = np.zeros((*v.shape, 3))
-    hat[..., 0, 1], hat[..., 0, 2], hat[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    hat[..., 1, 0], hat[..., 2, 0], hat[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return hat
-
-
-def _spatial_inertia(chi: Array) -> Array:
-    """Return the 6 x 6 inertia about the link origin, angular part first."""
-    spatial = np.zeros((6, 6))
-    spatial[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]] = chi[:6]
-    spatial[[1, 2, 2], [0, 0, 1]] = chi[[1, 2, 4]]
-    spatial[:3, 3:] = _hat(chi[6:9])
-    spatial[3:, :3] = -spatial[:3, 3:]
-    spatial[3:, 3:] = chi[9] * np.eye(3)
-    return spatial
