@@ -1,0 +1,163 @@
+"""The command line as a user and as a script meet it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asbuilt.cli import main
+
+ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Run a command in this process; returns exit status, stdout, stderr."""
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return int(end.value.code or 0), out, err
+
+
+def document(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    status, out, err = call(capsys, *arguments, "--json")
+    assert status == 0, err
+    return json.loads(out)
+
+
+def refuse_constant(name: str) -> float:
+    raise AssertionError(f"{name} is not JSON")
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A training and a test recording of each robot, as it stands on the floor, and one noise-free by design."""
+    folder = tmp_path_factory.mktemp("recorded")
+    logs = {}
+    for robot in ROBOTS:
+        for kind, options in (("train", ["--installed"]), ("ideal", [])):
+            log = folder / f"{robot}_{kind}.csv"
+            with pytest.raises(SystemExit):
+                main(["simulate", robot, "--rate", "200", "--duration", "12", "--seed", "3", "--out", str(log), *options])
+            logs[f"{robot} {kind}"] = log
+    return logs
+
+
+def test_help_and_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = call(capsys, "--help")
+    assert status == 0
+    for command in ("robots", "show", "base", "check", "identify", "validate", "compare", "simulate", "reproduce", "demo"):
+        assert command in out
+    assert call(capsys, "identify")[0] == 2
+    assert call(capsys, "no-such-command")[0] == 2
+    status, _, err = call(capsys, "base", "two-link", "--drive", "viscos")
+    assert status == 2
+    assert "viscous" in err
+
+
+def test_robots_and_show(capsys: pytest.CaptureFixture[str]) -> None:
+    names = [robot["name"] for robot in document(capsys, "robots")["robots"]]
+    assert set(ROBOTS) <= set(names)
+    for robot in names:
+        shown = document(capsys, "show", robot)
+        assert shown["robot"] == robot
+        assert call(capsys, "show", robot)[1].startswith(robot)
+    status, _, err = call(capsys, "show", "kuka-iiwa7")
+    assert status in (1, 2)
+    assert "kuka-iiwa7-r800" in err
+
+
+@pytest.mark.parametrize(("robot", "n_base"), [("kuka-iiwa7-r800", 43), ("ur10e", 36), ("puma-560", 36), ("franka-panda", 43)])
+def test_base_counts(capsys: pytest.CaptureFixture[str], robot: str, n_base: int) -> None:
+    found = document(capsys, "base", robot)
+    assert found["n_base"] == n_base == len(found["parameters"])
+    assert [entry["id"] for entry in found["standard"]] == list(range(1, found["n_standard"] + 1))
+    assert {"id", "name", "expression", "symbolic", "value", "unit"} <= set(found["parameters"][0])
+    assert {entry["status"] for entry in found["standard"]} <= {"unidentifiable", "grouped", "identifiable"}
+    assert all(entry["why"] for entry in found["standard"])
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_noise_free_recording_gives_back_the_description(capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], robot: str) -> None:
+    by_design = {entry["id"]: entry["value"] for entry in document(capsys, "base", robot)["parameters"]}
+    found = document(capsys, "identify", robot, recorded[f"{robot} ideal"], "--drive", "none", "--holdout", "last:0.3")
+    scale = max(abs(value) for value in by_design.values())
+    for parameter in found["parameters"]:
+        assert parameter["estimate"] == pytest.approx(by_design[parameter["id"]], abs=2e-3 * scale)
+    assert found["validation"][0]["relative_error"] < 2e-3
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_identify_writes_everything_and_validates(
+    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], robot: str, tmp_path: Path
+) -> None:
+    log = recorded[f"{robot} train"]
+    found = document(capsys, "identify", robot, log, "--holdout", "blocks:1s:3", "--out", tmp_path / "out")
+    for kind in ("result", "report", "parameters", "summary", "torque"):
+        assert Path(found["files"][kind]).stat().st_size > 0
+    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".") or path.suffix == ".tmp"]
+    for metrics in (found["train"], *found["validation"], found["cad"]):
+        assert {"source", "rms", "max_abs", "r_squared", "relative_error"} <= set(metrics)
+        assert len(metrics["rms"]) == len(found["joints"])
+    assert np.mean(found["validation"][0]["rms"]) < np.mean(found["cad"]["rms"])
+    validated = document(capsys, "validate", found["files"]["result"], log)
+    assert validated["validation"][0]["relative_error"] < validated["cad"][0]["relative_error"]
+    compared = document(capsys, "compare", found["files"]["result"])
+    assert len(compared["parameters"]) == found["n_base"]
+    status, out, _ = call(capsys, "compare", found["files"]["result"])
+    assert status == 0
+    assert "as built" in out
+
+
+def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
+    command = [sys.executable, "-m", "asbuilt.cli", "identify", "scara", str(recorded["scara train"]), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout, parse_constant=refuse_constant)
+    assert found["validation"] == []
+    assert "nothing_held_out" in {warning["code"] for warning in found["warnings"]}
+
+
+def test_flipped_torque_is_refused_with_its_cure(capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path) -> None:
+    lines = recorded["kuka-iiwa7-r800 ideal"].read_text().splitlines()
+    header = lines[0].split(",")
+    flip = [k for k, name in enumerate(header) if name.startswith("tau")]
+    rows = np.loadtxt(lines[1:], delimiter=",")
+    rows[:, flip] *= -1
+    log = tmp_path / "flipped.csv"
+    np.savetxt(log, rows, delimiter=",", header=lines[0], comments="")
+    status, out, err = call(capsys, "identify", "kuka-iiwa7-r800", log, "--out", tmp_path / "out")
+    assert (status, out) == (1, "")
+    assert "--flip-torque" in err
+    assert not (tmp_path / "out").exists()
+    assert call(capsys, "identify", "kuka-iiwa7-r800", log, "--flip-torque")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["show", "missing.urdf"], 1, "missing.urdf"),
+        (["check", "scara", "missing.csv"], 1, "missing.csv"),
+        (["identify", "scara", "{log}", "--holdout", "sometimes"], 2, "blocks:5s:3"),
+        (["identify", "scara", "{log}", "--method", "magic"], 2, "wls"),
+        (["identify", "scara", "{log}", "--gain", "a,b"], 2, "--gain"),
+        (["identify", "scara", "{log}", "--gain", "1,2"], 1, "4"),
+        (["identify", "scara", "{log}", "--cutoff", "-3"], 2, "cutoff"),
+        (["identify", "scara", "{log}", "--torque-source", "guess"], 2, "sensor"),
+        (["identify", "kuka-iiwa7-r800", "{log}"], 1, "4"),
+        (["validate", "{log}", "{log}"], 1, "result"),
+    ],
+)
+def test_wrong_calls_name_the_place_and_the_cure(
+    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], arguments: list[str], status: int, says: str
+) -> None:
+    given = [argument.format(log=recorded["scara ideal"]) for argument in arguments]
+    found, out, err = call(capsys, *given)
+    assert (found, out) == (status, "")
+    assert says in err
+    assert "Traceback" not in err
+    assert "should not have happened" not in err
