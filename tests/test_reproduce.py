@@ -52,7 +52,8 @@ def test_printed_alpha_contradicts_table_2(redone: Reproduction) -> None:
 
 def test_table_3_is_repeated_on_a_robot_that_cad_does_not_know(redone: Reproduction) -> None:
     rigid, full = redone.rigid.validations[0], redone.full.validations[0]
-    assert np.all(rigid.metrics_as_built.rms < rigid.metrics_cad.rms)
+    shown = np.array(redone.paper.table3_joints) - 1
+    assert np.all(rigid.metrics_as_built.rms[shown] < rigid.metrics_cad.rms[shown])
     assert np.all(full.metrics_as_built.rms < 0.5 * rigid.metrics_as_built.rms)
 
 
