@@ -117,6 +117,8 @@ def test_a_body_made_of_meshes_alone_counts_as_unknown():
         ('<body><joint axis="0 0 0"/><geom size="1"/></body>', r"MuJoCo refuses the model: .*axis"),
         ('<body name="x"><geom size="1"/></body>', r"no body has a hinge or slide joint"),
         ('<include file="other.xml"/>', r"includes 'other.xml'"),
+        ('<body><joint/><flexcomp name="f" type="mesh" file="/etc/passwd"/></body>', r"holds <flexcomp>.*write its rigid bodies out"),
+        ("<body>" * 3000 + "</body>" * 3000, r"nested too deeply"),
     ],
 )
 def test_what_cannot_be_described_is_refused(body, message):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.lengths import NO_LETTERS, added_letters, rotated_letters
+from asbuilt.description.lengths import NO_LETTERS, added_letters, named, rotated_letters
 from asbuilt.description.model import ROOT, DriveValues, Frame, Joint, JointKind, JointLimits, Letters, Link, RobotModel
 from asbuilt.description.rotation import Array, composed, placement, rotation_x, rotation_z, straightened
 from asbuilt.errors import DescriptionError
@@ -127,8 +127,8 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
         after=after,
         limits=row.limits,
         drive=row.drive,
-        before_letters=before_letters,
-        after_letters=after_letters,
+        before_letters=named(before_letters),
+        after_letters=named(after_letters),
     )
     return joint if row.origin is None else joint_on_origin(joint, row.origin)
 
@@ -139,4 +139,4 @@ def joint_on_origin(joint: Joint, origin: Array, origin_letters: Letters | None 
     local = joint.before_letters or (None if joint.before[:3, 3].any() else NO_LETTERS)
     ahead = origin_letters or (None if origin[:3, 3].any() else NO_LETTERS)
     letters = None if local is None or ahead is None else added_letters(ahead, rotated_letters(origin[:3, :3], local))
-    return replace(joint, before=before, before_letters=letters)
+    return replace(joint, before=before, before_letters=named(letters))

@@ -18,6 +18,11 @@ _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _TERM = re.compile(rf"\s*(?P<sign>[+-])?\s*(?:(?P<factor>{_NUMBER})\s*\*\s*)?(?P<letter>[A-Za-z_]\w*)\s*")
 
 
+def named(letters: Letters | None) -> Letters | None:
+    """Return the letters, or None where there is not one."""
+    return letters if letters is not None and any(letters) else None
+
+
 def parsed_length(text: str, lengths: Mapping[str, float]) -> tuple[tuple[float, str], ...]:
     """Return the sum of (factor, letter) that a text such as `"L1 - 0.5*L2"` stands for.
 

@@ -30,6 +30,8 @@ from asbuilt.errors import DescriptionError, MissingExtraError
 IRRELEVANT = ("asset", "contact", "deformable", "extension", "keyframe", "sensor", "size", "statistic", "visual", "custom")
 """Sections that say nothing about rigid bodies or that refer to files which need not be here."""
 
+GENERATORS = ("attach", "composite", "flexcomp", "plugin", "replicate")
+
 SHAPELESS = ("mesh", "hfield", "sdf")
 FREE, BALL, SLIDE, HINGE = range(4)
 
@@ -82,6 +84,8 @@ def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list
     mujoco.set_mju_user_warning(warnings.append)
     try:
         return mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode")), warnings
+    except RecursionError:
+        raise DescriptionError(f"{source}: the elements are nested too deeply; MuJoCo allows about 500 bodies in a row") from None
     except ValueError as error:
         raise DescriptionError(f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}") from None
     finally:
@@ -95,6 +99,11 @@ def _without_shapes(root: Element, source: str) -> set[str]:
         raise DescriptionError(
             f"{source}: the file includes {included.get('file')!r}; load the included robot file itself, or save the whole model as one file "
             "(mujoco.mj_saveLastXML)"
+        )
+    generated = next((element.tag for element in root.iter() if element.tag in GENERATORS), None)
+    if generated is not None:
+        raise DescriptionError(
+            f"{source}: the model holds <{generated}>, which MuJoCo expands from other files or into soft bodies; write its rigid bodies out"
         )
     for section in IRRELEVANT:
         for element in root.findall(section):
