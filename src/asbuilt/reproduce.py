@@ -124,7 +124,7 @@ def reproduce(progress: Progress | None = None) -> Reproduction:
         model=model,
         paper=paper,
         parameters=parameters,
-        ids_equal=sum(ours == theirs.id for ours, theirs in zip(base.ids, paper.parameters, strict=True)),
+        ids_equal=sum(int(ours) == theirs.id for ours, theirs in zip(base.ids, paper.parameters, strict=True)),
         mismatches_with_printed_alpha=_mismatches_with_printed_alpha(model, base, paper),
         cad_margin=margins[0],
         robot_margin=margins[1],
