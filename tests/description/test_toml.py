@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -180,3 +183,11 @@ def test_unreadable_files(tmp_path):
     (tmp_path / "bytes.toml").write_bytes(b"\xff\x00")
     with pytest.raises(DescriptionError, match="cannot be read as text"):
         read_robot_toml(tmp_path / "bytes.toml")
+
+
+def test_the_documented_robot_file_is_valid():
+    page = Path(__file__).resolve().parents[2] / "docs" / "description.md"
+    (text,) = re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
+    model = robot_from_toml(text)
+    assert model.joint_names == ("shoulder", "joint_2")
+    assert dict(model.lengths) == {"L1": 0.4, "a1": 0.3, "b1": 0.2}
