@@ -141,3 +141,8 @@ def example() -> Example:
 @pytest.fixture(scope="session")
 def filtered_example() -> Example:
     return example_identification(parallel=True)
+
+
+@pytest.fixture(scope="session")
+def armature_example() -> Example:
+    return example_identification(drive="armature,viscous,coulomb,offset")

@@ -17,3 +17,4 @@ if NAME not in sys.modules:
 
 example = sys.modules[NAME].example
 filtered_example = sys.modules[NAME].filtered_example
+armature_example = sys.modules[NAME].armature_example

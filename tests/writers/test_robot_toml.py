@@ -59,7 +59,9 @@ def test_descriptions_of_strangers(shared: Path, tmp_path: Path, name: str) -> N
     assert [[part for part, _ in link.parts] for link in back.links] == [[part for part, _ in link.parts] for link in model.links]
 
 
-def test_identified_robot_predicts_what_was_identified(example: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("which", ["example", "armature_example"])
+def test_identified_robot_predicts_what_was_identified(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    example: Any = request.getfixturevalue(which)
     result, samples = example.result, example.held_out
     robot = load_robot(write_robot_toml(tmp_path / "robot.toml", as_built_model(result)))
     drive = result.base.drive

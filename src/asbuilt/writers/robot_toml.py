@@ -40,12 +40,14 @@ def as_built_model(result: IdentificationResult) -> RobotModel:
     step, *_ = np.linalg.lstsq(base.regrouping * scale, result.estimates - base.regrouping @ described, rcond=1e-13)
     chi = described + scale * step
     inertial = 10 * model.n_joints
-    keys, per_joint = base.drive.keys, base.drive.columns_per_joint
     robot = model.with_parameters(chi[:inertial])
-    joints = []
-    for k, joint in enumerate(robot.joints):
-        values = dict(zip(keys, chi[inertial + k * per_joint : inertial + (k + 1) * per_joint].tolist(), strict=False))
-        named = {key: value for key, value in values.items() if key in DriveValues.__dataclass_fields__}
+    joints, place = [], inertial
+    for joint in robot.joints:
+        named = {}
+        for term in base.drive.terms:
+            if term.key in DriveValues.__dataclass_fields__:
+                named[term.key] = float(chi[place])
+            place += len(term.letters)
         joints.append(replace(joint, drive=replace(joint.drive, **named)))
     consistency = {
         True: "the base parameters are physically consistent; these standard parameters are one choice among many and need not be",

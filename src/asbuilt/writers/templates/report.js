@@ -5,10 +5,11 @@
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
   const narrow = () => window.innerWidth < 640;
   const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
-  const options = { responsive: true, displaylogo: false, modeBarButtons: buttons };
+  const options = { responsive: false, displaylogo: false, modeBarButtons: buttons };
   const bare = { ...options, displayModeBar: false };
   let recording = 0;
   let joint = 0;
+  let paperWidth = null;
 
   function axis(title, extra) {
     return {
@@ -22,6 +23,7 @@
       margin: { l: 56, r: 12, t: 28, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { color: colour("ink"), size: 12, family: "system-ui, DejaVu Sans, sans-serif" },
       legend: { orientation: "h", y: 1.0, yanchor: "bottom", x: 0, font: { size: 12 } }, hovermode: "x unified",
+      ...(paperWidth === null ? { autosize: true } : { autosize: false, width: paperWidth }),
       hoverlabel: { bgcolor: colour("paper"), bordercolor: colour("line"), font: { color: colour("ink") } }, ...extra,
     };
   }
@@ -151,6 +153,23 @@
   element("find").addEventListener("input", filter);
   element("show").addEventListener("change", filter);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  function redraw() {
+    document.querySelectorAll(".plot").forEach((plot) => Plotly.purge(plot));
+    draw();
+  }
+
+  let pending = 0;
+  window.addEventListener("resize", () => { clearTimeout(pending); pending = setTimeout(redraw, 150); });
+  window.addEventListener("beforeprint", () => {
+    document.documentElement.dataset.paper = "true";
+    paperWidth = 680;
+    draw();
+  });
+  window.addEventListener("afterprint", () => {
+    delete document.documentElement.dataset.paper;
+    paperWidth = null;
+    redraw();
+  });
   filter();
   draw();
   document.documentElement.dataset.ready = "true";
