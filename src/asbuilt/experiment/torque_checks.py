@@ -110,7 +110,7 @@ def _sign_and_scale(model: RobotModel, recording: Recording, fit: TorqueFit, rat
                 joint=names[k],
             )
     silent = ~np.isin(np.arange(model.n_joints), speaking)
-    for k in np.flatnonzero(silent & (sign * fit.friction_correlation < -_BRAKING)):
+    for k in np.flatnonzero(silent & (sign * fit.friction_correlation < -_BRAKING)).tolist():
         yield Finding(
             "joint-torque-flipped",
             "warning",
