@@ -14,9 +14,9 @@ from asbuilt.description.dh import DHRow, robot_from_dh
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import placement, rotation_x
 from asbuilt.description.urdf import read_urdf
+from asbuilt.dynamics.axis_frames import same_build
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.letters import same_build
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 
@@ -173,6 +173,20 @@ def test_letters_hold_for_other_lengths(arm: str) -> None:
     here = base.values(list(chi.values()))
     np.testing.assert_allclose([evaluated(text, chi) for text in base.expressions], here, rtol=1e-9)
     assert not set(model.lengths) & set(re.findall(r"[A-Za-z]\w*", " ".join(base.expressions)))
+
+
+@pytest.mark.parametrize("robot", ["franka-panda", "puma-560"])
+def test_offsets_along_a_joints_own_axis_keep_their_letters(robot: str) -> None:
+    base = find_base_parameters(bundled_robot(robot).with_gravity((0.0, 0.0, 0.0)))
+    assert not re.search(r"\d\.\d", " ".join(base.symbolic))
+    assert any(re.fullmatch(r"Iyz\d - b\d\*my\d.*|Iyz\d - b\d\*\(my\d.*", text) for text in base.symbolic)
+
+
+def test_a_weight_that_never_changes_is_an_offset() -> None:
+    slide = robot_from_dh([DHRow(kind="prismatic")], name="lift")
+    base = find_base_parameters(slide, DriveSet.parse("armature,offset"))
+    assert base.names == ("m1", "Ia1")
+    np.testing.assert_allclose(base.values([0.0] * 9 + [2.0, 0.5, 9.81]), [3.0, -0.5], rtol=1e-12)
 
 
 def test_sympy_agrees_on_the_letters() -> None:

@@ -53,7 +53,7 @@ class _LinkView:
 
 def standard_parameters(model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]) -> tuple[StandardParameter, ...]:
     """Return the verdict on every standard parameter, in id order."""
-    views = [_link_view(model, found, i) for i in range(model.n_joints)]
+    views = [_link_view(found, i) for i in range(model.n_joints)]
     verdicts = []
     for j, name in enumerate(names):
         rows = [int(b) for b in np.flatnonzero(found.matrix[:, j])]
@@ -116,7 +116,8 @@ def _a(word: str) -> str:
     return f"an {word}" if word[0] in "aeiou" else f"a {word}"
 
 
-def _link_view(model: RobotModel, found: Regrouping, link: int) -> _LinkView:
+def _link_view(found: Regrouping, link: int) -> _LinkView:
+    model = found.model
     R, t = model.joints[link].after[:3, :3], model.joints[link].after[:3, 3]
     twists = found.motions[link].twists
     angular = twists[:, :3] @ R

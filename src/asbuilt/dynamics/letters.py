@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.description.lengths import length_values, rotated_letters
+from asbuilt.description.lengths import rotated_letters
 from asbuilt.description.model import Letters, RobotModel
-from asbuilt.description.rotation import placement
+from asbuilt.dynamics.axis_frames import NUMBER, lettered_translation
 from asbuilt.dynamics.transferable import (
     LENGTH_EXPONENTS,
     SHIFT_LINEAR,
@@ -100,8 +99,8 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections], d
     for found in directions:
         joint = model.joints[found.link]
         R = joint.after[:3, :3]
-        back = rotated_letters(-R.T, _lettered(joint.after, joint.after_letters, model.lengths))
-        there = _lettered(joint.before, joint.before_letters, model.lengths)
+        back = rotated_letters(-R.T, lettered_translation(joint.after, joint.after_letters, model.lengths))
+        there = lettered_translation(joint.before, joint.before_letters, model.lengths)
         for k in range(len(found.child)):
             row = _shifted(found.child[k] * physical, R.T, back, 10 * found.link)
             if joint.parent >= 0:
@@ -114,17 +113,10 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections], d
     return rows
 
 
-def _lettered(transform: Array, letters: Letters | None, lengths: Mapping[str, float]) -> Letters:
-    translation = transform[:3, 3]
-    if letters is not None and np.allclose(length_values(letters, lengths), translation, rtol=1e-12, atol=1e-12):
-        return letters
-    return tuple(((float(value), ""),) if value else () for value in translation)
-
-
 def _shifted(parameters: Array, rotation: Array, letters: Letters, first: int) -> Row:
-    """Return the ten parameters after a turn and a shift by letters, in columns `first` ... `first + 9`; the letter "" stands for 1."""
+    """Return the ten parameters after a turn and a shift by letters, in columns `first` ... `first + 9`."""
     turned = shift_of_rotation(rotation) @ parameters
-    along = [Polynomial({(letter,) if letter else (): factor for factor, letter in axis}) for axis in letters]
+    along = [Polynomial({() if letter == NUMBER else (letter,): factor for factor, letter in axis}) for axis in letters]
     total = [Polynomial.number(value) for value in turned]
 
     def gather(weight: Polynomial, vector: Array) -> None:
@@ -169,18 +161,6 @@ def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, R
     if any(max(row) != pivot for pivot, row in done.items()):
         return None
     return {pivot: {column: entry.times(-1.0) for column, entry in row.items() if column != pivot} for pivot, row in done.items()}
-
-
-def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
-    """Return the robot with other values for the letters of its joints."""
-    joints = []
-    for joint in model.joints:
-        placements = []
-        for transform, letters in ((joint.before, joint.before_letters), (joint.after, joint.after_letters)):
-            lettered = _lettered(transform, letters, model.lengths)
-            placements.append(placement(transform[:3, :3], length_values(lettered, {**lengths, "": 1.0})))
-        joints.append(replace(joint, before=placements[0], after=placements[1]))
-    return replace(model, joints=tuple(joints), lengths=dict(lengths))
 
 
 def number_text(value: float) -> str:

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import inverted, placement
+from asbuilt.dynamics.axis_frames import nearest_origins, same_build
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.letters import Polynomial, Row, dependent_columns, null_rows, same_build
+from asbuilt.dynamics.letters import Polynomial, Row, dependent_columns, null_rows
 from asbuilt.dynamics.parameters import parameter_count
 from asbuilt.dynamics.transferable import (
     LENGTH_EXPONENTS,
@@ -37,9 +38,9 @@ LETTER_TOLERANCE = 1e-9
 class Regrouping:
     """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y = Y[:, columns] @ matrix`.
 
-    What it follows from: `directions` and `motions` of the links in joint frames, and `null_blocks`, per link its directions over all standard
-    parameters (k, n_standard). `axial_blocks` (3, 10) per link are a mass on the joint's axis, a first moment along it, and equal inertias across
-    it, in the link frame. Lengths are divided by `size` in all of these.
+    What it follows from: `model`, the robot with its joint frames at `nearest_origins`; `directions` and `motions` of its links in these
+    frames; `null_blocks`, per link its directions over all standard parameters (k, n_standard); `axial_blocks` (3, 10), per link a mass on the
+    joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths are divided by `size` in all of these.
     """
 
     columns: Indices
@@ -49,10 +50,12 @@ class Regrouping:
     null_blocks: tuple[Array, ...]
     axial_blocks: tuple[Array, ...]
     size: float
+    model: RobotModel
 
 
 def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
+    model = nearest_origins(model)
     directions, motions = transferable_directions(model, armature="Ia" in drive.letters, offset="Fo" in drive.letters)
     size = characteristic_length(model)
     to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
@@ -73,6 +76,7 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
         null_blocks=tuple(blocks),
         axial_blocks=tuple(AXIAL @ shift.T for shift in to_link),
         size=size,
+        model=model,
     )
 
 
@@ -87,7 +91,7 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
     if not model.lengths:
         return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
-    combined = dependent_columns(null_rows(model, found.directions, _drive_columns(model, drive)), [int(pivot) for pivot in pivots])
+    combined = dependent_columns(null_rows(found.model, found.directions, _drive_columns(model, drive)), [int(pivot) for pivot in pivots])
     if combined is None:
         return numbers
     rows: dict[int, Row] = {int(column): {int(column): Polynomial.number(1.0)} for column in found.columns}
@@ -95,7 +99,7 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
         for b, factor in members.items():
             rows[b][j] = factor
     other = {letter: value * (1.2 + 0.3 * np.sin(k + 1.0)) for k, (letter, value) in enumerate(model.lengths.items())}
-    elsewhere = structural_regrouping(same_build(model, other), drive)
+    elsewhere = structural_regrouping(same_build(found.model, other), drive)
     if not np.array_equal(elsewhere.columns, found.columns):
         return numbers
     checks = ((found.matrix, model.lengths), (elsewhere.matrix, other))
