@@ -84,7 +84,16 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     """Return the base parameters of a robot: structure first, then checked against the numeric rank of a random observation matrix.
 
     Raises `IdentifiabilityError` where the two disagree. Sources: Mayeda, Yoshida & Osuka (1990); Gautier & Khalil (1990); Wensing,
-    Niemeyer & Slotine (2024).
+    Niemeyer & Slotine (2024); derivation in docs/derivations/base-parameters.md.
+
+    >>> from asbuilt.description.dh import DHRow, robot_from_dh
+    >>> base = find_base_parameters(robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar"))
+    >>> base.ids
+    array([ 6, 16, 17, 18])
+    >>> base.symbolic
+    ('Izz1 + a1**2*(m1 + m2) + 2*a1*mx1', 'Izz2 - a2**2*m2', 'mx2 + a2*m2', 'my2')
+    >>> base.standard[0].why
+    'Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts'
     """
     found = structural_regrouping(model, drive)
     numeric = observation_rank(model, drive)
