@@ -146,6 +146,12 @@ def test_rounded_right_angles_become_exact_and_are_noted():
     model = read_urdf(two_links(joint=joint))
     assert set(np.unique(np.abs(model.joints[0].before[:3, :3]))) == {0.0, 1.0}
     assert sum("right angle" in note for note in model.notes) == 2
+    thrice = joint.replace("1.5708 0 -3.14159", "1.5708 1.5708 -3.14159")
+    (note,) = read_urdf(two_links(joint=thrice)).notes
+    assert (
+        note
+        == "roll of joint 'j1' is given as 1.5708 rad and taken as the right angle 1.570796327; so are 2 more angles of this description"
+    )
     precise = JOINT.format("j1", "base", "arm").replace("<axis", '<origin rpy="1.570796326794897 0 0.3"/><axis')
     assert not read_urdf(two_links(joint=precise)).notes
 

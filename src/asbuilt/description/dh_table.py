@@ -24,11 +24,6 @@ KINDS: dict[str, JointKind] = {
 }
 
 
-def looks_like_dh_table(header: str) -> bool:
-    """Return whether the first line of a CSV file names the columns of a Denavit-Hartenberg and mass table."""
-    return set(GEOMETRY_COLUMNS) <= {name.strip() for name in header.lstrip("\ufeff").split(",")}
-
-
 def read_dh_table(path: str | Path) -> RobotModel:
     """Read a serial robot from a CSV table with one row per link, in standard (distal) Denavit-Hartenberg convention.
 

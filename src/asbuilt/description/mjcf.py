@@ -16,6 +16,7 @@ from asbuilt.description.model import ROOT, DriveValues, Frame, Joint, JointKind
 from asbuilt.description.rotation import (
     Array,
     composed,
+    condensed,
     placement,
     rotation_from_quaternion,
     rotation_from_rpy,
@@ -73,7 +74,7 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
         root_link="world",
         frames=tuple(tree.frames),
         source="MJCF text" if source == "the description" else source,
-        notes=tuple(tree.notes),
+        notes=condensed(tree.notes),
     )
 
 

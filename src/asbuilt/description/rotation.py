@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,7 @@ READING_TOLERANCE = 1e-5
 NOTED_CHANGE = 1e-9
 """A change of an angle [rad] beyond this is worth a note."""
 
+_STRAIGHTENED = "and taken as the right angle"
 _QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
 
 
@@ -38,8 +40,17 @@ def straightened(angle: float, what: str, notes: list[str]) -> float:
     """Return `right_angle(angle)` and add a note that names `what` where this moves it by more than 1e-9 rad."""
     exact = right_angle(angle)
     if abs(exact - angle) > NOTED_CHANGE:
-        notes.append(f"{what} is given as {angle:.10g} rad and taken as the right angle {exact:.10g}")
+        notes.append(f"{what} is given as {angle:.10g} rad {_STRAIGHTENED} {exact:.10g}")
     return exact
+
+
+def condensed(notes: Sequence[str]) -> tuple[str, ...]:
+    """Return the notes with more than two straightened angles gathered in the first of them."""
+    angles = [note for note in notes if _STRAIGHTENED in note]
+    if len(angles) <= 2:
+        return tuple(notes)
+    gathered = f"{angles[0]}; so are {len(angles) - 1} more angles of this description"
+    return tuple(gathered if note is angles[0] else note for note in notes if note is angles[0] or _STRAIGHTENED not in note)
 
 
 def cosine_sine(angle: float) -> tuple[float, float]:

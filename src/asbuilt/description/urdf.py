@@ -10,7 +10,7 @@ import numpy as np
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, DriveValues, Frame, Joint, JointKind, JointLimits, Link, RobotModel
-from asbuilt.description.rotation import Array, composed, placement, rotation_from_rpy, rotation_onto, straightened
+from asbuilt.description.rotation import Array, composed, condensed, placement, rotation_from_rpy, rotation_onto, straightened
 from asbuilt.description.xml import close_match, described_text, number, numbers, parsed_xml, required
 from asbuilt.errors import DescriptionError
 
@@ -81,7 +81,7 @@ def read_urdf(path_or_text: str | Path) -> RobotModel:
         root_link=top,
         frames=tuple(tree.frames),
         source="URDF text" if source == "the description" else source,
-        notes=tuple(note.replace(f"{source}, ", "") for note in notes),
+        notes=condensed([note.replace(f"{source}, ", "") for note in notes]),
     )
 
 
