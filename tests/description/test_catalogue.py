@@ -25,6 +25,8 @@ def test_every_bundled_robot_is_cited_and_consistent_or_says_why_not(name):
     model = load_robot(name)
     assert model.name == name
     assert len(model.citation) > 40
+    assert "\\" not in model.citation
+    assert "\n" not in model.citation
     assert model.source == f"bundled robot {name}"
     assert inconsistencies(model) == INCONSISTENT.get(name, ())
     if name in INCONSISTENT:
