@@ -14,7 +14,7 @@ from asbuilt.experiment.differentiation import central_differences, savitzky_gol
 from asbuilt.experiment.lowpass import butterworth, decimate_chebyshev, settling_samples
 from asbuilt.experiment.parallel_filter import STOP_BAND_EDGE, ParallelFilter, design_parallel_filter
 from asbuilt.experiment.resampling import UniformRun
-from asbuilt.experiment.standstill import REST, moving_ranges, standing
+from asbuilt.experiment.standstill import PAUSE, moving_ranges, standing
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal_chain import SignalChain
@@ -89,7 +89,7 @@ class FilterPlan:
     def reach(self) -> int:
         """How many logged samples on either side a prepared sample depends on (the rest of the response is below 1e-12)."""
         smear = self.anti_alias.margin if self.anti_alias else 0
-        rest = 0 if self.chain.rests else int(np.ceil(REST * self.rate)) + self.shoulder
+        rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
         return max(self.exact, smear) + rest + 2
 
     @property

@@ -18,7 +18,7 @@ from asbuilt.experiment.lowpass import butterworth, settling_samples
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.resampling import SHORTEST_RUN, UniformRun, uniform_runs
 from asbuilt.experiment.samples import Samples
-from asbuilt.experiment.standstill import REST, standstill_speeds
+from asbuilt.experiment.standstill import PAUSE, standstill_speeds
 from asbuilt.experiment.velocity_choice import VelocityVerdict, compare_velocities
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ class SignalChain:
     pass); `derivative` makes velocity and acceleration; `velocity` says whether logged velocities are used. `parallel` low-passes torque and regressor columns
     alike at `parallel_cutoff` [Hz], by default `cutoff`; without it the torque stays as it is. `rate` [Hz] resamples; `decimate` is how many logged
     samples make one row in the end; `max_gap` [s] is the longest pause that is bridged; `trimmed` drops what the ends disturb. Where a joint is slower than
-    `standstill` (one speed per joint) for 0.25 s or more its velocity and acceleration are exactly zero, and where all joints stand for 0.5 s or more
+    `standstill` (one speed per joint) for 0.5 s or more its velocity and acceleration are exactly zero, and where all joints stand for that long
     the samples are left out, unless `rests`.
 
     Examples
@@ -136,7 +136,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
             "raise the cutoff or record longer"
         )
     rested = sum(run.t.size - 2 * plan.margin for run in runs if plan.fits(run)) / rate - samples.duration
-    if not chain.rests and rested > REST:
+    if not chain.rests and rested > PAUSE:
         samples = replace(samples, provenance=(*samples.provenance, f"{rested:.3g} s in which no joint moved were left out"))
     return samples
 

@@ -14,10 +14,8 @@ SLOW = 0.005
 """Share of a joint's top speed below which it may be standing."""
 SLOWEST = 0.002
 """The same as a share of the fastest joint's top speed, for joints that hardly move at all."""
-PAUSE = 0.25
-"""How long [s] a joint must be slow to be standing; a reversal is over sooner."""
-REST = 0.5
-"""How long [s] all joints must stand to be left out."""
+PAUSE = 0.5
+"""How long [s] a joint must be slow to be standing, and all joints must stand to be left out; a reversal is over sooner."""
 
 
 def standstill_speeds(velocities: Sequence[Array]) -> tuple[float, ...]:
@@ -37,7 +35,7 @@ def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, in
 
     Within a rest friction takes any value up to the Coulomb torque, so its samples say little about a model in which friction follows the velocity.
     """
-    rest = _lasting(np.asarray(still.all(axis=1)), REST * rate)
+    rest = _lasting(np.asarray(still.all(axis=1)), PAUSE * rate)
     keep = ~rest
     for a, b in _runs(rest):
         keep[a : a + shoulder if a > 0 else a] = True
