@@ -62,7 +62,7 @@ def test_every_field(tmp_path: Path) -> None:
 def test_mistakes_name_file_field_and_cure(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "log.toml"
     path.write_text(text)
-    with pytest.raises(RecordingError, match="log.toml") as caught:
+    with pytest.raises(RecordingError, match=r"log\.toml") as caught:
         read_sheet(path)
     assert message in str(caught.value)
 
