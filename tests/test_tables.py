@@ -119,6 +119,13 @@ def test_rounding_at_the_edges() -> None:
     assert significant(9.999) == "10.0"
     assert significant(float("inf")) == "-"
     assert shortened("abcdefghij", 6) == "abc..."
+    assert shortened("Ixx5 - Iyy5 + Izz6 - 0.1414*my6 + m", 34) == "Ixx5 - Iyy5 + Izz6 ..."
+
+
+@given(st.text(alphabet="ab +-", max_size=30), st.integers(1, 30))
+def test_shortened_texts_fit(text: str, width: int) -> None:
+    cut = shortened(text, width)
+    assert cut == text if len(text) <= width else len(cut) <= max(width, 3)
 
 
 def test_row_of_wrong_length_is_refused() -> None:

@@ -97,6 +97,17 @@ def share(fraction: float | None, digits: int = 1) -> str:
     return MISSING if fraction is None or not math.isfinite(fraction) else f"{100.0 * fraction:.{digits}f} %"
 
 
+def beside(value: float, error: float | None) -> str:
+    """Return a number that stands beside another of standard error `error`: four digits of its own, fewer where it is far below the error.
+
+    >>> beside(0.023661, 0.4), beside(6.666386, 0.0023), beside(1e-9, 0.4)
+    ('0.02366', '6.666', '0.0000')
+    """
+    if error is None or not math.isfinite(error) or abs(value) >= 1e-3 * error:
+        return significant(value, 4)
+    return rounded(value, 1e-2 * error)[0]
+
+
 def significant(value: float | None, digits: int = 3) -> str:
     """Return a number with so many significant digits, written out where it is of everyday size.
 
@@ -132,10 +143,11 @@ def shortened(text: str, width: int) -> str:
     """
     if len(text) <= width:
         return text
-    head = text[: max(0, width - 3)]
-    if " " in head and text[len(head)] != " ":
-        head = head[: head.rindex(" ")]
-    return head.rstrip(" +-") + " ..." if len(head.rstrip(" +-")) <= width - 4 else head[: width - 3].rstrip() + "..."
+    room = width - 4
+    if room <= 0 or " " not in text[: room + 1]:
+        return text[: max(0, width - 3)] + "..."
+    head = text[: room + 1]
+    return head[: head.rindex(" ")].rstrip(" +-") + " ..."
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.identification.metrics import TorqueMetrics
-from asbuilt.tables import SIGNIFICANT_SIGMAS, Cell, Column, Shown, Table, deviation, percent, rounded, share, significant, stacked
+from asbuilt.tables import SIGNIFICANT_SIGMAS, Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant, stacked
 from asbuilt.validation.prediction import Validation, design_values, torque_units
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, threshold: float
     rows = []
     for parameter in parameters:
         shown, error = rounded(parameter.estimate, parameter.std_error)
-        cad = None if parameter.cad is None else Shown(parameter.cad, design_text(parameter.cad, parameter.std_error))
+        cad = None if parameter.cad is None else Shown(parameter.cad, beside(parameter.cad, parameter.std_error))
         outcome = deviation(parameter.sigmas, threshold) if parameter.verdict in ("differs", "agrees") else parameter.verdict
         relative = None
         if parameter.std_error is not None and parameter.estimate:
@@ -195,17 +195,6 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, threshold: float
         )
     note = f"DIFFERS: CAD and as built are {threshold:g} standard errors apart or more; standard errors allow for correlated torque errors."
     return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
-
-
-def design_text(cad: float, std_error: float | None) -> str:
-    """Return a design value with four digits of its own, or fewer where it is far below the standard error.
-
-    >>> design_text(0.023661, 0.4), design_text(6.666386, 0.0023), design_text(1e-9, 0.4)
-    ('0.02366', '6.666', '0.0000')
-    """
-    if std_error is None or abs(cad) >= 1e-3 * std_error:
-        return significant(cad, 4)
-    return rounded(cad, 1e-2 * std_error)[0]
 
 
 def recording_name(source: str) -> str:

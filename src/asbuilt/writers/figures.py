@@ -76,13 +76,14 @@ def torque_figure(
     predicted: Array,
     *,
     cad: Array | None = None,
+    label: str = "as built",
     joint_names: Sequence[str] = (),
     units: Sequence[str] = (),
     title: str = "",
 ) -> Figure:
     """Draw measured and predicted torque and their difference, a row per joint, in the manner of the paper's Figures 3 and 4.
 
-    `t` (N,) [s], torques (N, n); `cad` adds the error of the CAD prediction. Gaps in `t` stay gaps; long recordings are thinned by
+    `t` (N,) [s], torques (N, n); `label` says which parameters predicted; `cad` adds the error of the CAD prediction. Gaps in `t` stay gaps; long recordings are thinned by
     minimum and maximum, so peaks stay. Source: Hayat, Abhishek and Saha (2015), Figures 3 and 4.
     """
     n = measured.shape[1]
@@ -95,13 +96,13 @@ def torque_figure(
             curves = [measured[:, k], predicted[:, k]] + ([] if cad is None else [cad[:, k]])
             instants, *thin = thinned(t, *curves, points=POINTS)
             left.plot(instants, thin[0], color=MEASURED, linewidth=1.5, label="measured")
-            left.plot(instants, thin[1], color=AS_BUILT, linewidth=0.9, linestyle=(0, (4, 1.6)), label="predicted, as built")
+            left.plot(instants, thin[1], color=AS_BUILT, linewidth=0.9, linestyle=(0, (4, 1.6)), label=f"predicted, {label}")
             left.set_ylabel(f"{shortened(names[k], 16)}\n[{kinds[k]}]")
             differences = [measured[:, k] - curve for curve in curves[1:]]
             instants, *thin = thinned(t, *differences, points=POINTS)
             if cad is not None:
                 right.plot(instants, thin[1], color=CAD, linewidth=0.8, label=f"CAD, RMS {_rms(differences[1])}")
-            right.plot(instants, thin[0], color=GREEN, linewidth=0.9, label=f"as built, RMS {_rms(differences[0])}")
+            right.plot(instants, thin[0], color=GREEN, linewidth=0.9, label=f"{label}, RMS {_rms(differences[0])}")
             right.axhline(0.0, color=INK, linewidth=0.5)
             _head_room(right, 0.45)
             right.legend(loc="upper left", ncols=2, handlelength=1.2, columnspacing=1.2, borderaxespad=0.1, fontsize=7.5)

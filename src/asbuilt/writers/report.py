@@ -23,8 +23,8 @@ from plotly.offline import get_plotlyjs
 
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
-from asbuilt.tables import Table, deviation, percent, rounded, share, significant
-from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, design_text, recording_name
+from asbuilt.tables import Table, beside, deviation, percent, rounded, share, significant
+from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.files import atomic_write
@@ -192,7 +192,7 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
     half = 1.96 * (parameter.std_error or 0.0)
     scale = max(abs(parameter.estimate), abs(parameter.cad or 0.0), 0.8 * half) or 1.0
     shown, error = rounded(parameter.estimate, parameter.std_error)
-    by_design = "-" if parameter.cad is None else design_text(parameter.cad, parameter.std_error)
+    by_design = "-" if parameter.cad is None else beside(parameter.cad, parameter.std_error)
     at = 80.0 * parameter.estimate / scale
     reach = 80.0 * half / scale
     outcome = deviation(parameter.sigmas) if parameter.verdict in ("differs", "agrees") else parameter.verdict
