@@ -186,7 +186,7 @@ def test_unreadable_files(tmp_path):
 
 
 def test_the_documented_robot_file_is_valid():
-    page = Path(__file__).resolve().parents[2] / "docs" / "description.md"
+    page = Path(__file__).resolve().parents[2] / "docs" / "robot-file.md"
     (text,) = re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
     model = robot_from_toml(text)
     assert model.joint_names == ("shoulder", "joint_2")
