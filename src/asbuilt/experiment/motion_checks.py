@@ -135,7 +135,7 @@ def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> 
             yield Finding(
                 "velocity-zero",
                 "warning",
-                "the logged velocities are all zero while the joints move",
+                f"the logged velocities are 0 in all {recording.n_samples} samples while the joints move",
                 "They are not used; leave the columns out",
             )
         return
@@ -169,9 +169,10 @@ def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> 
         )
         return
     for k, factor in zip(moving, gain, strict=True):
-        if likeness[list(moving).index(k), list(moving).index(k)] < -0.8:
-            message = f"the logged velocity of {names[k]} has the opposite sign of the derivative of its position"
-        elif not 0.7 < factor < 1.4 or np.corrcoef(logged[:, k], slope[:, k])[0, 1] < 0.7:
+        match = float(np.corrcoef(logged[:, k], slope[:, k])[0, 1])
+        if match < -0.8:
+            message = f"the logged velocity of {names[k]} has the opposite sign of the derivative of its position (correlation {match:.3f})"
+        elif not 0.7 < factor < 1.4 or match < 0.7:
             message = f"the logged velocity of {names[k]} is {factor:.3g} times the derivative of its position"
         else:
             continue

@@ -209,7 +209,9 @@ def _filtered(recording: Recording) -> Iterator[Finding]:
     level = level - trend * (trend * level).sum(axis=0) / np.sum(trend**2)
     frequency, power = welch(level, fs=rate, nperseg=min(1024, tau.shape[0]), axis=0)
     peak = power.max(axis=0)
-    relative = power / np.where(peak > 0, peak, 1.0)
+    if not np.any(peak > 0):
+        return
+    relative = power[:, peak > 0] / peak[peak > 0]
     floor = np.median(relative[frequency > 0.35 * rate], axis=0)
     if np.median(floor) > _QUIET_FLOOR:
         return
