@@ -51,7 +51,7 @@ def savitzky_golay(x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4)
 def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
     """Return the odd window length 2 m + 1 whose smoothing filter has its -3 dB point nearest `cutoff` [Hz], at least degree + 2.
 
-    Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011, eq. 12).
+    Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011).
     """
     half = ((degree + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
     return max(2 * round(half) + 1, degree + 2 + (degree + 1) % 2)

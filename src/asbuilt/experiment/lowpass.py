@@ -18,7 +18,7 @@ def single_pass_cutoff(cutoff: float, rate: float, order: int) -> float:
 
     The double pass has the amplitude 1 / (1 + r^(2 order)) with r the ratio of bilinearly warped frequencies tan(pi f / rate), which is
     1 / sqrt(2) where r = (sqrt(2) - 1)^(1 / (2 order)), that is 0.80 for order 2 and 0.90 for order 4 (Winter, Biomechanics and Motor Control of
-    Human Movement, 2009, section 3.4.4.2).
+    Human Movement, 2009).
 
     Examples
     --------

@@ -28,7 +28,7 @@ class ParallelFilter:
 
     `taps` (2 margin + 1,) are symmetric with sum 1, so output k belongs to input `k decimation + margin` and the first and last `margin` inputs have
     no output of their own: nothing is assumed about what lies beyond the ends. Since tau = Y(q, qd, qdd) chi holds at every instant, F tau = (F Y) chi holds
-    for any linear F: filtering both alike adds no bias (Gautier, Janot and Vandanjon, IEEE Trans. Control Systems Technology, 2013, section II).
+    for any linear F: filtering both alike adds no bias (Gautier, Janot and Vandanjon, IEEE Trans. Control Systems Technology, 2013).
 
     `cutoff` is the -3 dB frequency [Hz] at the input `rate` [Hz].
     """

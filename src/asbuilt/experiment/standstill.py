@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SLOW = 0.005
+SLOW = 0.003
 """Share of a joint's top speed below which it may be standing."""
-SLOWEST = 0.002
+SLOWEST = 0.0015
 """The same as a share of the fastest joint's top speed, for joints that hardly move at all."""
 PAUSE = 0.5
 """How long [s] a joint must be slow to be standing, and all joints must stand to be left out; a reversal is over sooner."""
