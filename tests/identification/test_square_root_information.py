@@ -13,7 +13,9 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.experiment.parallel_filter import design_parallel_filter
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples, stream_samples
 from asbuilt.identification.least_squares import fit_least_squares, solve_factor
 from asbuilt.identification.square_root_information import MOST_BLOCKS, GrowingFactor, accumulate, accumulate_stream, triangular_factor
 
@@ -230,3 +232,25 @@ def test_triangular_factor_has_a_non_negative_diagonal_also_of_few_or_dependent_
         assert factor.shape == (6, 6)
         assert np.all(np.diag(factor) >= 0)
         assert np.allclose(factor.T @ factor, rows.T @ rows, rtol=0, atol=1e-13)
+
+
+def test_samples_of_other_joints_are_refused(robot):
+    model, base = robot
+    with pytest.raises(IdentifiabilityError, match="matches joints by name"):
+        accumulate(model, base, recording(model, 100, joint_names=tuple("abcdefg")))
+
+
+def test_a_recording_read_in_pieces_gives_what_the_whole_gives(robot):
+    model, base = robot
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 60.0, 0.005)
+    frequency, phase = rng.uniform(0.1, 0.5, (3, 1, 7)), rng.uniform(0, 6, (3, 1, 7))
+    q = np.sum(0.3 * np.sin(2 * np.pi * frequency * t[:, None] + phase), axis=0)
+    whole = Recording(t, q, rng.normal(size=q.shape), joint_names=model.joint_names, source="bench")
+    chain = SignalChain(cutoff=5.0)
+    pieces = (whole.taken(slice(start, start + 2500)) for start in range(0, t.size, 2500))
+    streamed = accumulate_stream(model, base, stream_samples(pieces, chain))
+    at_once = accumulate(model, base, prepare_samples(whole, chain))
+    assert streamed.n_samples == at_once.n_samples
+    for a, b in zip(streamed.joint_factors, at_once.joint_factors, strict=True):
+        assert np.allclose(a.T @ a, b.T @ b, rtol=0, atol=1e-8 * np.abs(a.T @ a).max())

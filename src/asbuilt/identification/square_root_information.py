@@ -293,14 +293,14 @@ def accumulate_stream(
     """Reduce any number of samples, recordings or pieces of one, while they are being read; memory does not grow with their number.
 
     A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each piece. Beyond 256 blocks, neighbours are merged.
-    Raises `IdentifiabilityError` where nothing is left after filtering.
+    Raises `IdentifiabilityError` where nothing is left after filtering, or the joints are others.
     """
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
     gathered = _Gathering()
     pending: deque[Future[_Reduced]] = deque()
     workers = max(1, threads if threads is not None else os.cpu_count() or 1)
     with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
-        for stretch, seconds in _stretches(stream, block_seconds):
+        for stretch, seconds in _stretches(model, stream, block_seconds):
             pending.append(pool.submit(_reduced, plan, stretch))
             gathered.seconds = max(gathered.seconds, seconds)
             if len(pending) > 2 * workers:
@@ -335,8 +335,13 @@ class _Reduced:
     time: TimeBlock
 
 
-def _stretches(stream: Iterable[Samples], block_seconds: float | None) -> Iterator[tuple[_Stretch, float]]:
+def _stretches(model: RobotModel, stream: Iterable[Samples], block_seconds: float | None) -> Iterator[tuple[_Stretch, float]]:
     for samples in stream:
+        if samples.joint_names != model.joint_names:
+            raise IdentifiabilityError(
+                f"samples of {samples.source} have joints {', '.join(samples.joint_names)}, {model.name} has {', '.join(model.joint_names)}; "
+                "read the recording with model=..., which matches joints by name"
+            )
         rate = samples.parallel.output_rate if samples.parallel else samples.rate
         runs = [
             (start, stop, samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.tables import Cell, Column, Shown, Table, deviation, percent, rounded, share, significant
+from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant
 
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult, IdentifiedParameter
@@ -38,8 +38,8 @@ class Summary:
         left, right = self.heading[::2], self.heading[1::2]
         width = max(len(text) for _, text in left) + 4
         lines = [self.title]
-        for (label, text), (beside, other) in zip(left, right, strict=True):
-            lines.append(f"{label:<13}{text:<{width}}{beside:<19}{other}".rstrip())
+        for (label, text), (second, other) in zip(left, right, strict=True):
+            lines.append(f"{label:<13}{text:<{width}}{second:<19}{other}".rstrip())
         body, joints = self.parameters.as_text().splitlines(), self.joints.as_text().splitlines()
         rule = "-" * max(len(line) for line in body + lines)
         lines += [rule, body[0], *[line for line in body[1:] if not line.startswith("---")], rule, *joints]
@@ -119,13 +119,12 @@ def _parameter_table(result: IdentificationResult) -> Table:
 
 def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
     estimate, error = rounded(parameter.estimate, parameter.std_error)
-    cad, _ = rounded(parameter.cad, parameter.std_error)
     sigmas = parameter.difference_in_sigmas
     return (
         parameter.id,
         parameter.expression,
         parameter.unit,
-        Shown(parameter.cad, cad),
+        Shown(parameter.cad, beside(parameter.cad, parameter.std_error) if parameter.cad else "0"),
         Shown(parameter.estimate, estimate),
         Shown(parameter.std_error, error),
         Shown(100.0 * parameter.relative_error, percent(parameter.estimate, parameter.std_error)),
