@@ -42,7 +42,12 @@ def torque_findings(model: RobotModel, recording: Recording, motion: SmoothedMot
         return
     ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
     if ratio == 0:
-        yield Finding("no-torque", "error", "the torques do not change at all", "Log the measured joint torques or motor currents")
+        yield Finding(
+            "no-torque",
+            "error",
+            f"the torques do not change at all: the first joint's is {recording.tau[0, 0]:.4g} in {recording.n_samples} samples",
+            "Log the measured joint torques or motor currents",
+        )
         return
     if not _PLAUSIBLE[0] < ratio < _PLAUSIBLE[1]:
         fit = TorqueFit.of(model, motion, position_scale, 1.0 / ratio)
