@@ -166,6 +166,25 @@ def test_external_torques_and_currents_are_kept_apart(tmp_path: Path) -> None:
     assert read_recording(tmp_path / "amp.csv", rate=100).torque_source == "current"
 
 
+def test_blank_lines_units_below_the_header_and_byte_order_mark(tmp_path: Path, logged: dict) -> None:
+    spread(logged).write_csv(tmp_path / "log.csv")
+    lines = (tmp_path / "log.csv").read_text().splitlines()
+    units = "s,deg,deg,deg,deg/s,deg/s,deg/s,mN m,mN m,mN m"
+    (tmp_path / "log.csv").write_text("\ufeff" + "\r\n\r\n".join([lines[0], units, *lines[1:]]), encoding="utf-8")
+    recording = read_recording(tmp_path / "log.csv")
+    np.testing.assert_array_equal(recording.t, logged["t"])
+    np.testing.assert_allclose(recording.q, np.radians(logged["q"]), atol=1e-15)
+    np.testing.assert_allclose(recording.tau, logged["tau"] / 1000, atol=1e-15)
+
+
+def test_whole_recordings_named_after_a_quantity_stay_apart(tmp_path: Path, logged: dict) -> None:
+    paths = [tmp_path / "position_control.csv", tmp_path / "torque_control.csv"]
+    for path in paths:
+        spread(logged).write_csv(path)
+    for recording in read_recordings(paths):
+        assert_same(recording, logged)
+
+
 BAD = {
     "empty.csv": ("", "is not a recording: it is empty"),
     "page.csv": ("<!DOCTYPE html><html>", "is not a recording: it starts with '<!DOCTYPE"),

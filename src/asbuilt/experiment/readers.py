@@ -84,7 +84,7 @@ def read_recordings(
     """
     return [
         read_recording(group, model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
-        for group in role_groups([Path(path) for path in paths])
+        for group in _grouped([Path(path) for path in paths])
     ]
 
 
@@ -178,7 +178,9 @@ def apply_sheet(
         signs = np.atleast_1d(np.asarray(sheet.sign, dtype=np.float64))
         if signs.size not in (1, recording.n_joints):
             raise RecordingError(f"{recording.source}: the sheet gives {signs.size} signs for {recording.n_joints} joints")
-        if np.any(signs < 0):
+        if np.all(signs < 0):
+            recording = recording.flipped()
+        elif np.any(signs < 0):
             recording = recording.scaled(np.broadcast_to(signs, (recording.n_joints,)))
     factor = gain if gain is not None else sheet.gains
     if factor is not None:
@@ -210,7 +212,7 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
         if missing:
             raise RecordingError(f"the recording sheet names {missing[0]}, which does not exist")
         return merge_role_files({quantity: read_table(path, sheet) for quantity, path in files.items()})
-    groups = role_groups(paths)
+    groups = _grouped(paths)
     if len(groups) > 1:
         listing = "; ".join(", ".join(path.name for path in group) for group in groups)
         raise RecordingError(
@@ -221,10 +223,23 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
     return merge_role_files({path.name: read_table(path, sheet) for path in paths})
 
 
+def _grouped(paths: list[Path]) -> list[list[Path]]:
+    """Group files of one quantity each, but not whole recordings whose names say `torque` or `position` by chance."""
+    groups: list[list[Path]] = []
+    for group in role_groups(paths):
+        whole = len(group) > 1 and any(path.is_file() and _is_whole(read_table(path, RecordingSheet())) for path in group)
+        groups.extend([[path] for path in group] if whole else [group])
+    return groups
+
+
+def _is_whole(table: Table) -> bool:
+    found = {role.quantity for role in map(recognise, table.columns) if role is not None}
+    return "position" in found and bool({"torque", "current"} & found)
+
+
 def _refuse_lone_role_file(path: Path, table: Table) -> None:
     quantity, rest = quantity_of_file(path.stem)
-    found = {role.quantity for role in map(recognise, table.columns) if role is not None}
-    if quantity is None or quantity == "time" or {"position", "torque"} <= found:
+    if quantity is None or quantity == "time" or _is_whole(table):
         return
     others = [
         p.name

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.formats.delimited import bad_cell, find_dialect, scan_delimited
+from asbuilt.experiment.formats.delimited import bad_cell, find_dialect, scan_delimited, without_blank_lines
 from asbuilt.experiment.formats.parquet import scan_parquet, seconds
 from asbuilt.experiment.formats.table import Array, Table
 from asbuilt.experiment.layout import find_layout
@@ -110,7 +110,9 @@ def _frames(path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples
     tail: pl.DataFrame | None = None
     done = 0
     try:
-        for frame in scan_delimited(path, dialect).select(columns).collect_batches(chunk_size=chunk_samples, maintain_order=True):
+        for frame in without_blank_lines(scan_delimited(path, dialect).select(columns)).collect_batches(
+            chunk_size=chunk_samples, maintain_order=True
+        ):
             led = frame if tail is None else pl.concat([tail, frame])
             yield done - (0 if tail is None else tail.height), led
             done += frame.height

@@ -52,12 +52,21 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
         if len(body) < 2:
             raise RecordingError(f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data")
         skip = body[1]
+        units = _fields(lines[skip], separator)
+        if (
+            len(body) > 2
+            and len(units) == len(names)
+            and _is_words(units, decimal_comma)
+            and not _is_words(_fields(lines[body[2]], separator), decimal_comma)
+        ):
+            names, skip = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)], body[2]
     else:
         commented = _fields(lines[first - 1].lstrip(" #%"), separator) if first > 0 else []
         if header is None and len(commented) == len(fields) and not any(_is_number(field, decimal_comma) for field in commented):
             names, has_header = commented, True
         else:
             names = [str(k) for k in range(1, len(fields) + 1)]
+    names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
     repeated = [name for name in names if names.count(name) > 1]
     if repeated:
         places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
@@ -90,6 +99,11 @@ def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
     )
 
 
+def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
+    """Leave out the rows in which every cell is empty."""
+    return frame.filter(~pl.all_horizontal(pl.all().is_null()))
+
+
 def read_delimited(path: Path, *, header: bool | None = None, separator: str | None = None) -> Table:
     """Read a CSV file (or one delimited by semicolons, tabs, bars or blanks), with or without header.
 
@@ -104,7 +118,7 @@ def read_delimited(path: Path, *, header: bool | None = None, separator: str | N
     if dialect.separator == "":
         return _read_blank_delimited(path, dialect)
     try:
-        frame = scan_delimited(path, dialect).collect()
+        frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
         raise RecordingError(bad_cell(path, dialect, error)) from error
     columns: dict[str, Array] = {}
@@ -190,6 +204,10 @@ def _find_separator(lines: list[str]) -> str:
 def _fields(line: str, separator: str) -> list[str]:
     parts = line.strip("\r\n").split(separator) if separator else line.split()
     return [part.strip().strip('"').strip() for part in parts]
+
+
+def _is_words(fields: list[str], decimal_comma: bool) -> bool:
+    return not any(_is_number(field, decimal_comma) for field in fields)
 
 
 def _is_number(text: str, decimal_comma: bool) -> bool:
