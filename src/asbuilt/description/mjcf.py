@@ -67,6 +67,7 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     if compiled.neq:
         tree.notes.append(f"{compiled.neq} equality constraints are left out; every joint counts as driven on its own")
     return RobotModel(
+        drives_by_design=False,
         name=root.get("model") or "robot",
         joints=tuple(tree.joints),
         links=tuple(tree.link(i) for i in range(len(tree.joints))),

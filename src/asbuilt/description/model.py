@@ -111,6 +111,7 @@ class RobotModel:
     """Describe a robot: joint i moves link i; every parent precedes its children; fixed joints are already merged.
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value of each letter that the joints use.
+    `drives_by_design` is False where the joints' drive values are settings for a simulator (URDF, MJCF) rather than facts of the design.
     `source` says where the description came from, `citation` whose facts they are.
     """
 
@@ -121,6 +122,7 @@ class RobotModel:
     root_link: str = "root"
     frames: tuple[Frame, ...] = ()
     lengths: Mapping[str, float] = field(default_factory=dict)
+    drives_by_design: bool = True
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()

@@ -75,6 +75,7 @@ def read_urdf(path_or_text: str | Path) -> RobotModel:
         merged = len(parts) > 1 or any(part != name for part, _ in parts)
         links.append(Link(name=name, inertia=total, inertia_known=bool(parts), parts=tuple(parts) if merged else ()))
     return RobotModel(
+        drives_by_design=False,
         name=(root.get("name") or "robot").strip(),
         joints=tuple(tree.joints),
         links=tuple(links),

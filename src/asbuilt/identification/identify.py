@@ -149,12 +149,19 @@ def conclude(
 
 
 def design_values(model: RobotModel, base: BaseParameters) -> Array:
-    """Return the base parameters by design, shape (p,); NaN where the description is silent on something they contain."""
-    chi = parameter_values(model, base.drive)
+    """Return the base parameters by design, shape (p,); NaN where the description is silent on something they contain.
+
+    A drive value on which it is silent, or that it states for a simulator's sake, adds nothing to sums with links and is NaN by itself.
+    """
+    chi, links = parameter_values(model, base.drive), 10 * model.n_joints
     for i, link in enumerate(model.links):
         if not link.inertia_known:
             chi[10 * i : 10 * i + 10] = np.nan
-    return base.values(chi)
+    silent = np.zeros(len(chi), dtype=bool)
+    silent[links:] = np.isnan(chi[links:]) if model.drives_by_design else True
+    values = base.values(np.where(silent, 0.0, chi))
+    values[silent[base.columns]] = np.nan
+    return values
 
 
 def information_metrics(information: SquareRootInformation, beta: Array) -> TorqueMetrics:

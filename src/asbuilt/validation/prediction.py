@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import ResultError
+from asbuilt.identification.identify import design_values as described_values
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.torque_prediction import predict_torque
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve, analyse_residual, velocity_curve
@@ -124,7 +124,7 @@ def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
                 f"{cad.name} and {result.robot} differ in geometry: {what.replace('_', ' ')} of joint {result.joint_names[worst]!r} by {off[worst]:.3g}; "
                 "compare descriptions with the same joint frames, or identify with the other one"
             )
-    return result.base.values(parameter_values(cad, result.base.drive))
+    return described_values(cad, result.base)
 
 
 def _drive_torque(result: IdentificationResult, samples: Samples) -> Array:

@@ -1,0 +1,132 @@
+"""The whole of an identification on virtual robots, and on recordings of real ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.readers import read_recordings
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.validation.study import Study, StudyOptions, default_drive, run_study
+
+UR10E_SHEET = """
+header = false
+torque_source = "current"
+gains = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+[columns]
+time = 1
+position = "2-7"
+velocity = "8-13"
+torque = "14-19"
+"""
+
+
+@pytest.fixture(scope="module")
+def recordings() -> list[Recording]:
+    model = load_robot("scara")
+    robot = InstalledRobot.typical(model, rng=5)
+    return [robot.record(random_fourier(model, rng=seed, duration=10.0), 200.0, rng=seed).recording for seed in (1, 2)]
+
+
+def test_drive_terms_follow_the_torque_source() -> None:
+    assert default_drive("sensor").keys == ("viscous", "coulomb", "offset")
+    assert "armature" in default_drive("current").keys
+    assert "armature" in default_drive("motor").keys
+
+
+def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording]) -> None:
+    options = StudyOptions(holdout="blocks:1s:3")
+    study = run_study(load_robot("scara"), recordings[:1], validation=recordings[1:], options=options)
+    assert len(study.validations) == len(study.result.validation) == 2
+    assert "held out" in study.validations[0].source
+    assert np.array_equal(study.result.cad.rms, study.validations[0].metrics_cad.rms)
+    assert len(study.checks) == 2
+    assert study.result.validation[1].relative_error < 0.5 * study.validations[1].metrics_cad.relative_error
+
+
+def test_without_held_out_data_the_result_says_so(recordings: list[Recording]) -> None:
+    study = run_study(load_robot("scara"), recordings)
+    assert "nothing_held_out" in {warning.code for warning in study.result.warnings}
+    assert study.result.validation == ()
+
+
+def test_a_motion_too_poor_for_its_parameters_is_called_so(recordings: list[Recording]) -> None:
+    short = [replace(recordings[0], **{name: getattr(recordings[0], name)[:150] for name in ("t", "q", "tau")})]
+    study = run_study(load_robot("scara"), short, validation=recordings[1:], options=StudyOptions(checked=False))
+    assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
+
+
+def test_nothing_to_learn_from_is_refused() -> None:
+    with pytest.raises(UsageError, match="no recording"):
+        run_study(load_robot("scara"), [])
+
+
+def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Recording]) -> None:
+    with pytest.raises(RecordingError, match="flip"):
+        run_study(load_robot("scara"), [recordings[0].flipped()])
+    run_study(load_robot("scara"), [recordings[0].flipped()], options=StudyOptions(checked=False))
+
+
+def study_of(
+    shared: Path, robot: str, logs: list[str], options: StudyOptions, *, validation: list[str] | None = None, **reading: object
+) -> Study:
+    model = load_robot(shared / "models" / robot)
+    read = [read_recordings([shared / "data" / log for log in names], model=model, **reading) for names in (logs, validation or [])]  # type: ignore[arg-type]
+    return run_study(model, read[0], validation=read[1], options=options)
+
+
+def recorded_rms(study: Study) -> list[np.ndarray]:
+    return [validation.metrics_recorded.rms for validation in study.validations]
+
+
+def test_med7_beats_the_manufacturers_model(shared: Path) -> None:
+    """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m (tau - tau_ext of the file)."""
+    options = StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), holdout="blocks:5s:3")
+    study = study_of(
+        shared, "lbrstack_med7.urdf", ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"], options, rate=100.0, flip_torque=True
+    )
+    assert np.all(study.validations[0].metrics_as_built.rms < [0.72, 1.01, 0.43, 0.78, 0.26, 0.22, 0.27])
+
+
+def test_med7_with_flipped_torque_is_refused(shared: Path) -> None:
+    with pytest.raises(RecordingError, match="--flip-torque"):
+        study_of(
+            shared, "lbrstack_med7.urdf", ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"], StudyOptions(holdout="last:0.3"), rate=100.0
+        )
+
+
+def test_short_med7_recording_is_said_not_to_generalise(shared: Path) -> None:
+    study = study_of(
+        shared, "lbrstack_med7.urdf", ["lbr_med7/measurements.csv"], StudyOptions(holdout="last:0.3"), rate=100.0, flip_torque=True
+    )
+    assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
+
+
+def test_lwr4_beats_plain_least_squares(shared: Path) -> None:
+    study = study_of(shared, "kuka_lwr4.urdf", ["kuka_lwr4/measurements_1.npz"], StudyOptions(), validation=["kuka_lwr4/measurements_2.npz"])
+    assert np.all(study.validations[0].metrics_as_built.rms <= [0.31, 0.27, 0.28, 0.185, 0.25, 0.2, 0.19])
+
+
+def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
+    sheet = tmp_path / "ur10e.toml"
+    sheet.write_text(UR10E_SHEET)
+    study = study_of(
+        shared,
+        "ur10e.urdf",
+        ["ur10e/ur-20_02_10-30sec_12harm.csv"],
+        StudyOptions(),
+        validation=["ur10e/ur-20_02_12-40sec_12harm.csv", "ur10e/ur-20_01_17-ptp_10_points.csv"],
+        sheet=sheet,
+    )
+    assert study.result.base.drive.keys == ("armature", "viscous", "coulomb", "offset")
+    for validation in study.validations:
+        assert validation.metrics_as_built.relative_error < 0.06
+        assert np.all(validation.metrics_as_built.rms < validation.metrics_cad.rms)
