@@ -33,7 +33,8 @@ from asbuilt.experiment.streaming import stream_recording
 from asbuilt.identification.consistency import consistency_margin
 from asbuilt.identification.identify import conclude, design_values
 from asbuilt.identification.least_squares import fit_least_squares
-from asbuilt.identification.square_root_information import accumulate, accumulate_stream, one_blas_thread
+from asbuilt.identification.square_root_information import accumulate, accumulate_stream
+from asbuilt.identification.triangular import one_blas_thread
 
 ROBOT = "kuka-iiwa7-r800"
 DRIVE = "viscous,coulomb,offset"

@@ -17,7 +17,8 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.samples import Samples
 from asbuilt.identification.least_squares import fit_least_squares, solve_factor
-from asbuilt.identification.square_root_information import accumulate, triangular_factor
+from asbuilt.identification.square_root_information import accumulate
+from asbuilt.identification.triangular import triangular_factor
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 NIST = Path(__file__).parent / "nist"

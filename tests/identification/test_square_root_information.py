@@ -17,7 +17,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples, stream_samples
 from asbuilt.identification.least_squares import fit_least_squares, solve_factor
-from asbuilt.identification.square_root_information import MOST_BLOCKS, GrowingFactor, accumulate, accumulate_stream, triangular_factor
+from asbuilt.identification.square_root_information import MOST_BLOCKS, accumulate, accumulate_stream
+from asbuilt.identification.triangular import GrowingFactor, triangular_factor
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 

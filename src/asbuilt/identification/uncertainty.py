@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.identification.least_squares import Estimate
-from asbuilt.identification.square_root_information import SquareRootInformation, one_blas_thread
+from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.triangular import one_blas_thread
 
 Array = NDArray[np.float64]
 
