@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,8 @@ class TorqueMetrics:
     """Measure a prediction against a recording of n joints; `e = measured - predicted`, N m for a joint that turns, N for one that slides.
 
     `rms` (n,) = sqrt(mean(e^2)); `max_abs` (n,) = max |e|; `r_squared` (n,) = 1 - sum e^2 / sum (tau - mean tau)^2, NaN where the torque
-    is constant; `relative_error_per_joint` (n,) = |e_k| / |tau_k| and `relative_error` = |e| / |tau|, the norms over all samples and joints.
+    is constant; `relative_error_per_joint` (n,) = |e_k| / |tau_k| and `relative_error` = |e| / |tau|, the norms over all samples and joints. All are
+    taken in the band that the samples' filter passes; `rms_recorded` (n,) is against the torque as logged, which no filter flatters; NaN where unknown.
     """
 
     source: str
@@ -30,9 +31,12 @@ class TorqueMetrics:
     r_squared: Array
     relative_error: float
     relative_error_per_joint: Array
+    rms_recorded: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
-        for name in ("rms", "max_abs", "r_squared", "relative_error_per_joint"):
+        if np.size(self.rms_recorded) == 0:
+            object.__setattr__(self, "rms_recorded", np.full(len(self.joint_names), np.nan))
+        for name in ("rms", "max_abs", "r_squared", "relative_error_per_joint", "rms_recorded"):
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != (len(self.joint_names),):
                 raise ResultError(
@@ -52,6 +56,7 @@ class TorqueMetrics:
             "r_squared": _plain(self.r_squared),
             "relative_error": _plain([self.relative_error])[0],
             "relative_error_per_joint": _plain(self.relative_error_per_joint),
+            "rms_recorded": _plain(self.rms_recorded),
         }
 
     @classmethod
@@ -67,6 +72,7 @@ class TorqueMetrics:
                 r_squared=_numbers(fields["r_squared"]),
                 relative_error=float(_numbers([fields["relative_error"]])[0]),
                 relative_error_per_joint=_numbers(fields["relative_error_per_joint"]),
+                rms_recorded=_numbers(fields["rms_recorded"]),
             )
         except (KeyError, TypeError, ValueError) as problem:
             if isinstance(problem, ResultError):

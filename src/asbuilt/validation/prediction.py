@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import ResultError
 from asbuilt.identification.identify import design_values as described_values
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
-from asbuilt.identification.torque_prediction import predict_torque
+from asbuilt.identification.torque_prediction import Prediction, predict_torque
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve, analyse_residual, velocity_curve
 
 if TYPE_CHECKING:
@@ -82,11 +82,8 @@ def validate(result: IdentificationResult, samples: Samples, *, cad: RobotModel 
             f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)}; the result of {result.robot} needs "
             f"{', '.join(result.joint_names)} in this order"
         )
-    as_built = result.predict(samples)
-    if cad is None:
-        by_design = result.predict_cad(samples)
-    else:
-        by_design = predict_torque(result.model, result.base, np.nan_to_num(design_values(result, cad), nan=0.0), samples)
+    design = np.nan_to_num(result.cad_values if cad is None else design_values(result, cad), nan=0.0)
+    as_built, by_design = (predict_torque(result.model, result.base, beta, samples) for beta in (result.estimates, design))
     return Validation(
         source=samples.source,
         joint_names=tuple(result.joint_names),
@@ -97,9 +94,16 @@ def validate(result: IdentificationResult, samples: Samples, *, cad: RobotModel 
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
         drive=_drive_torque(result, samples),
-        metrics_as_built=torque_metrics(as_built.measured, as_built.predicted, samples.source, result.joint_names),
-        metrics_cad=torque_metrics(as_built.measured, by_design.predicted, samples.source, result.joint_names),
+        metrics_as_built=_metrics(result, result.estimates, samples, as_built),
+        metrics_cad=_metrics(result, design, samples, by_design),
     )
+
+
+def _metrics(result: IdentificationResult, beta: Array, samples: Samples, prediction: Prediction) -> TorqueMetrics:
+    """Return the metrics of a prediction on its filtered grid, with the error against the torque as recorded beside them."""
+    recorded = predict_torque(result.model, result.base, beta, replace(samples, tau=samples.tau_raw, parallel=None))
+    metrics = torque_metrics(prediction.measured, prediction.predicted, samples.source, result.joint_names)
+    return replace(metrics, rms_recorded=np.sqrt(np.mean(recorded.error**2, axis=0)))
 
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:
