@@ -22,7 +22,7 @@ bench: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/run.py --out out/bench.json
 
 docs: $(VENV)/.installed-docs
-	$(BIN)/mkdocs build --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 format: $(VENV)/.installed-check
 	$(BIN)/ruff check --fix .
