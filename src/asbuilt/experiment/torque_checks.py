@@ -115,11 +115,12 @@ def _sign_and_scale(model: RobotModel, recording: Recording, fit: TorqueFit, rat
                 joint=names[k],
             )
     silent = ~np.isin(np.arange(model.n_joints), speaking)
-    for k in np.flatnonzero(silent & (sign * fit.friction_correlation < -_BRAKING)).tolist():
+    friction = sign * fit.friction_correlation if silent.any() else np.zeros(model.n_joints)
+    for k in np.flatnonzero(silent & (friction < -_BRAKING)).tolist():
         yield Finding(
             "joint-torque-flipped",
             "warning",
-            f"the torque of {names[k]} acts against its motion (correlation with the direction of motion {sign * fit.friction_correlation[k]:.2f}), as friction "
+            f"the torque of {names[k]} acts against its motion (correlation with the direction of motion {friction[k]:.2f}), as friction "
             "does not; its sign may be the opposite of the other joints'",
             f"Turn it in a recording sheet: sign = [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
             joint=names[k],

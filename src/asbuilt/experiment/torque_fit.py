@@ -9,7 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.recording import Array
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
 
@@ -88,12 +91,25 @@ class TorqueFit:
 
     @property
     def friction_correlation(self) -> Array:
-        """Correlation of each joint's measured torque with the direction of its motion, tanh(qd_k / 0.02), shape (n,)."""
-        way = np.tanh(self.qd[:, list(self.motion_of)] / _BREAKAWAY)
-        tau = self.tau[:, list(self.torque_of)]
-        way, tau = way - way.mean(axis=0), tau - tau.mean(axis=0)
-        norms = np.linalg.norm(way, axis=0) * np.linalg.norm(tau, axis=0)
-        likeness: Array = np.sum(way * tau, axis=0) / np.where(norms > 0, norms, 1.0)
+        """Correlation of each joint's torque with its direction of motion tanh(qd_k / 0.02), shape (n,), every rigid-body torque taken out of both.
+
+        What any masses could explain is projected out, so CAD does not matter; joints whose friction moves less than a tenth of their torque get 0.
+        """
+        pick = list(self.motion_of)
+        base = find_base_parameters(self.model, DriveSet.parse("offset"))
+        q, qd, qdd = (values[:, pick] for values in (self.q, self.qd, self.qdd))
+        observed = observation_matrix(self.model, q, qd, qdd, drive=base.drive, columns=base.columns)
+        rows = observed.reshape(*q.shape, base.n_base)
+        likeness = np.zeros(q.shape[1])
+        for k in range(q.shape[1]):
+            lengths = np.linalg.norm(rows[:, k], axis=0)
+            basis, values, _ = np.linalg.svd(rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False)
+            basis = basis[:, values > 1e-6 * values[0]]
+            both = np.column_stack([np.tanh(qd[:, k] / _BREAKAWAY), self.tau[:, self.torque_of[k]]])
+            way, left = (both - basis @ (basis.T @ both)).T
+            norm = float(np.linalg.norm(way) * np.linalg.norm(left))
+            if norm > 0 and abs(way @ left) / np.linalg.norm(way) > 0.1 * np.linalg.norm(both[:, 1] - both[:, 1].mean()):
+                likeness[k] = way @ left / norm
         return likeness
 
     def misfit(self, sign: int) -> Array:
