@@ -11,6 +11,7 @@ import importlib.util
 import json
 import os
 import platform
+import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -26,6 +27,7 @@ def main() -> None:
     unknown = sorted(set(arguments.names) - set(available))
     if unknown:
         parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(available)}")
+    sys.path.insert(0, str(HERE))
     report: dict[str, object] = {"machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}}
     for name in arguments.names or available:
         spec = importlib.util.spec_from_file_location(name, HERE / f"{name}.py")
