@@ -111,6 +111,22 @@ def test_one_joint_flipped(iiwa: RobotModel, clean: Recording, joint: int) -> No
     assert f"sign = [{', '.join('-1' if k == joint else '1' for k in range(7))}]" in found.cure
 
 
+@pytest.mark.parametrize("joint", range(7))
+def test_friction_tells_the_sign_of_joints_that_carry_nothing(shared: Path, joint: int) -> None:
+    lwr = load_robot(shared / "models" / "kuka_lwr4.urdf")
+    recording = read_recording(shared / "data" / "kuka_lwr4" / "measurements_1.npz", model=lwr)
+    check = check_recording(lwr, replace(recording, tau=recording.tau * np.where(np.arange(7) == joint, -1, 1)))
+    assert [item.joint for item in check.findings if item.code == "joint-torque-flipped"] == [lwr.joint_names[joint]]
+
+
+def test_without_friction_nothing_is_said_of_silent_joints(iiwa: RobotModel, clean: Recording) -> None:
+    rng = np.random.default_rng(8)
+    built = iiwa.parameters * np.repeat(1 + 0.5 * rng.uniform(-1, 1, 7), 10)
+    qdd = np.gradient(clean.qd, clean.t, axis=0)
+    check = check_recording(iiwa, replace(clean, tau=inverse_dynamics(iiwa, clean.q, clean.qd, qdd, parameters=built)))
+    assert "joint-torque-flipped" not in check.codes
+
+
 def test_swapped_joints_are_named(iiwa: RobotModel, clean: Recording) -> None:
     found = finding(iiwa, replace(clean, tau=swapped(clean.tau, 1, 3)), "joints-swapped")
     assert "A2 fits the position of A2 and the torque of A4" in found.message
