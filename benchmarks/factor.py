@@ -23,6 +23,7 @@ from scipy.linalg import qr
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -34,7 +35,6 @@ from asbuilt.identification.consistency import consistency_margin
 from asbuilt.identification.identify import conclude, design_values
 from asbuilt.identification.least_squares import fit_least_squares
 from asbuilt.identification.square_root_information import accumulate, accumulate_stream
-from asbuilt.identification.triangular import one_blas_thread
 
 ROBOT = "kuka-iiwa7-r800"
 DRIVE = "viscous,coulomb,offset"

@@ -31,7 +31,8 @@ def main() -> None:
     report: dict[str, object] = {"machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}}
     for name in arguments.names or available:
         spec = importlib.util.spec_from_file_location(name, HERE / f"{name}.py")
-        assert spec is not None and spec.loader is not None
+        assert spec is not None
+        assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
         if not hasattr(module, "measure"):

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.identifiability import StandardParameter, standard_parameters
 from asbuilt.dynamics.letters import Polynomial, Row, written
@@ -95,12 +96,13 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     >>> base.standard[0].why
     'Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts'
     """
-    found = structural_regrouping(model, drive)
-    numeric = observation_rank(model, drive)
-    if numeric.rank != len(found.columns):
-        raise IdentifiabilityError(_disagreement(model, drive, len(found.columns), numeric))
+    with one_blas_thread():
+        found = structural_regrouping(model, drive)
+        numeric = observation_rank(model, drive)
+        if numeric.rank != len(found.columns):
+            raise IdentifiabilityError(_disagreement(model, drive, len(found.columns), numeric))
+        lettered = lettered_regrouping(model, drive, found)
     names = parameter_names(model, drive)
-    lettered = lettered_regrouping(model, drive, found)
     return BaseParameters(
         robot=model.name,
         drive=drive,

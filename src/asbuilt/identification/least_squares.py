@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
 
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.square_root_information import SquareRootInformation
-from asbuilt.identification.triangular import one_blas_thread
 
 Array = NDArray[np.float64]
 Weighting = Literal["joint"]

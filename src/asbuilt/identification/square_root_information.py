@@ -6,11 +6,10 @@ import io
 import json
 import os
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING
 from zipfile import BadZipFile
 
@@ -19,9 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.triangular import ROWS_AT_ONCE, GrowingFactor, one_blas_thread, triangular_factor
+from asbuilt.identification.rows import RowBlock, Stretch, TimeBlock, stretches
+from asbuilt.identification.triangular import ROWS_AT_ONCE, GrowingFactor, triangular_factor
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
@@ -29,25 +30,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-SAMPLES_AT_ONCE = 2048
-"""Samples, before filtering, whose regressor is held at once."""
-LONGEST_BLOCK = 5.0
-"""Length of a time block [s] where nothing else is asked."""
-SHORTEST_BLOCK = 1.0
-USUAL_BLOCKS = 16
-"""A short recording is cut into about so many blocks, so that errors can be judged from block to block."""
 MOST_BLOCKS = 128
 """Beyond twice as many, neighbours are merged, so that memory does not grow with the recording."""
-
-
-@dataclass(frozen=True, slots=True)
-class TimeBlock:
-    """A stretch of a recording: where it comes from, first and last instant [s] and number of samples."""
-
-    source: str
-    start: float
-    stop: float
-    n_samples: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,9 +230,9 @@ def accumulate_stream(
     pending: deque[Future[_Reduced]] = deque()
     workers = max(1, threads if threads is not None else os.cpu_count() or 1)
     with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
-        for stretch, seconds in _stretches(model, stream, block_seconds):
+        for stretch in stretches(model, stream, block_seconds):
             pending.append(pool.submit(_reduced, plan, stretch))
-            gathered.seconds = max(gathered.seconds, seconds)
+            gathered.seconds = max(gathered.seconds, stretch.seconds)
             if len(pending) > 2 * workers:
                 gathered.add(pending.popleft().result())
         while pending:
@@ -258,20 +242,24 @@ def accumulate_stream(
             f"no samples of {model.name} are left to identify from: every contiguous stretch is shorter than the filter needs; "
             "record longer, raise the cutoff, or filter less"
         )
-    factors = tuple(np.array([block.factors[k] for block in gathered.blocks]) for k in range(model.n_joints))
-    torque_sum = np.array([block.torque_sum for block in gathered.blocks])
-    return SquareRootInformation(base, model.joint_names, plan.support, factors, torque_sum, tuple(block.time for block in gathered.blocks))
+    return gathered.information(base, model.joint_names, plan.support)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stretch:
-    """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`."""
-
-    samples: Samples
-    start: int
-    stop: int
-    first: int
-    last: int
+def reduce_rows(
+    base: BaseParameters, joint_names: tuple[str, ...], support: Sequence[Indices], blocks: Iterable[RowBlock]
+) -> SquareRootInformation:
+    """Reduce rows that an estimator has made of those of the samples, such as weighted ones; `support[k]` are the columns of joint k's rows."""
+    gathered = _Gathering()
+    with one_blas_thread():
+        for block in blocks:
+            gathered.seconds = max(gathered.seconds, block.seconds)
+            factors = []
+            for rows in block.rows:
+                growing = GrowingFactor(len(rows), min(ROWS_AT_ONCE, rows.shape[1]))
+                growing.append(rows)
+                factors.append(growing.factor())
+            gathered.add(_Reduced(tuple(factors), np.array([rows[-1].sum() for rows in block.rows]), block.time))
+    return gathered.information(base, joint_names, tuple(support))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,49 +269,14 @@ class _Reduced:
     time: TimeBlock
 
 
-def _stretches(model: RobotModel, stream: Iterable[Samples], block_seconds: float | None) -> Iterator[tuple[_Stretch, float]]:
-    for samples in stream:
-        if samples.joint_names != model.joint_names:
-            raise IdentifiabilityError(
-                f"samples of {samples.source} have joints {', '.join(samples.joint_names)}, {model.name} has {', '.join(model.joint_names)}; "
-                "read the recording with model=..., which matches joints by name"
-            )
-        rate = samples.parallel.output_rate if samples.parallel else samples.rate
-        runs = [
-            (start, stop, samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start)
-            for start, stop in samples.segments
-        ]
-        seconds = block_seconds
-        if seconds is None:
-            seconds = float(np.clip(sum(n for _, _, n in runs) / rate / USUAL_BLOCKS, SHORTEST_BLOCK, LONGEST_BLOCK))
-        for start, stop, n in runs:
-            if n < 1:
-                continue
-            edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
-            for first, last in pairwise(edges.tolist()):
-                yield _Stretch(samples, start, stop, first, last), seconds
-
-
-def _reduced(plan: RegressorPlan, stretch: _Stretch) -> _Reduced:
-    samples, parallel = stretch.samples, stretch.samples.parallel
-    n_outputs = stretch.last - stretch.first
-    step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
-    at_once = min(n_outputs, max(1, (SAMPLES_AT_ONCE - width) // step + 1))
-    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, n_outputs)) for columns in plan.support]
+def _reduced(plan: RegressorPlan, stretch: Stretch) -> _Reduced:
+    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, stretch.n_outputs)) for columns in plan.support]
     torque_sum = np.zeros(plan.model.n_joints)
-    buffer = plan.buffer((at_once - 1) * step + width)
-    for first in range(stretch.first, stretch.last, at_once):
-        last = min(first + at_once, stretch.last)
-        span = slice(stretch.start + first * step, stretch.start + (last - 1) * step + width)
-        for k, rows in enumerate(plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)):
-            rows[-1] = samples.tau[span, k]
-            both = parallel.apply(rows) if parallel else rows
-            torque_sum[k] += both[-1].sum()
-            growing[k].append(both)
-    t = samples.t[stretch.start : stretch.stop]
-    t = parallel.times(t) if parallel else t
-    time = TimeBlock(samples.source, float(t[stretch.first]), float(t[stretch.last - 1]), n_outputs)
-    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, time)
+    for piece in stretch.pieces(plan):
+        for k, rows in enumerate(piece):
+            torque_sum[k] += rows[-1].sum()
+            growing[k].append(rows)
+    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, stretch.time)
 
 
 class _Gathering:
@@ -343,6 +296,12 @@ class _Gathering:
             blocks, self.blocks = self.blocks, []
             for each in blocks:
                 self.add(each)
+
+    def information(self, base: BaseParameters, joint_names: tuple[str, ...], support: tuple[Indices, ...]) -> SquareRootInformation:
+        """Return all blocks as one."""
+        factors = tuple(np.array([block.factors[k] for block in self.blocks]) for k in range(len(joint_names)))
+        torque_sum = np.array([block.torque_sum for block in self.blocks])
+        return SquareRootInformation(base, joint_names, support, factors, torque_sum, tuple(block.time for block in self.blocks))
 
 
 def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:

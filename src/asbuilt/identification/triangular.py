@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager
-from functools import cache
-from typing import cast
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
-from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 Array = NDArray[np.float64]
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
-
-
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Keep the BLAS to one thread: its own threads only get in each other's way on matrices with some 50 columns."""
-    return cast(AbstractContextManager[object], _blas().limit(limits=1, user_api="blas"))
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 def triangular_factor(rows: Array) -> Array:

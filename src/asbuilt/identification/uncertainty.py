@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.identification.least_squares import Estimate
 from asbuilt.identification.square_root_information import SquareRootInformation
-from asbuilt.identification.triangular import one_blas_thread
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,19 @@
+"""How many threads the linear algebra library may use."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from functools import cache
+from typing import cast
+
+from threadpoolctl import ThreadpoolController
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Keep the BLAS to one thread: its own threads only get in each other's way on matrices with some 50 columns."""
+    return cast(AbstractContextManager[object], _blas().limit(limits=1, user_api="blas"))
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()
