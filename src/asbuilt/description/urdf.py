@@ -46,13 +46,14 @@ class _Tree:
     frames: list[Frame] = field(default_factory=list)
 
 
-def read_urdf(path_or_text: str | Path) -> RobotModel:
+def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> RobotModel:
     """Read a robot from a URDF file or from the XML text itself.
 
     The frame of a moving link is the URDF link frame; `before` ends with a rotation of z onto the joint axis, which `after` takes back.
     Links behind fixed joints are merged into the moving link that carries them, and kept as frames and as `Link.parts` (all in the frame of
     the carrier); what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping and friction become
-    viscous and Coulomb values. Angles within 1e-5 rad of a right angle become exact. Meshes are neither needed nor looked for.
+    viscous and Coulomb values. Angles within 1e-5 rad of a right angle become exact, unless `straighten` is False, which reads them to the
+    letter as other programs do. Meshes are neither needed nor looked for.
 
     Raises `DescriptionError` naming the element, what was given and what would do (format: http://wiki.ros.org/urdf/XML).
     """
@@ -63,8 +64,8 @@ def read_urdf(path_or_text: str | Path) -> RobotModel:
     if root.tag != "robot":
         raise DescriptionError(f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>")
     notes: list[str] = []
-    bodies = _bodies(root, source, notes)
-    connections = _connections(root, bodies, source, notes)
+    bodies = _bodies(root, source, notes, straighten)
+    connections = _connections(root, bodies, source, notes, straighten)
     top = _root_link(bodies, connections, source)
     tree = _merged(top, bodies, connections, source, notes)
     if not tree.joints:
@@ -93,17 +94,18 @@ def _only(element: Element, tag: str, place: str, notes: list[str]) -> Element |
     return found[0] if found else None
 
 
-def _origin(element: Element, place: str, notes: list[str]) -> Array:
+def _origin(element: Element, place: str, notes: list[str], straighten: bool) -> Array:
     origin = _only(element, "origin", place, notes)
     if origin is None:
         return np.eye(4)
     xyz = numbers(origin, "xyz", 3, place) if origin.get("xyz") is not None else [0.0, 0.0, 0.0]
     rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") is not None else [0.0, 0.0, 0.0]
-    exact = [straightened(value, f"{name} of {place}", notes) for name, value in zip(("roll", "pitch", "yaw"), rpy, strict=True)]
-    return placement(rotation_from_rpy(exact), xyz)
+    if straighten:
+        rpy = [straightened(value, f"{name} of {place}", notes) for name, value in zip(("roll", "pitch", "yaw"), rpy, strict=True)]
+    return placement(rotation_from_rpy(rpy), xyz)
 
 
-def _bodies(root: Element, source: str, notes: list[str]) -> dict[str, _Body]:
+def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> dict[str, _Body]:
     bodies: dict[str, _Body] = {}
     for i, element in enumerate(root.findall("link")):
         name = required(element, "name", f"{source}, link number {i + 1}")
@@ -111,13 +113,13 @@ def _bodies(root: Element, source: str, notes: list[str]) -> dict[str, _Body]:
             raise DescriptionError(f"{source}: two links are named {name!r}; every link needs its own name")
         place = f"{source}, link {name!r}"
         inertial = _only(element, "inertial", place, notes)
-        bodies[name] = _Body(name, _inertia(inertial, place, notes) if inertial is not None else None)
+        bodies[name] = _Body(name, _inertia(inertial, place, notes, straighten) if inertial is not None else None)
     if not bodies:
         raise DescriptionError(f"{source}: the URDF has no <link>")
     return bodies
 
 
-def _inertia(inertial: Element, place: str, notes: list[str]) -> LinkInertia:
+def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) -> LinkInertia:
     place = f"{place}, inertial"
     mass, tensor = inertial.find("mass"), inertial.find("inertia")
     if mass is None or tensor is None:
@@ -128,10 +130,10 @@ def _inertia(inertial: Element, place: str, notes: list[str]) -> LinkInertia:
     xx, yy, zz = (number(tensor, name, place) for name in ("ixx", "iyy", "izz"))
     xy, xz, yz = (number(tensor, name, place) for name in ("ixy", "ixz", "iyz"))
     about_com = LinkInertia.from_com(number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return about_com.moved(_origin(inertial, place, notes))
+    return about_com.moved(_origin(inertial, place, notes, straighten))
 
 
-def _connections(root: Element, bodies: dict[str, _Body], source: str, notes: list[str]) -> list[_Connection]:
+def _connections(root: Element, bodies: dict[str, _Body], source: str, notes: list[str], straighten: bool) -> list[_Connection]:
     connections: list[_Connection] = []
     names: set[str] = set()
     parent_joint: dict[str, str] = {}
@@ -162,7 +164,7 @@ def _connections(root: Element, bodies: dict[str, _Body], source: str, notes: li
                 "a link hangs on one joint"
             )
         parent_joint[child] = name
-        connections.append(_Connection(name, kind, parent, child, _origin(element, place, notes), element, place))
+        connections.append(_Connection(name, kind, parent, child, _origin(element, place, notes, straighten), element, place))
     return connections
 
 

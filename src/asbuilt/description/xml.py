@@ -18,8 +18,10 @@ LARGEST_DESCRIPTION = 50_000_000
 """Bytes; a description of a robot without its meshes is thousands of times smaller."""
 
 
-def described_text(path_or_text: str | Path) -> tuple[bytes, str]:
+def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
     """Return the content and a name for error messages of a description given as a path or as the text itself."""
+    if isinstance(path_or_text, bytes):
+        return path_or_text, "the description"
     if isinstance(path_or_text, str) and "<" in path_or_text:
         return path_or_text.encode(), "the description"
     path = Path(path_or_text)

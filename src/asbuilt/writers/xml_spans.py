@@ -1,0 +1,188 @@
+"""Where the elements and attribute values of an XML file stand, so that some can be changed and every other byte kept."""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+from xml.etree.ElementTree import ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import DefusedXMLParser
+
+from asbuilt.errors import DescriptionError
+
+_NAME = re.compile(rb"<([^\s/>]+)")
+_ATTRIBUTE = re.compile(rb"\s+([^\s=/>]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
+_TAG_END = re.compile(rb"\s*(/?)>")
+_DECLARED = re.compile(rb"""^<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
+
+
+@dataclass(eq=False)
+class Span:
+    """One element: its tag without namespace, its attributes, and where it stands in the text (counted in bytes of UTF-8).
+
+    `start` is at the `<`, `inner` behind the `>` of the start tag, `close` at the `</` (None where the tag closes itself), `stop` behind the
+    element. `values` gives the text of each attribute between its quotes, `named` ends behind the last attribute.
+    """
+
+    tag: str
+    attributes: Mapping[str, str]
+    raw_name: str
+    start: int
+    named: int
+    inner: int
+    values: Mapping[str, tuple[int, int]]
+    close: int | None = None
+    stop: int = 0
+    children: list[Span] = field(default_factory=list)
+
+    def all(self, tag: str) -> Iterator[Span]:
+        """Yield the children with this tag."""
+        return (child for child in self.children if child.tag == tag)
+
+    def first(self, tag: str) -> Span | None:
+        """Return the first child with this tag."""
+        return next(self.all(tag), None)
+
+    def named_as(self, tag: str) -> str:
+        """Return `tag` with the namespace prefix of this element, if it has one."""
+        prefix, colon, _ = self.raw_name.rpartition(":")
+        return prefix + colon + tag
+
+
+@dataclass(frozen=True, slots=True)
+class Edit:
+    """Put `text` in place of the bytes from `start` to `stop`."""
+
+    start: int
+    stop: int
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class XmlFile:
+    """An XML file with the place of everything in it; `edited` changes some places and keeps all other bytes."""
+
+    text: bytes
+    encoding: str
+    root: Span
+
+    @classmethod
+    def of(cls, content: bytes, source: str) -> XmlFile:
+        """Locate every element; raises `DescriptionError` where the file is not well-formed or not in the encoding it declares."""
+        encoding = _encoding(content)
+        try:
+            decoded = content.decode(encoding)
+            faithful = decoded.encode(encoding) == content
+        except (UnicodeError, LookupError) as error:
+            raise DescriptionError(f"{source}: the XML cannot be decoded as {encoding}: {error}") from None
+        if not faithful:
+            raise DescriptionError(f"{source}: the encoding {encoding} does not give the file's own bytes back; save the file as UTF-8")
+        text = decoded.encode()
+        spotter = _Spotter(text)
+        parser = DefusedXMLParser(target=spotter, encoding="utf-8", forbid_dtd=False)
+        spotter.parser = parser.parser
+        try:
+            parser.feed(text)
+            parser.close()
+        except (DefusedXmlException, ParseError) as error:
+            raise DescriptionError(f"{source}: the XML cannot be edited: {error}") from None
+        return cls(text, encoding, spotter.roots[0])
+
+    def edited(self, edits: Iterable[Edit]) -> bytes:
+        """Return the file with the edits made, which must not overlap."""
+        pieces, at = [], 0
+        for edit in sorted(edits, key=lambda edit: (edit.start, edit.stop)):
+            if edit.start < at:
+                raise ValueError(f"two edits overlap at byte {edit.start}")
+            pieces += [self.text[at : edit.start], edit.text.encode()]
+            at = edit.stop
+        return b"".join([*pieces, self.text[at:]]).decode().encode(self.encoding)
+
+    def blanks_before(self, element: Span) -> str:
+        """Return the white space in front of an element, back to what precedes it."""
+        at = element.start
+        while at > 0 and self.text[at - 1 : at] in (b" ", b"\t", b"\r", b"\n"):
+            at -= 1
+        return self.text[at : element.start].decode()
+
+    def appended(self, parent: Span, markup: str) -> Edit:
+        """Return the edit that adds an element behind the last child, on a line of its own where that child has one."""
+        if not parent.children:
+            return self.prepended(parent, markup)
+        last = parent.children[-1]
+        return Edit(last.stop, last.stop, self.blanks_before(last) + markup)
+
+    def prepended(self, parent: Span, markup: str) -> Edit:
+        """Return the edit that adds an element in front of the first child, indented like it; opens an element that closes itself."""
+        if parent.children:
+            first = parent.children[0]
+            return Edit(first.start, first.start, markup + self.blanks_before(first))
+        outside = self.blanks_before(parent)
+        line = outside[max(outside.rfind("\n"), 0) :] if "\n" in outside else ""
+        if outside.endswith("\r" + line):
+            line = "\r" + line
+        inside = line + "  " if line else ""
+        if parent.close is not None:
+            return Edit(parent.inner, parent.inner, inside + markup)
+        return Edit(parent.named, parent.stop, f">{inside}{markup}{line}</{parent.raw_name}>")
+
+
+def attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]:
+    """Return the edits that give attributes new values, quotes kept; absent ones are added behind the last, a value already there is left."""
+    edits, added = [], ""
+    for name, value in values.items():
+        if name not in element.values:
+            added += f' {name}="{value}"'
+        elif element.attributes.get(name) != value:
+            edits.append(Edit(*element.values[name], value))
+    return [*edits, Edit(element.named, element.named, added)] if added else edits
+
+
+class _Spotter:
+    """The target of an expat parser: writes down where each tag stands."""
+
+    def __init__(self, text: bytes) -> None:
+        self.text = text
+        self.parser: Any = None
+        self.open: list[Span] = []
+        self.roots: list[Span] = []
+
+    def start(self, tag: str, attributes: dict[str, str]) -> None:
+        start = self.parser.CurrentByteIndex
+        name = _NAME.match(self.text, start)
+        assert name is not None
+        at, values = name.end(), {}
+        while attribute := _ATTRIBUTE.match(self.text, at):
+            values[attribute[1].decode()] = (attribute.start(2) + 1, attribute.end(2) - 1)
+            at = attribute.end()
+        end = _TAG_END.match(self.text, at)
+        assert end is not None
+        span = Span(tag.rpartition("}")[2], attributes, name[1].decode(), start, at, end.end(), values, stop=end.end())
+        if not end[1]:
+            span.close = end.end()
+        (self.open[-1].children if self.open else self.roots).append(span)
+        self.open.append(span)
+
+    def end(self, tag: str) -> None:
+        span = self.open.pop()
+        if span.close is not None:
+            span.close = self.parser.CurrentByteIndex
+            span.stop = self.text.index(b">", span.close) + 1
+
+    def data(self, text: str) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def _encoding(content: bytes) -> str:
+    for mark, encoding in ((codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"), (codecs.BOM_UTF8, "utf-8")):
+        if content.startswith(mark):
+            return encoding
+    declared = _DECLARED.match(content)
+    return declared[1].decode().lower() if declared else "utf-8"
