@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,9 @@ from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
-from asbuilt.identification.least_squares import Estimate, fit_least_squares
+from asbuilt.identification.evidence import Evidence, Unexcited
+from asbuilt.identification.least_squares import Estimate
+from asbuilt.identification.methods import find_method
 from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
@@ -25,7 +27,6 @@ if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
 
 Array = NDArray[np.float64]
-Method = Literal["ols", "wls"]
 
 POOR_RELATIVE_ERROR = 0.5
 """A standard error of this fraction of the larger of estimate and CAD value is poor,"""
@@ -40,15 +41,15 @@ def identify(
     samples: Samples | Sequence[Samples],
     *,
     drive: DriveSet = NO_DRIVE,
-    method: Method = "wls",
+    method: str = "wls",
     base: BaseParameters | None = None,
-    unexcited: Literal["toward_prior", "refuse"] = "toward_prior",
+    unexcited: Unexcited = "toward_prior",
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> IdentificationResult:
     """Identify the base parameters of a robot from the samples of one or more recordings.
 
-    `method` is `"ols"`, or `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
+    `method` names an estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
     refused (`unexcited="refuse"`). `base` saves finding the base parameters again.
 
     Raises
@@ -59,10 +60,11 @@ def identify(
     batches = list(samples) if isinstance(samples, Sequence) else [samples]
     if not batches:
         raise UsageError(f"no samples are given to identify {model.name} from; pass at least one prepared recording")
+    estimator = find_method(method)
     found = base if base is not None else find_base_parameters(model, drive)
     information = accumulate_stream(model, found, batches, block_seconds=block_seconds, threads=threads)
     cad = design_values(model, found)
-    estimate = fit_least_squares(information, weights="joint" if method == "wls" else None, prior=cad, unexcited=unexcited)
+    estimate = estimator.estimate(Evidence(model, information, batches, cad, unexcited, block_seconds))
     source = ", ".join(information.sources)
     measured = []
     for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
@@ -98,7 +100,7 @@ def conclude(
     Without `train` and `cad` both come from the information alone, as for recordings larger than memory; the largest error is then unknown.
     """
     base, design = information.base, design_values(model, information.base)
-    uncertainty = block_uncertainty(information, estimate)
+    uncertainty = block_uncertainty(estimate.information or information, estimate)
     poor = _poorly_determined(information, estimate, uncertainty, design)
     parameters = tuple(
         IdentifiedParameter(
@@ -145,6 +147,7 @@ def conclude(
         consistency_margin=margin,
         warnings=_warnings(parameters, estimate, uncertainty, margin),
         provenance=provenance,
+        notes=estimate.notes,
     )
 
 

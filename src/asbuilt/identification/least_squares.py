@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +12,9 @@ from scipy.linalg import qr
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.square_root_information import SquareRootInformation
+
+if TYPE_CHECKING:
+    from asbuilt.identification.evidence import Evidence
 
 Array = NDArray[np.float64]
 Weighting = Literal["joint"]
@@ -83,7 +86,8 @@ class Estimate:
 
     `weights` (n,) multiplied each joint's rows; `sigma` (n,) is the residual standard deviation of each joint; `covariance` (p, p) is the textbook one,
     `inverse_root inverse_root^T` times the variance of a weighted residual; `solution` says the rest. `undetermined` names the directions this
-    recording leaves open, `determined` (p,) is False for the parameters they contain; those lean on the prior.
+    recording leaves open, `determined` (p,) is False for the parameters they contain; those lean on the prior. `information` is what the solution
+    solves, where that is not the information of the samples themselves (rows weighted one by one, say); `notes` say in sentences what was decided.
     """
 
     method: str
@@ -96,6 +100,8 @@ class Estimate:
     determined: NDArray[np.bool_]
     iterations: int
     converged: bool
+    information: SquareRootInformation | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def rank(self) -> int:
@@ -164,6 +170,16 @@ def fit_least_squares(
         iterations=iterations,
         converged=converged,
     )
+
+
+def estimate_ols(evidence: Evidence) -> Estimate:
+    """Estimate by ordinary least squares: every torque counts alike."""
+    return fit_least_squares(evidence.information, prior=evidence.prior, unexcited=evidence.unexcited)
+
+
+def estimate_wls(evidence: Evidence) -> Estimate:
+    """Estimate by least squares with a weight per joint."""
+    return fit_least_squares(evidence.information, weights="joint", prior=evidence.prior, unexcited=evidence.unexcited)
 
 
 def combination(direction: Array, names: tuple[str, ...]) -> str:

@@ -89,6 +89,7 @@ class IdentificationResult:
     | `train`, `validation`, `cad` | torque metrics: on the data used, on other data, and of the CAD values |
     | `physically_consistent`, `consistency_margin` | whether any standard parameters of real bodies have these base parameters; None if unknown |
     | `warnings`, `provenance` | what to know, and how the samples were made |
+    | `notes` | what the estimator decided, in sentences |
     """
 
     model: RobotModel
@@ -115,6 +116,7 @@ class IdentificationResult:
     consistency_margin: float | None
     warnings: tuple[IdentificationWarning, ...]
     provenance: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -202,6 +204,7 @@ class IdentificationResult:
             "consistency_margin": _finite(self.consistency_margin),
             "warnings": [asdict(warning) for warning in self.warnings],
             "provenance": list(self.provenance),
+            "notes": list(self.notes),
         }
 
     def to_json(self) -> str:
@@ -255,6 +258,7 @@ class IdentificationResult:
                 consistency_margin=whole["consistency_margin"],
                 warnings=tuple(IdentificationWarning(**warning) for warning in whole["warnings"]),
                 provenance=tuple(whole["provenance"]),
+                notes=tuple(whole.get("notes", ())),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as problem:
             if isinstance(problem, ResultError):

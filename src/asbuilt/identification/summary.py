@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asbuilt.identification.methods import method_title
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant
 
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult, IdentifiedParameter
 
-METHODS = {"ols": "ordinary least squares", "wls": "weighted least squares"}
 EXPRESSION_WIDTH = 34
 
 
@@ -61,7 +61,7 @@ class Summary:
 def summarise(result: IdentificationResult) -> Summary:
     """Return the summary of a result."""
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_joints))
-    method = METHODS.get(result.method, result.method)
+    method = method_title(result.method)
     drives = f" + {n_drive} drive" if n_drive else ""
     held_out = f" (held out {', '.join(share(metrics.relative_error) for metrics in result.validation)})" if result.validation else ""
     consistency = {True: "OK", False: "IMPOSSIBLE FOR REAL BODIES", None: "not decided"}[result.physically_consistent]
@@ -160,4 +160,4 @@ def _notes(result: IdentificationResult) -> tuple[str, ...]:
         if textbook
         else f"Standard errors allow for residual correlation ({effective})."
     )
-    return (errors, *[warning.message for warning in result.warnings])
+    return (*result.notes, errors, *[warning.message for warning in result.warnings])

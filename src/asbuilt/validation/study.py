@@ -17,7 +17,7 @@ from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
-from asbuilt.identification.identify import Method, identify
+from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.comparison import Comparison, compare
@@ -41,7 +41,7 @@ class StudyOptions:
     """
 
     drive: DriveSet | None = None
-    method: Method = "wls"
+    method: str = "wls"
     chain: SignalChain = field(default_factory=SignalChain)
     holdout: str | None = None
     unexcited: Literal["toward_prior", "refuse"] = "toward_prior"

@@ -1,0 +1,58 @@
+"""What estimators estimate from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.errors import UsageError
+from asbuilt.identification.rows import Rows
+from asbuilt.identification.square_root_information import SquareRootInformation
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.samples import Samples
+
+Array = NDArray[np.float64]
+Unexcited = Literal["toward_prior", "refuse"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Hold all that an estimator may use: the robot, the square-root information, the samples behind it and the values by design.
+
+    `samples` can be gone through again and again; None where only the information is at hand. `prior` (p,) are the base parameters by design, NaN where
+    the description is silent; directions that nothing excites are resolved toward it, or refused (`unexcited`).
+    """
+
+    model: RobotModel
+    information: SquareRootInformation
+    samples: Iterable[Samples] | None = None
+    prior: Array | None = None
+    unexcited: Unexcited = "toward_prior"
+    block_seconds: float | None = None
+
+    @property
+    def base(self) -> BaseParameters:
+        """The base parameters."""
+        return self.information.base
+
+    @cached_property
+    def rows(self) -> Rows:
+        """The rows behind the information, time block by time block; raises `UsageError` where the samples are not at hand."""
+        return Rows(self.model, self.base, self.batches, self.block_seconds)
+
+    @property
+    def batches(self) -> Iterable[Samples]:
+        """The samples; raises `UsageError` where they are not at hand."""
+        if self.samples is None:
+            raise UsageError(
+                "this estimator goes over the samples again; call identify with them, or use wls, which needs the information alone"
+            )
+        return self.samples
