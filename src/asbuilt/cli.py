@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from asbuilt.errors import AsbuiltError, ResultError, UsageError
+from asbuilt.identification.methods import methods
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
@@ -211,7 +212,7 @@ def identify(
         str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3")
     ] = None,
     drive: Drive = None,
-    method: Annotated[str, typer.Option("--method", metavar="NAME", help="wls (a weight per joint) or ols")] = "wls",
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "wls",
     undetermined: Annotated[
         str, typer.Option("--undetermined", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
     ] = "cad",
@@ -236,7 +237,7 @@ def identify(
     model = _load(robot)
     options = StudyOptions(
         drive=None if drive is None else DriveSet.parse(drive),
-        method=_one_of("--method", method, ("wls", "ols")),
+        method=_one_of("--method", method, list(methods)),
         chain=_chain(preset, cutoff, decimate),
         holdout=holdout,
         unexcited=_one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
