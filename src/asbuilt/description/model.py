@@ -36,12 +36,16 @@ class JointLimits:
 
 @dataclass(frozen=True, slots=True)
 class DriveValues:
-    """What the description says of one drive: armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent."""
+    """What the description says of one drive: armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent.
+
+    All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint (rad per m where it slides), and takes them to the motor's.
+    """
 
     armature: float | None = None
     viscous: float | None = None
     coulomb: float | None = None
     offset: float | None = None
+    gear_ratio: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,6 +116,8 @@ class RobotModel:
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value of each letter that the joints use.
     `drives_by_design` is False where the joints' drive values are settings for a simulator (URDF, MJCF) rather than facts of the design.
+    `motor_coupling` T (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints (gear ratios divided out), where a
+    motor turns with more than its own joint, as in the wrists of many arms; the motors' torques act on the joints by its transpose. None means T = 1.
     `source` says where the description came from, `citation` whose facts they are.
     """
 
@@ -123,6 +129,7 @@ class RobotModel:
     frames: tuple[Frame, ...] = ()
     lengths: Mapping[str, float] = field(default_factory=dict)
     drives_by_design: bool = True
+    motor_coupling: Array | None = None
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -150,6 +157,19 @@ class RobotModel:
                 if placement.shape != (4, 4) or not np.all(np.isfinite(placement)):
                     raise DescriptionError(f"{self.name}: placement {side} joint {joint.name!r} must be a finite 4 x 4 matrix")
                 placement.setflags(write=False)
+
+        if self.motor_coupling is not None:
+            coupling = np.array(self.motor_coupling, dtype=np.float64)
+            if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(np.isfinite(coupling)):
+                raise DescriptionError(
+                    f"{self.name}: motor_coupling must be {len(self.joints)} x {len(self.joints)} finite numbers, got {coupling.shape}"
+                )
+            if abs(np.linalg.det(coupling)) < 1e-9:
+                raise DescriptionError(
+                    f"{self.name}: motor_coupling is singular: some motion of the joints turns no motor; got {coupling.tolist()}"
+                )
+            coupling.setflags(write=False)
+            object.__setattr__(self, "motor_coupling", coupling)
 
     @property
     def n_joints(self) -> int:
@@ -188,6 +208,14 @@ class RobotModel:
             after_translation=np.ascontiguousarray([joint.after[:3, 3] for joint in self.joints]),
             gravity=np.array(self.gravity),
         )
+
+    @property
+    def motor_shares(self) -> Array:
+        """How motors turn with joints, (n, n), with rows of zeros for motors that turn with their own joint alone."""
+        n = self.n_joints
+        T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
+        alone = np.count_nonzero(T, axis=1) <= 1
+        return np.where(alone[:, None], 0.0, T)
 
     def ancestors(self, joint: int) -> tuple[int, ...]:
         """Return the joints from the root to `joint`, itself included, in order."""

@@ -156,7 +156,22 @@ def _model(file: RobotFile, source: str) -> RobotModel:
         source=source,
         citation=file.citation,
         notes=tuple(reading.notes),
+        motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
     )
+
+
+def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
+    if not file.couplings:
+        return None
+    coupling = np.eye(len(names))
+    for table in file.couplings:
+        for name in (table.motor, *table.turns):
+            if name not in names:
+                raise DescriptionError(
+                    f"coupling of motor {table.motor!r} names joint {name!r}, which does not exist; the joints are {', '.join(names)}"
+                )
+        coupling[names.index(table.motor)] = [table.turns.get(name, 0.0) for name in names]
+    return coupling
 
 
 def _link(link: LinkTable) -> Link:

@@ -135,17 +135,20 @@ class LimitsTable(_Table):
 
 
 class DriveTable(_Table):
-    """What is known of a drive: armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m]."""
+    """What is known of a drive: armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side, and the gear ratio."""
 
     armature: Finite | None = None
     viscous: Finite | None = None
     coulomb: Finite | None = None
     offset: Finite | None = None
+    gear_ratio: Finite | None = None
 
     @property
     def values(self) -> DriveValues:
         """The same as the robot model keeps them."""
-        return DriveValues(armature=self.armature, viscous=self.viscous, coulomb=self.coulomb, offset=self.offset)
+        return DriveValues(
+            armature=self.armature, viscous=self.viscous, coulomb=self.coulomb, offset=self.offset, gear_ratio=self.gear_ratio
+        )
 
 
 class LinkTable(MassTable):
@@ -183,6 +186,13 @@ class FrameTable(PlacementTable):
     link: str
 
 
+class CouplingTable(_Table):
+    """A motor, named by its joint, that turns with several joints: `turns` gives its share of each, e.g. `{joint_5 = 1.0, joint_6 = 1.0}`."""
+
+    motor: str
+    turns: dict[str, Finite] = Field(min_length=1)
+
+
 class RobotFile(_Table):
     """The whole file."""
 
@@ -196,6 +206,7 @@ class RobotFile(_Table):
     lengths: dict[str, Finite] = {}
     links: tuple[LinkTable, ...] = Field(min_length=1)
     frames: tuple[FrameTable, ...] = ()
+    couplings: tuple[CouplingTable, ...] = ()
 
     @model_validator(mode="after")
     def _convention_stated(self) -> RobotFile:

@@ -91,10 +91,9 @@ Row = dict[int, Polynomial]
 """A sparse vector over standard parameters."""
 
 
-def null_rows(model: RobotModel, directions: Sequence[TransferableDirections], drive_columns: Mapping[tuple[str, int], int]) -> list[Row]:
-    """Return the null vectors of the torques with letters for lengths; `drive_columns` says where `("Ia", joint)` and `("Fo", joint)` are."""
-    size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
-    physical = size**LENGTH_EXPONENTS
+def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -> list[Row]:
+    """Return the link parameters of all directions, in turn, with letters for lengths."""
+    physical = characteristic_length(model) ** LENGTH_EXPONENTS
     rows: list[Row] = []
     for found in directions:
         joint = model.joints[found.link]
@@ -105,10 +104,6 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections], d
             row = _shifted(found.child[k] * physical, R.T, back, 10 * found.link)
             if joint.parent >= 0:
                 row |= _shifted(-found.onto_parent[k] * physical, joint.before[:3, :3], there, 10 * joint.parent)
-            armature = found.armature[k] * (size**2 if joint.is_revolute else 1.0)
-            for letter, change in (("Ia", armature), ("Fo", found.offset[k] * strength)):
-                if change:
-                    row[drive_columns[letter, found.link]] = Polynomial.number(change)
             rows.append({column: entry for column, entry in row.items() if entry})
     return rows
 

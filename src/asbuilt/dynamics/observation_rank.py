@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.dynamics.drive_torque import drive_columns
 from asbuilt.dynamics.drives.selection import DriveSet
 
 Array = NDArray[np.float64]
@@ -34,7 +35,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     """Return the rank of the column-scaled observation matrix at random states, the same ones at every call.
 
     The matrix comes from Kane's equations in root axes, `tau_k = sum_i (partial velocities of link i) . (inertia forces of link i)`, so that
-    it shares neither the recursion nor the compiled kernels of the regressor.
+    it shares neither the recursion nor the compiled kernels of the regressor. A load that drive terms depend on comes from random parameters.
     """
     n = model.n_joints
     n_columns = (10 + drive.columns_per_joint) * n
@@ -45,10 +46,14 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     Y = np.zeros((n, samples, n_columns))
     rigid = Y[:, :, : 10 * n]
     _rigid_body_columns(model, q, qd, qdd, rigid)
+    load = np.stack([rows @ rng.uniform(0.5, 1.5, 10 * n) for rows in rigid], axis=1) if drive.needs_load else None
+    drive = DriveSet(tuple(term.typical() for term in drive.terms))
+    shares, of_motor = model.motor_shares, drive.of_motor
     for k in range(n):
         first = 10 * n + drive.columns_per_joint * k
-        load = rigid[k] @ model.parameters if drive.needs_load else None
-        Y[k, :, first : first + drive.columns_per_joint] = drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load=load).T
+        columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares).T
+        for j in range(n):
+            Y[j, :, first : first + drive.columns_per_joint] = columns * np.where(of_motor, shares[k, j], float(j == k))
     stacked = Y.reshape(n * samples, n_columns)
     sizes = np.linalg.norm(stacked, axis=0)
     present = sizes > ABSENT_COLUMN * sizes.max()

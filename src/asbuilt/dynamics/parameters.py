@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 
 def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:
     """Return the number of standard parameters, `(10 + columns_per_joint) n_joints`."""
+    drive.check_joints(model.n_joints)
     return (len(PARAMETER_NAMES) + drive.columns_per_joint) * model.n_joints
 
 

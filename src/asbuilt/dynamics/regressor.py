@@ -13,6 +13,7 @@ from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import kernels
 from asbuilt.dynamics.batches import flat, joint_samples, over_samples
+from asbuilt.dynamics.drive_torque import drive_columns
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
@@ -48,13 +49,14 @@ def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | No
 
 
 def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
-    """Return for each joint the positions in `columns` that can be non-zero in its row: links it carries, its own drive terms."""
+    """Return for each joint the positions in `columns` that can be non-zero in its row: links it carries, its own drive, motors it turns."""
     chosen, n = _checked_columns(model, drive, columns), model.n_joints
     carried = np.zeros((n, n), dtype=bool)
     for i in range(n):
         carried[list(model.ancestors(i)), i] = True
     links = np.repeat(carried, _PER_LINK, axis=1)
-    drives = np.repeat(np.eye(n, dtype=bool), drive.columns_per_joint, axis=1)
+    turning = np.where(drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None])
+    drives = turning.reshape(n, -1)
     mask = np.concatenate([links, drives], axis=1)
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
 
@@ -65,7 +67,8 @@ class RegressorPlan:
 
     Rows run joint by joint: the `support[k]` columns of joint k, in the order of `columns`, then `spare_rows` that are left to the caller (for the
     torque, say). `bounds[k]` are the first row of joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint k
-    and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among its drive columns and their rows.
+    and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among the drive columns of joint k in its own torque, and their
+    rows; `motor_rows` lists (motor, column, joint, row) for motors that several joints turn.
 
     >>> from asbuilt.description.load import load_robot
     >>> plan = RegressorPlan.of(load_robot("kuka-iiwa7-r800"), columns=range(60, 70))
@@ -82,6 +85,7 @@ class RegressorPlan:
     bounds: Indices
     places: Indices
     drive_rows: tuple[tuple[Some, Some], ...]
+    motor_rows: tuple[tuple[int, int, int, int], ...] = ()
 
     @classmethod
     def of(cls, model: RobotModel, drive: DriveSet = NO_DRIVE, columns: ArrayLike | None = None, *, spare_rows: int = 0) -> RegressorPlan:
@@ -94,11 +98,16 @@ class RegressorPlan:
         for k, positions in enumerate(support):
             rows[k, chosen[positions]] = np.arange(*bounds[k])
         places = rows[:, : n * _PER_LINK].reshape(n, n, _PER_LINK).copy()
-        drives = [rows[k, n * _PER_LINK + k * per :][:per] for k in range(n)]
-        drive_rows = tuple((_slice_or_indices(np.flatnonzero(own >= 0)), _slice_or_indices(own[own >= 0])) for own in drives)
+        drives = rows[:, n * _PER_LINK :].reshape(n, n, per)
+        of_motor = drive.of_motor
+        own = [np.where(of_motor, -1, drives[k, k]) for k in range(n)]
+        drive_rows = tuple((_slice_or_indices(np.flatnonzero(row >= 0)), _slice_or_indices(row[row >= 0])) for row in own)
+        motor_rows = tuple(
+            (int(m), int(c), int(k), int(drives[k, m, c])) for k, m, c in np.argwhere((drives >= 0) & of_motor[None, None, :]).tolist()
+        )
         for array in (chosen, bounds, places, *support):
             array.setflags(write=False)
-        return cls(model, drive, chosen, spare_rows, support, bounds, places, drive_rows)
+        return cls(model, drive, chosen, spare_rows, support, bounds, places, drive_rows, motor_rows)
 
     @property
     def n_rows(self) -> int:
@@ -132,8 +141,8 @@ class RegressorPlan:
             kernels.regressor_rows(*robot, self.places, self.bounds, *vectors, start, stop, rows, width)
 
         over_samples(work, n_samples, threads)
-        for chosen, places, columns in self._drive_columns(*inputs):
-            target[places, :n_samples] = columns[chosen]
+        for _, rows_of_drive, columns in self._drive_columns(*inputs):
+            target[rows_of_drive, :n_samples] = columns
         return tuple(target[first : stop + self.spare_rows, :n_samples] for first, stop in self.bounds.tolist())
 
     def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = 1) -> Array:
@@ -150,8 +159,8 @@ class RegressorPlan:
             kernels.regressor_stack(*robot, self.places, self.bounds, order, *vectors, start, stop, out, width)
 
         over_samples(work, n_samples, threads)
-        for k, (chosen, places, columns) in enumerate(self._drive_columns(*inputs)):
-            matrix.reshape(n_samples, n, width)[:, k, order[places]] = columns[chosen].T
+        for k, rows_of_drive, columns in self._drive_columns(*inputs):
+            matrix.reshape(n_samples, n, width)[:, k, order[rows_of_drive]] = columns.T
         return matrix
 
     def _checked_inputs(self, *arrays: Array) -> tuple[Array, ...]:
@@ -160,15 +169,19 @@ class RegressorPlan:
             raise UsageError(f"q, qd and qdd must all have shape (n_samples, {self.model.n_joints}), got {', '.join(map(str, shapes))}")
         return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
-    def _drive_columns(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[Some, Some, Array]]:
-        """Yield for each joint which drive columns were chosen, the row of each, and all its drive columns."""
+    def _drive_columns(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[int, Some | int, Array]]:
+        """Yield, of the chosen drive columns, the joint whose torque they enter, their rows and what to write there."""
         if not self.drive:
             return
         load = inverse_dynamics(self.model, q, qd, qdd) if self.drive.needs_load else None
+        shares = self.model.motor_shares if self.motor_rows else None
         columns = np.empty((self.drive.columns_per_joint, q.shape[0]))
         for k, (chosen, rows) in enumerate(self.drive_rows):
-            self.drive.evaluate(q[:, k], qd[:, k], qdd[:, k], load=None if load is None else load[:, k], out=columns)
-            yield chosen, rows, columns
+            drive_columns(self.drive, k, q, qd, qdd, load=load, shares=shares, out=columns)
+            yield k, rows, columns[chosen]
+            for motor, column, joint, row in self.motor_rows:
+                if motor == k and shares is not None:
+                    yield joint, row, shares[k, joint] * columns[column]
 
 
 @lru_cache(maxsize=16)

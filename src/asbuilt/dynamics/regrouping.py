@@ -12,6 +12,7 @@ from asbuilt.description.inertia import shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.description.rotation import inverted, placement
 from asbuilt.dynamics.axis_frames import nearest_origins, same_build
+from asbuilt.dynamics.drive_structure import IMITABLE, DriveStructure, drive_structure, realisable
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.letters import Polynomial, Row, dependent_columns, null_rows
 from asbuilt.dynamics.parameters import parameter_count
@@ -40,7 +41,8 @@ class Regrouping:
 
     What it follows from: `model`, the robot with its joint frames at `nearest_origins`; `directions` and `motions` of its links in these
     frames; `null_blocks`, per link its directions over all standard parameters (k, n_standard); `axial_blocks` (3, 10), per link a mass on the
-    joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths are divided by `size` in all of these.
+    joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths are divided by `size` in all of these. `structure`
+    is what the drive columns have in common with each other and with links.
     """
 
     columns: Indices
@@ -51,17 +53,20 @@ class Regrouping:
     axial_blocks: tuple[Array, ...]
     size: float
     model: RobotModel
+    structure: DriveStructure
 
 
 def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
     model = nearest_origins(model)
-    directions, motions = transferable_directions(model, armature="Ia" in drive.letters, offset="Fo" in drive.letters)
     size = characteristic_length(model)
+    structure = drive_structure(model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints]))
+    directions, motions = transferable_directions(model, structure.imitable)
     to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
-    blocks = _null_blocks(model, drive, directions, to_link)
+    blocks = _null_blocks(model, drive, directions, to_link, structure)
     scales = _scales(model, drive)
-    echelon, dependent = reversed_echelon(np.vstack(blocks))
+    redundant = np.hstack([np.zeros((len(structure.redundant), 10 * model.n_joints)), structure.redundant]) / scales
+    echelon, dependent = reversed_echelon(np.vstack([*_realised(model, drive, directions, blocks, structure), redundant]))
     columns = np.setdiff1d(np.arange(len(scales)), dependent)
     matrix = np.zeros((len(columns), len(scales)))
     matrix[np.arange(len(columns)), columns] = 1.0
@@ -77,6 +82,7 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
         axial_blocks=tuple(AXIAL @ shift.T for shift in to_link),
         size=size,
         model=model,
+        structure=structure,
     )
 
 
@@ -90,8 +96,10 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
     numbers: list[Row] = [{int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)} for row in found.matrix]
     if not model.lengths:
         return numbers
+    if found.structure.motor_columns.any():
+        return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
-    combined = dependent_columns(null_rows(found.model, found.directions, _drive_columns(model, drive)), [int(pivot) for pivot in pivots])
+    combined = dependent_columns(_lettered_null_rows(model, found), [int(pivot) for pivot in pivots])
     if combined is None:
         return numbers
     rows: dict[int, Row] = {int(column): {int(column): Polynomial.number(1.0)} for column in found.columns}
@@ -121,31 +129,49 @@ def _without_noise(value: float) -> float:
     return float(f"{value:.14e}")
 
 
-def _drive_columns(model: RobotModel, drive: DriveSet) -> dict[tuple[str, int], int]:
-    per_joint = drive.columns_per_joint
-    return {
-        (letter, i): 10 * model.n_joints + per_joint * i + position
-        for i in range(model.n_joints)
-        for position, letter in enumerate(drive.letters)
-    }
+def _lettered_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
+    """Return the null vectors with letters for lengths, in physical units."""
+    first, strength = 10 * model.n_joints, float(np.linalg.norm(model.gravity))
+    ways = found.structure.ways
+    per = ways.shape[2]
+    units = np.array([_function_units(joint.is_revolute, found.size, strength) for joint in model.joints])
+    rows = null_rows(found.model, found.directions)
+    changes = [
+        np.stack([each.armature, each.offset, each.sine, each.cosine], axis=1) * units[each.link] @ ways[each.link]
+        for each in found.directions
+    ]
+    links = [each.link for each in found.directions for _ in range(len(each.child))]
+    for row, link, change in zip(rows, links, np.vstack(changes), strict=True):
+        row |= {first + per * link + int(c): Polynomial.number(float(change[c])) for c in np.flatnonzero(change)}
+    for redundant in found.structure.redundant:
+        rows.append({first + int(c): Polynomial.number(float(redundant[c])) for c in np.flatnonzero(redundant)})
+    return rows
+
+
+def _function_units(revolute: bool, size: float, strength: float) -> tuple[float, float, float, float]:
+    """Return one unit of the changes of armature, offset, sine and cosine in lengths divided by the robot's size and forces divided by gravity."""
+    force = strength if strength > 0.0 else 1.0
+    return (size**2, force, force * size, force * size) if revolute else (1.0, force, 1.0, 1.0)
 
 
 def _scales(model: RobotModel, drive: DriveSet) -> Array:
     """Return one unit of each standard parameter's column in lengths divided by the robot's size and forces divided by gravity."""
     size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
-    scales = np.ones(parameter_count(model, drive))
-    scales[: 10 * model.n_joints] = np.tile(size**LENGTH_EXPONENTS, model.n_joints)
-    for (letter, i), column in _drive_columns(model, drive).items():
-        if letter == "Ia" and model.joints[i].is_revolute:
-            scales[column] = size**2
-        elif letter == "Fo" and strength > 0.0:
-            scales[column] = strength
-    return scales
+    scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
+    for k, joint in enumerate(model.joints):
+        units = dict(zip(IMITABLE, _function_units(joint.is_revolute, size, strength), strict=True))
+        kinds = [term.key for term in drive.terms for _ in term.letters]
+        for kind, function in zip(kinds, drive.functions(k), strict=True):
+            own = next((units[name] for name in IMITABLE if name in function), 1.0)
+            scales.append(np.array([units["qdd"] if kind == "motor_armature" else own]))
+    return np.concatenate(scales)
 
 
-def _null_blocks(model: RobotModel, drive: DriveSet, directions: Sequence[TransferableDirections], to_link: Sequence[Array]) -> list[Array]:
-    """Return the null vectors of the torques over scaled standard parameters, link by link, shapes (k, n_standard)."""
-    size, where = characteristic_length(model), _drive_columns(model, drive)
+def _null_blocks(
+    model: RobotModel, drive: DriveSet, directions: Sequence[TransferableDirections], to_link: Sequence[Array], structure: DriveStructure
+) -> list[Array]:
+    """Return the directions of each link over scaled standard parameters, shapes (k, n_standard), mutual armatures left out."""
+    size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_joints
     blocks = []
     for found, shift in zip(directions, to_link, strict=True):
         joint = model.joints[found.link]
@@ -153,11 +179,31 @@ def _null_blocks(model: RobotModel, drive: DriveSet, directions: Sequence[Transf
         block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift.T
         if joint.parent >= 0:
             block[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
-        for letter, change in (("Ia", found.armature), ("Fo", found.offset)):
-            if (letter, found.link) in where:
-                block[:, where[letter, found.link]] = change
+        own = slice(first + per * found.link, first + per * (found.link + 1))
+        scales = _scales(model, drive)[own]
+        units = np.array(_function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity))))
+        changes = np.stack([found.armature, found.offset, found.sine, found.cosine], axis=1)
+        block[:, own] = (changes * units @ structure.ways[found.link]) / scales
         blocks.append(block)
     return blocks
+
+
+def _realised(
+    model: RobotModel, drive: DriveSet, directions: list[TransferableDirections], blocks: Sequence[Array], structure: DriveStructure
+) -> list[Array]:
+    """Return the null vectors of the torques: the directions themselves, or such sums of them that the motors' armatures can take part in."""
+    if not structure.motor_columns.any():
+        return list(blocks)
+    per, first = drive.columns_per_joint, 10 * model.n_joints
+    sums, of_joints, of_motors = realisable(directions, structure)
+    rows = sums @ np.vstack(blocks)
+    armature = structure.ways[:, 0, :]
+    for found in directions:
+        own = slice(first + per * found.link, first + per * (found.link + 1))
+        taken = np.concatenate([each.armature * (each.link == found.link) for each in directions])
+        rows[:, own] += (of_joints[:, found.link] - sums @ taken)[:, None] * armature[found.link]
+        rows[:, own] += of_motors[:, found.link, None] * structure.motor_columns[found.link]
+    return [rows]
 
 
 def _sized(transform: Array, size: float) -> Array:

@@ -5,6 +5,7 @@ Derivation, symbols and sources: docs/derivations/base-parameters.md.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,9 @@ Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-10
 """A direction counts as absent where it is smaller than this, relative to the largest; lengths are divided by the robot's size first."""
+
+_ARMATURE, _OFFSET, _SINE, _COSINE = 10, 11, 12, 13
+"""Where a direction holds the changes of its joint's drive, behind the ten parameters of its link."""
 
 LENGTH_EXPONENTS = np.array([2.0] * 6 + [1.0] * 3 + [0.0])
 """Powers of length in the units of the ten inertial parameters."""
@@ -160,11 +164,15 @@ def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
 
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
-    """What a link can do, in its joint frame: spans of its twists (6,), kinetic functionals (10,) and gravity directions with a 1 (4,)."""
+    """What a link can do, in its joint frame: spans of its twists (6,), kinetic functionals (10,) and gravity directions with a 1 (4,).
+
+    `paced` spans, over all positions, the twists per unit speed of each joint, with a 1 for that joint behind them (6 + n,).
+    """
 
     twists: Array
     kinetic: Array
     gravity: Array
+    paced: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +180,9 @@ class TransferableDirections:
     """Hold the k transferable directions of one link, in lengths divided by the robot's size.
 
     `child` (k, 10): change of the link's parameters in its joint frame (after the joint's motion); `onto_parent` (k, 10): what moves to the
-    parent, in the joint frame before the motion (zero for children of the root link); `armature` (k,) and `offset` (k,): changes
-    of its drive, the offset divided by the size of gravity.
+    parent, in the joint frame before the motion (zero for children of the root link); `armature`, `offset`, `sine` and `cosine` (k,): changes of its drive,
+    by columns `qdd`, 1, `sin q` and `cos q`, divided by the size of gravity but for the armature; `mutual` (k, n): changes of mutual armatures, whose energy is
+    `sum_i mutual_i qd_link qd_i`.
     """
 
     link: int
@@ -181,6 +190,20 @@ class TransferableDirections:
     onto_parent: Array
     armature: Array
     offset: Array
+    sine: Array
+    cosine: Array
+    mutual: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Imitable:
+    """Say which functions the drive of a joint has that link parameters may imitate."""
+
+    armature: bool = False
+    offset: bool = False
+    sine: bool = False
+    cosine: bool = False
+    mutual: bool = False
 
 
 def characteristic_length(model: RobotModel) -> float:
@@ -190,16 +213,16 @@ def characteristic_length(model: RobotModel) -> float:
     return float(2.0 ** np.round(np.log2(largest))) if largest > 0.0 else 1.0
 
 
-def transferable_directions(model: RobotModel, *, armature: bool, offset: bool) -> tuple[list[TransferableDirections], list[LinkMotion]]:
+def transferable_directions(model: RobotModel, imitable: Sequence[Imitable]) -> tuple[list[TransferableDirections], list[LinkMotion]]:
     """Return, link by link, all directions in which parameters move to the parent without a trace, and what each link can do.
 
-    With the last links first, these directions span the null space of the torques (Lagrangian argument in the derivation). `armature`
-    and `offset` say whether the joints have these drive parameters.
+    With the last links first, these directions span the null space of the torques (Lagrangian argument in the derivation). `imitable` says
+    what the drive of each joint has.
     """
-    size = characteristic_length(model)
+    n, size = model.n_joints, characteristic_length(model)
     strength = float(np.linalg.norm(model.gravity))
     gravity = np.append(model.gravity / strength, 1.0) if strength > 0.0 else np.array([0.0, 0.0, 0.0, 1.0])
-    root = LinkMotion(np.zeros((0, 6)), np.zeros((0, 10)), row_space(gravity[None]))
+    root = LinkMotion(np.zeros((0, 6)), np.zeros((0, 10)), row_space(gravity[None]), np.zeros((0, 6 + n)))
     motions: list[LinkMotion] = []
     directions: list[TransferableDirections] = []
     for c, joint in enumerate(model.joints):
@@ -207,18 +230,20 @@ def transferable_directions(model: RobotModel, *, armature: bool, offset: bool) 
             parent, fixed = root, joint.before
         else:
             parent, fixed = motions[joint.parent], model.joints[joint.parent].after @ joint.before
-        motion, found = _pass_joint(parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, armature=armature, offset=offset)
+        motion, found = _pass_joint(parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c])
         motions.append(motion)
         shifts = TURN_SHIFTS if joint.is_revolute else SLIDE_SHIFTS
         onto_parent = found[:, :10] @ shifts[0].T if joint.parent >= 0 else np.zeros((len(found), 10))
-        directions.append(TransferableDirections(c, found[:, :10], onto_parent, found[:, 10], found[:, 11]))
+        directions.append(
+            TransferableDirections(c, found[:, :10], onto_parent, found[:, 10], found[:, 11], found[:, 12], found[:, 13], found[:, 14:])
+        )
     return directions, motions
 
 
 def _pass_joint(
-    parent: LinkMotion, rotation: Array, translation: Array, turns: bool, *, armature: bool, offset: bool
+    parent: LinkMotion, rotation: Array, translation: Array, turns: bool, number: int, imitable: Imitable
 ) -> tuple[LinkMotion, Array]:
-    """Carry what the parent can do through one joint; return what the child can do and its directions (k, 12): ten, armature, offset."""
+    """Carry what the parent can do through one joint; return what the child can do and its directions (k, 14 + n): ten, then those of the drive."""
     to_joint = np.zeros((6, 6))
     to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
     to_joint[3:, :3] = -rotation.T @ _cross(translation)
@@ -234,40 +259,55 @@ def _pass_joint(
     axis = np.zeros(6)
     axis[2 if turns else 5] = 1.0
     moved = np.einsum("kij,vj->kvi", moves, twists).reshape(-1, 6)
-    coupling = kinetic_functional(moved, np.broadcast_to(axis, moved.shape))
     own = kinetic_functional(axis, axis)[None]
     carried = np.einsum("vi,kij->kvj", kinetic, shifts)
     on_moment = np.hstack([np.zeros((len(gravity), 6)), gravity[:, :3], np.zeros((len(gravity), 1))])
     weights = np.einsum("vi,kij->kvj", on_moment, shifts)
+    n = parent.paced.shape[1] - 6
+    paced = np.einsum("kij,vj->kvi", moves, parent.paced[:, :6] @ to_joint.T)
+    beats = np.zeros((*paced.shape[:2], n))
+    beats[0] = parent.paced[:, 6:]
+    coupling = kinetic_functional(paced, np.broadcast_to(axis, paced.shape)).reshape(-1, 10)
 
-    conditions = np.zeros((0, 12))
+    blocks: list[Array] = []
 
-    def demand(rows: Array, on_armature: float = 0.0, on_offset: Array | float = 0.0) -> None:
-        nonlocal conditions
-        drive = np.zeros((len(rows), 2))
-        drive[:, 0], drive[:, 1] = on_armature, on_offset
-        conditions = np.vstack([conditions, np.hstack([rows, drive])])
+    def demand(rows: Array, *, of_drive: int = 0, change: Array | float = 0.0, mutual: Array | None = None) -> None:
+        block = np.zeros((len(rows), 14 + n))
+        block[:, :10] = rows
+        if of_drive:
+            block[:, of_drive] = change
+        if mutual is not None:
+            block[:, 14:] = mutual
+        blocks.append(block)
 
-    demand(2.0 * own, on_armature=1.0)
-    demand(coupling)
+    demand(2.0 * own, of_drive=_ARMATURE, change=1.0)
+    demand(2.0 * coupling, mutual=beats.reshape(-1, n))
     demand(carried[1:].reshape(-1, 10))
     if turns:
-        demand(weights[1:].reshape(-1, 10))
+        demand(weights[1], of_drive=_SINE, change=gravity[:, 3])
+        demand(weights[2], of_drive=_COSINE, change=-gravity[:, 3])
+        demand(weights[3:].reshape(-1, 10))
     else:
-        demand(weights[1], on_offset=-gravity[:, 3])
+        demand(weights[1], of_drive=_OFFSET, change=-gravity[:, 3])
         demand(weights[2])
-    absent = [11] if turns or not offset else []
-    absent += [] if armature else [10]
-    demand(np.zeros((len(absent), 10)))
-    conditions[len(conditions) - len(absent) + np.arange(len(absent)), absent] = 1.0
-    found, _ = reversed_echelon(null_space(conditions))
+    allowed = np.zeros(14 + n, dtype=bool)
+    allowed[:10] = True
+    allowed[_ARMATURE] = imitable.armature
+    allowed[_OFFSET] = imitable.offset and not turns
+    allowed[_SINE], allowed[_COSINE] = imitable.sine and turns, imitable.cosine and turns
+    allowed[14:] = imitable.mutual & (np.abs(parent.paced[:, 6:]).max(axis=0, initial=0.0) > 0.0)
+    blocks.append(np.eye(14 + n)[~allowed])
+    found, _ = reversed_echelon(null_space(np.vstack(blocks)))
 
     turned = np.einsum("vi,kij->kvj", gravity[:, :3], _TURN_ROTATIONS[:3] if turns else np.eye(3)[None])
     ones = np.zeros((*turned.shape[:2], 1))
     ones[0, :, 0] = gravity[:, 3]
+    beat = np.zeros(6 + n)
+    beat[:6], beat[6 + number] = axis, 1.0
     motion = LinkMotion(
         twists=row_space(np.vstack([moved, axis])),
-        kinetic=row_space(np.vstack([carried.reshape(-1, 10), coupling, own])),
+        kinetic=row_space(np.vstack([carried.reshape(-1, 10), kinetic_functional(moved, np.broadcast_to(axis, moved.shape)), own])),
         gravity=row_space(np.concatenate([turned, ones], axis=2).reshape(-1, 4)),
+        paced=row_space(np.vstack([np.concatenate([paced, beats], axis=2).reshape(-1, 6 + n), beat])),
     )
     return motion, found

@@ -72,6 +72,10 @@ def robot_toml(model: RobotModel) -> str:
     ]
     blocks = ["\n".join(line for line in head if line)]
     blocks += [_link_table(model, joint, link) for joint, link in zip(model.joints, model.links, strict=True)]
+    if model.motor_coupling is not None:
+        for name, row in zip(model.joint_names, model.motor_coupling, strict=True):
+            turns = ", ".join(f"{_key(other)} = {_float(share)}" for other, share in zip(model.joint_names, row, strict=True) if share)
+            blocks.append(f"[[couplings]]\nmotor = {_text(name)}\nturns = {{{turns}}}")
     for frame in model.frames:
         place = _placement_fields(frame.placement, None, model)
         blocks.append("\n".join(["[[frames]]", f"name = {_text(frame.name)}", f"link = {_text(_link_name(model, frame.link))}", *place]))

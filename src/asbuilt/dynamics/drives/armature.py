@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import MOTOR_SOURCES, Array, DriveTerm
 
 
 @dataclass(frozen=True, slots=True)
 class Armature(DriveTerm):
-    """Add `Ia qdd`; the gyroscopic effect of the spinning rotor is neglected."""
+    """Add `Ia qdd`; the gyroscopic effect of the spinning rotor is neglected. A sensor behind the gear does not feel it."""
 
     key = "armature"
     position = 10
     letters = ("Ia",)
     revolute_units = ("kg m^2",)
     prismatic_units = ("kg",)
+    formula = "Ia qdd"
+    default_for = MOTOR_SOURCES
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `qdd`."""
         out[0] = qdd
+
+    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
+        """Return `qdd`, as an inertia about the joint's axis."""
+        return ({"qdd": 1.0},)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +19,13 @@ class Coulomb(DriveTerm):
     letters = ("Fc",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    formula = "Fc sign(qd)"
+    default_for = ALL_SOURCES
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `sign(qd)`."""
         np.sign(qd, out=out[0])
+
+    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
+        """Return `sign qd`."""
+        return ({"sign qd": 1.0},)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,11 +13,17 @@ class Offset(DriveTerm):
     """Add `Fo`."""
 
     key = "offset"
-    position = 40
+    position = 90
     letters = ("Fo",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    formula = "Fo"
+    default_for = ALL_SOURCES
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write 1."""
         out[0] = 1.0
+
+    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
+        """Return the constant, as the weight on a joint that slides at a constant slope."""
+        return ({"1": 1.0},)

@@ -6,15 +6,16 @@ import difflib
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.description.model import DriveValues, JointKind
 from asbuilt.dynamics import drives
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import Array, DriveTerm, ShapeValue
 from asbuilt.errors import UsageError
 
 NONE = "none"
@@ -52,9 +53,13 @@ class DriveSet:
 
     @classmethod
     def parse(cls, text: str | Sequence[str]) -> DriveSet:
-        """Read a comma-separated list of keys (or a sequence of keys); "none" and the empty list choose no term."""
+        """Read a comma-separated list of keys (or a sequence of them); "none" and the empty list choose no term.
+
+        A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by slashes, for each: `smooth_coulomb:width=0.02/0.01`.
+        """
         given = text.split(",") if isinstance(text, str) else list(text)
-        keys = [key.strip().lower() for key in given if key.strip()]
+        chosen = [[part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()]
+        keys = [key for key, *_ in chosen]
         if keys == [NONE]:
             return cls()
         known = available_terms()
@@ -65,10 +70,15 @@ class DriveSet:
                 if key == NONE:
                     hint = f"{NONE!r} stands alone; "
                 raise UsageError(f"unknown drive term {key!r}; {hint}available: {', '.join(known)}, or {NONE}")
-        return cls(tuple(known[key] for key in keys))
+        return cls(tuple(known[key].with_shapes(dict(_option(key, option) for option in options)) for key, *options in chosen))
+
+    @classmethod
+    def default(cls, source: str) -> DriveSet:
+        """Return the terms that a torque of this source calls for, as each term declares."""
+        return cls(tuple(term for term in available_terms().values() if source in term.default_for))
 
     def __str__(self) -> str:
-        return ",".join(self.keys) or NONE
+        return ",".join(self.specifications) or NONE
 
     def __bool__(self) -> bool:
         return bool(self.terms)
@@ -77,6 +87,11 @@ class DriveSet:
     def keys(self) -> tuple[str, ...]:
         """Keys of the chosen terms in canonical order; `parse` accepts them."""
         return tuple(term.key for term in self.terms)
+
+    @property
+    def specifications(self) -> tuple[str, ...]:
+        """The chosen terms with the shapes stated for them; `parse` gives the same set back."""
+        return tuple(str(term) for term in self.terms)
 
     @property
     def letters(self) -> tuple[str, ...]:
@@ -93,6 +108,37 @@ class DriveSet:
         """Whether a term needs the rigid-body torque of the joint."""
         return any(term.needs_load for term in self.terms)
 
+    @property
+    def of_motor(self) -> NDArray[np.bool_]:
+        """Whether each column of a joint belongs to its motor, shape (columns_per_joint,)."""
+        return np.array([term.of_motor for term in self.terms for _ in term.letters], dtype=bool)
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether every shape has a value: none is left to be fitted."""
+        return not any(term.free_shapes for term in self.terms)
+
+    def at(self, joint: int) -> DriveSet:
+        """Return the set of one joint (counted from 0), with one number per shape."""
+        return DriveSet(tuple(term.at(joint) for term in self.terms))
+
+    def with_term(self, term: DriveTerm) -> DriveSet:
+        """Return the set with this term in place of the one of its key, or beside the others."""
+        return DriveSet((*(other for other in self.terms if other.key != term.key), term))
+
+    def without(self, *keys: str) -> DriveSet:
+        """Return the set without the terms of these keys."""
+        return DriveSet(tuple(term for term in self.terms if term.key not in keys))
+
+    def functions(self, joint: int) -> tuple[Mapping[Hashable, float], ...]:
+        """Return each column of a joint (counted from 0) as a sum of elementary functions; see `DriveTerm.functions`."""
+        return tuple(function for term in self.terms for function in term.at(joint).functions())
+
+    def check_joints(self, n_joints: int) -> None:
+        """Raise UsageError where shapes are stated for another number of joints."""
+        for term in self.terms:
+            term.check_joints(n_joints)
+
     def names(self, joint_number: int) -> tuple[str, ...]:
         """Return the parameter names of one joint; numbers count from 1."""
         return tuple(f"{letter}{joint_number}" for letter in self.letters)
@@ -105,20 +151,50 @@ class DriveSet:
         """Return what the description says of each parameter of one joint, None where it is silent."""
         return tuple(value for term in self.terms for value in term.values(drive))
 
-    def evaluate(self, q: Array, qd: Array, qdd: Array, *, load: Array | None = None, out: Array | None = None) -> Array:
+    def evaluate(
+        self,
+        q: Array,
+        qd: Array,
+        qdd: Array,
+        *,
+        load: Array | None = None,
+        out: Array | None = None,
+        joint: int | None = None,
+        motor: tuple[Array, Array, Array] | None = None,
+    ) -> Array:
         """Return the columns of one joint, shape (columns_per_joint, n_samples), from inputs of shape (n_samples,).
 
-        `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory for the result.
+        `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory for the result; `joint` (counted from 0) is needed
+        where shapes are stated joint by joint; `motor` is position, velocity and acceleration of a motor that several joints turn, without which the
+        columns of terms `of_motor` are zero.
         """
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
         if load is None and self.needs_load:
             needy = next(term.key for term in self.terms if term.needs_load)
             raise UsageError(f"drive term {needy!r} needs the rigid-body torque of the joint; pass load, shape {q.shape}")
         row = 0
-        for term in self.terms:
-            term.evaluate(q, qd, qdd, load, columns[row : row + len(term.letters)])
+        for shared in self.terms:
+            term = shared if joint is None else shared.at(joint)
+            own = columns[row : row + len(term.letters)]
+            if not term.of_motor:
+                term.evaluate(q, qd, qdd, load, own)
+            elif motor is None:
+                own[...] = 0.0
+            else:
+                term.evaluate(*motor, None, own)
             row += len(term.letters)
         return columns
+
+
+def _option(key: str, text: str) -> tuple[str, ShapeValue]:
+    name, equals, values = text.partition("=")
+    try:
+        numbers = tuple(float(value) for value in values.split("/"))
+    except ValueError:
+        numbers = ()
+    if not equals or not numbers:
+        raise UsageError(f"option {text!r} of drive term {key!r} must read name=number, or name=number/number/... with one per joint")
+    return name.strip(), numbers[0] if len(numbers) == 1 else numbers
 
 
 NO_DRIVE = DriveSet()

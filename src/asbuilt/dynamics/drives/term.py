@@ -1,23 +1,48 @@
-"""One term of a drive's torque, linear in its parameters."""
+"""One term of a drive's torque, linear in its parameters; what enters otherwise is a shape."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.model import DriveValues
+from asbuilt.errors import UsageError
 
 Array = NDArray[np.float64]
+ShapeValue = float | tuple[float, ...] | None
+"""One number for all joints, one per joint, or None: to be fitted, the default until then."""
+
+ALL_SOURCES = ("sensor", "motor", "current", "unknown")
+MOTOR_SOURCES = ("motor", "current")
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A number that enters the columns of a term non-linearly: its name, where a fit starts, and the range it may take.
+
+    `fitted` False keeps the default unless another value is stated. `typical` is a value at which the columns stand out at speeds of some rad/s, for
+    questions of structure; None where the value itself decides them.
+    """
+
+    name: str
+    default: float
+    lower: float
+    upper: float
+    unit: str
+    fitted: bool = True
+    typical: float | None = None
 
 
 class DriveTerm(ABC):
     """Add `sum_c columns[c](q, qd, qdd, load) * parameter_c` to the torque of one joint.
 
     A term is one file in this package: a frozen dataclass without arguments in its simplest form. What enters the columns
-    non-linearly (a Stribeck velocity, the width of a smooth sign) is a field of the dataclass with a default, so that
+    non-linearly (a Stribeck velocity, the width of a smooth sign) is declared in `shapes` and is a field of the same name, None by default, so that
     `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters.
     """
 
@@ -29,15 +54,29 @@ class DriveTerm(ABC):
     """One per column; the joint number follows it in parameter names."""
     revolute_units: ClassVar[tuple[str, ...]]
     prismatic_units: ClassVar[tuple[str, ...]]
+    formula: ClassVar[str] = ""
+    """The torque, in letters."""
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    default_for: ClassVar[tuple[str, ...]] = ()
+    """Torque sources for which the term is among the defaults."""
     needs_load: ClassVar[bool] = False
     """Whether the columns depend on the rigid-body torque of the joint."""
+    of_motor: ClassVar[bool] = False
+    """Whether the term belongs to a motor that moves several joints: it follows the motor's motion and enters all their torques."""
 
     @abstractmethod
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write the columns of one joint into `out`, shape (len(letters), n_samples); the inputs have shape (n_samples,).
 
-        `load` is the rigid-body torque [N m or N], given to terms that set `needs_load`.
+        `load` is the rigid-body torque [N m or N], given to terms that set `needs_load`. A term `of_motor` gets the motor's motion.
         """
+
+    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
+        """Return each column as a sum of elementary functions, by which the base parameters know what different terms have in common.
+
+        The link dynamics can imitate "qdd", "1", "sin q" and "cos q" alone; other names only tell terms apart.
+        """
+        return tuple({(self.key, letter, *(self.value(shape.name) for shape in self.shapes)): 1.0} for letter in self.letters)
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
         """Return the unit of each parameter."""
@@ -47,3 +86,59 @@ class DriveTerm(ABC):
         """Return what the description says of each parameter, None where it is silent."""
         stated: float | None = getattr(drive, self.key, None)
         return (stated,) if len(self.letters) == 1 else (None,) * len(self.letters)
+
+    @property
+    def free_shapes(self) -> tuple[Shape, ...]:
+        """The shapes that a fit may move, since no value is stated."""
+        return tuple(shape for shape in self.shapes if shape.fitted and getattr(self, shape.name) is None)
+
+    def value(self, name: str) -> float:
+        """Return the value of a shape: the stated one, or the default. A term with one value per joint must be taken `at` a joint first."""
+        stated: ShapeValue = getattr(self, name)
+        if stated is None:
+            return next(shape.default for shape in self.shapes if shape.name == name)
+        if isinstance(stated, tuple):
+            raise UsageError(f"{self} has one {name} per joint; say of which joint its columns are wanted")
+        return stated
+
+    def at(self, joint: int) -> Self:
+        """Return the term of one joint (counted from 0), with one number per shape."""
+        own = {shape.name: getattr(self, shape.name) for shape in self.shapes}
+        several = {name: values for name, values in own.items() if isinstance(values, tuple)}
+        return replace(self, **{name: values[joint] for name, values in several.items()}) if several else self  # type: ignore[type-var]
+
+    def typical(self) -> Self:
+        """Return the term with shapes at which its columns stand out, where they do not decide its structure."""
+        values = {shape.name: shape.typical for shape in self.shapes if shape.typical is not None}
+        return replace(self, **values) if values else self  # type: ignore[type-var]
+
+    def check_joints(self, n_joints: int) -> None:
+        """Raise UsageError where a shape is given for another number of joints."""
+        for shape in self.shapes:
+            stated = getattr(self, shape.name)
+            if isinstance(stated, tuple) and len(stated) != n_joints:
+                raise UsageError(f"{self} states {len(stated)} values of {shape.name}, one per joint; the robot has {n_joints} joints")
+
+    def with_shapes(self, values: Mapping[str, ShapeValue]) -> Self:
+        """Return the term with these shapes stated; raises UsageError for a name or a value that it does not take."""
+        known = {shape.name: shape for shape in self.shapes}
+        for name, stated in values.items():
+            if name not in known:
+                there = f"it has {', '.join(known)}" if known else "it has none"
+                raise UsageError(f"drive term {self.key!r} has no option {name!r}; {there}")
+            shape = known[name]
+            for number in () if stated is None else stated if isinstance(stated, tuple) else (stated,):
+                if not shape.lower <= number <= shape.upper:
+                    raise UsageError(
+                        f"{name} of drive term {self.key!r} must lie between {shape.lower:g} and {shape.upper:g} {shape.unit}".rstrip()
+                        + f", got {number:g}"
+                    )
+        return replace(self, **values)  # type: ignore[type-var]
+
+    def __str__(self) -> str:
+        parts = [self.key]
+        for shape in self.shapes:
+            stated = getattr(self, shape.name)
+            if stated is not None:
+                parts.append(f"{shape.name}={'/'.join(map(repr, stated if isinstance(stated, tuple) else (stated,)))}")
+        return ":".join(parts)

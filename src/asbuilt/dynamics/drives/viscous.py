@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +17,13 @@ class Viscous(DriveTerm):
     letters = ("Fv",)
     revolute_units = ("N m s/rad",)
     prismatic_units = ("N s/m",)
+    formula = "Fv qd"
+    default_for = ALL_SOURCES
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `qd`."""
         out[0] = qd
+
+    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
+        """Return `qd`."""
+        return ({"qd": 1.0},)
