@@ -1,0 +1,29 @@
+"""Models that no robot can have, refused before they are written for other software."""
+
+from __future__ import annotations
+
+from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import InertiaError
+
+
+def impossibilities(model: RobotModel) -> tuple[str, ...]:
+    """Return one sentence per link that no rigid body can be and per drive that would push: negative armature, viscous or Coulomb friction."""
+    reasons = list(inconsistencies(model))
+    for number, joint in enumerate(model.joints, start=1):
+        for name in ("armature", "viscous", "coulomb"):
+            value = getattr(joint.drive, name)
+            if value is not None and value < 0.0:
+                what = {"armature": "armature", "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
+                reasons.append(f"joint {number}: {what} is {value:.4g}; it must not be negative")
+    return tuple(reasons)
+
+
+def refuse_impossible(model: RobotModel) -> None:
+    """Raise `InertiaError` with every reason where the model is impossible; simulators would refuse it or blow up."""
+    reasons = impossibilities(model)
+    if reasons:
+        raise InertiaError(
+            f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}. "
+            "Identify with physical consistency, or leave out drive terms that the recording does not tell"
+        )
