@@ -110,6 +110,25 @@ def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
     )
 
 
+def quaternion_from_rotation(rotation: ArrayLike) -> Array:
+    """Return the unit quaternion `w x y z` of a rotation, with its largest component positive.
+
+    Each row of `4 q q^T`, read off the rotation matrix, is q times a component; the row of the largest is taken (Shepperd, 1978).
+    """
+    R = np.asarray(rotation, dtype=np.float64)
+    (a, b, c), (d, e, f), (g, h, i) = R
+    rows = np.array(
+        [
+            [1 + a + e + i, h - f, c - g, d - b],
+            [h - f, 1 + a - e - i, b + d, c + g],
+            [c - g, b + d, 1 - a + e - i, f + h],
+            [d - b, c + g, f + h, 1 - a - e + i],
+        ]
+    )
+    row = rows[int(np.argmax(np.diagonal(rows)))]
+    return np.asarray(row / np.linalg.norm(row))
+
+
 def rotation_onto(axis: ArrayLike) -> Array:
     """Return a rotation that carries z onto the unit vector `axis`: exact for the six coordinate directions."""
     x, y, z = snapped(np.asarray(axis, dtype=np.float64))

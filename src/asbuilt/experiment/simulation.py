@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -36,6 +38,7 @@ class SimulatedRecording:
     names: tuple[str, ...]
     model: RobotModel
     drive: DriveSet
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +92,7 @@ class InstalledRobot:
         generator = np.random.default_rng(rng)
         n = model.n_joints
         bounds = MotionBounds.assumed(model)
-        torque, inertia = _torque_and_inertia(model, generator)
+        torque, inertia = torque_and_inertia(model, generator)
         spread = generator.uniform(0.5, 1.5, size=(4, n))
         signs = generator.choice([-1.0, 1.0], size=n)
         values = np.stack([0.15 * inertia, 0.015 * torque / bounds.velocity, 0.02 * torque, 0.005 * torque * signs]) * spread
@@ -163,7 +166,7 @@ class InstalledRobot:
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque that the motion takes, rigid bodies and drives, without any sensor; shape (N, n)."""
         rigid = inverse_dynamics(self.model, q, qd, qdd)
-        return rigid + drive_torque(self.drive, self.drive_values, q, qd, qdd, load=rigid)
+        return rigid + drive_torque(self.drive, self.drive_values, q, qd, qdd, load=rigid, shares=self.model.motor_shares)
 
     def record(self, motion: Motion, rate: float = 1000.0, rng: Seed = None) -> SimulatedRecording:
         """Move along `motion` exactly and log it at `rate` [Hz] with the robot's sensors; the same `rng` gives the same recording.
@@ -253,7 +256,7 @@ def simulate_recording(
     return robot.with_noise(noise or PERFECT_SENSORS).record(motion, rate, rng).recording
 
 
-def _torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Array, Array]:
+def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return the torque range of each joint (its limit, or the largest at random states) and its mean inertia, two (n,)."""
     bounds = MotionBounds.assumed(model)
     low = np.stack([bounds.lower, -bounds.velocity, -bounds.acceleration])

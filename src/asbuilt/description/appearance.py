@@ -1,0 +1,117 @@
+"""How a robot is drawn where there are no meshes: rods and housings from its geometry, ellipsoids from its inertias."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import ROOT, RobotModel
+
+Array = NDArray[np.float64]
+
+SLENDERNESS = 0.062
+"""Radius of the thickest rod, in lengths of the stretched robot."""
+TAPER = 0.5
+"""How much thinner than the first rod the last one is."""
+SHORTEST = 1e-3
+"""Rods shorter than this are not drawn [m]."""
+TRAVEL = 0.3
+"""Length of a sliding rod whose travel is not limited [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A round body fixed to a link (ROOT for the root link), from `start` to `stop` (3,) in link axes [m], with `radius` [m].
+
+    A `rod` has round ends, a `housing` sits around a joint axis and has flat ones.
+    """
+
+    link: int
+    kind: Literal["rod", "housing"]
+    start: Array
+    stop: Array
+    radius: float
+
+    @property
+    def length(self) -> float:
+        """Distance between the ends [m]."""
+        return float(np.linalg.norm(self.stop - self.start))
+
+
+def link_solids(model: RobotModel) -> tuple[Solid, ...]:
+    """Return what stands in for the robot's shape: a rod along each link to whatever hangs on it, and a housing around each joint axis.
+
+    Radii come from the length of the stretched robot and shrink towards the tip. They are for the eye alone: no mass, no collision.
+    """
+    return tuple(_solids(model))
+
+
+def stretched_length(model: RobotModel) -> float:
+    """Return the length of the longest chain from the root, joint by joint [m]; at least 0.1."""
+    return max(0.1, float(np.max(_distances(model))))
+
+
+def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
+    """Return semi-axes (3,) [m] and axes (3, 3), as columns in link axes, of the ellipsoid of uniform density with the same inertia.
+
+    It sits at the centre of mass: `I_1 = m (b^2 + c^2) / 5` and cyclically, so `a^2 = 5 (I_2 + I_3 - I_1) / (2 m)`. None where no body of
+    positive mass has this inertia.
+    """
+    if not inertia.mass > 0.0 or not inertia.is_consistent:
+        return None
+    moments, axes = np.linalg.eigh(inertia.inertia_about_com)
+    squares = 2.5 * (moments.sum() - 2.0 * moments) / inertia.mass
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1.0
+    return np.sqrt(np.maximum(squares, 0.0)), axes
+
+
+def _solids(model: RobotModel) -> Iterator[Solid]:
+    distances = _distances(model)
+    reach = stretched_length(model)
+    thick = SLENDERNESS * reach
+    ends: dict[int, list[Array]] = {k: [] for k in range(ROOT, model.n_joints)}
+    for joint in model.joints:
+        ends[joint.parent].append(joint.before[:3, 3])
+    for frame in model.frames:
+        if frame.link == ROOT or not ends[frame.link]:
+            ends[frame.link].append(frame.placement[:3, 3])
+    for end in ends[ROOT]:
+        if np.linalg.norm(end) > thick:
+            yield Solid(ROOT, "rod", np.zeros(3), end, thick)
+    for k, (joint, link) in enumerate(zip(model.joints, model.links, strict=True)):
+        radius = thick * (1.0 - TAPER * float(distances[k]) / reach)
+        axis = joint.after[2, :3]
+        origin = -joint.after[:3, :3].T @ joint.after[:3, 3]
+        if joint.is_revolute:
+            yield Solid(k, "housing", origin - 1.25 * radius * axis, origin + 1.25 * radius * axis, 1.12 * radius)
+        else:
+            travel = joint.limits.upper - joint.limits.lower
+            back = travel if np.isfinite(travel) else TRAVEL
+            yield Solid(k, "rod", origin - back * axis, origin, 0.7 * radius)
+        points = ends[k] or [link.inertia.com]
+        for point in points:
+            for start, stop in _rods(origin, point, axis):
+                yield Solid(k, "rod", start, stop, 0.82 * radius)
+
+
+def _rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Array]]:
+    """Yield the straight pieces from the joint to a point on the link, none where they coincide."""
+    if np.linalg.norm(point - origin) > SHORTEST:
+        yield origin, point
+
+
+def _distances(model: RobotModel) -> Array:
+    """Return how far along the chain each joint's link ends, shape (n,) [m]."""
+    along = np.zeros(model.n_joints)
+    for k, joint in enumerate(model.joints):
+        before = 0.0 if joint.parent == ROOT else along[joint.parent]
+        own = np.linalg.norm(joint.before[:3, 3]) + np.linalg.norm(joint.after[:3, 3])
+        tip = max((np.linalg.norm(frame.placement[:3, 3]) for frame in model.frames if frame.link == k), default=0.0)
+        along[k] = before + own + tip
+    return along
