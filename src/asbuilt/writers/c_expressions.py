@@ -1,0 +1,100 @@
+"""Straight-line arithmetic in C: sums of products with the numbers folded, each written once and only if used."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A number times a variable of the C function; a plain number where `name` is empty."""
+
+    factor: float
+    name: str = ""
+
+    def __neg__(self) -> Term:
+        return Term(-self.factor, self.name)
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the term is the number 0."""
+        return self.factor == 0.0
+
+    def written(self) -> str:
+        """Return the C expression."""
+        return _product(self.factor, self.name)
+
+
+ZERO, ONE = Term(0.0), Term(1.0)
+Vector = tuple[Term, Term, Term]
+
+
+@dataclass
+class StraightLine:
+    """Collect definitions `const double x7 = ...;` in order, each sum of products once; `used` says which an answer needs."""
+
+    texts: dict[str, str] = field(default_factory=dict)
+    needs: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    known: dict[object, Term] = field(default_factory=dict)
+
+    def given(self, text: str, *needs: str) -> Term:
+        """Define a variable by any C expression in the arguments of the function."""
+        if text not in self.known:
+            self.known[text] = self._defined(text, needs)
+        return self.known[text]
+
+    def total(self, *products: Sequence[Term]) -> Term:
+        """Return the sum of products of at most two variables and any numbers; like products are gathered, those with a zero dropped."""
+        sums: dict[tuple[str, ...], float] = {}
+        for product in products:
+            factor = 1.0
+            for term in product:
+                factor *= term.factor
+            names = tuple(sorted(term.name for term in product if term.name))
+            if factor != 0.0:
+                sums[names] = sums.get(names, 0.0) + factor
+        entries = tuple(sorted((names, factor) for names, factor in sums.items() if factor != 0.0))
+        if not entries:
+            return ZERO
+        if len(entries) == 1:
+            ((names, factor),) = entries
+            if len(names) <= 1:
+                return Term(factor, names[0] if names else "")
+            return Term(factor, self._named(((names, 1.0),)).name)
+        sign = 1.0 if entries[0][1] > 0 else -1.0
+        found = self._named(tuple((names, sign * factor) for names, factor in entries))
+        return Term(sign * found.factor, found.name)
+
+    def sum(self, *terms: Term) -> Term:
+        """Return the sum of terms."""
+        return self.total(*[(term,) for term in terms])
+
+    def used(self, answers: Sequence[Term]) -> list[str]:
+        """Return the definitions that the answers need, in order."""
+        wanted = {answer.name for answer in answers}
+        for name in reversed(self.texts):
+            if name in wanted:
+                wanted.update(self.needs[name])
+        return [f"const double {name} = {text};" for name, text in self.texts.items() if name in wanted]
+
+    def _named(self, entries: tuple[tuple[tuple[str, ...], float], ...]) -> Term:
+        if entries not in self.known:
+            text = ""
+            for names, factor in entries:
+                sign = (" - " if text else "-") if factor < 0 else (" + " if text else "")
+                text += sign + _product(abs(factor), *names)
+            self.known[entries] = self._defined(text, tuple(name for names, _ in entries for name in names))
+        return self.known[entries]
+
+    def _defined(self, text: str, needs: tuple[str, ...]) -> Term:
+        name = f"x{len(self.texts)}"
+        self.texts[name], self.needs[name] = text, needs
+        return Term(1.0, name)
+
+
+def _product(factor: float, *names: str) -> str:
+    written = "*".join(name for name in names if name)
+    if not written:
+        return repr(float(factor))
+    return written if factor == 1.0 else f"-{written}" if factor == -1.0 else f"{float(factor)!r}*{written}"
