@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,7 @@ from asbuilt.identification.methods import find_method
 from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
-from asbuilt.identification.torque_prediction import predict_torque
+from asbuilt.identification.torque_prediction import carrying, predict_torque
 from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty
 
 if TYPE_CHECKING:
@@ -32,6 +32,9 @@ POOR_RELATIVE_ERROR = 0.5
 """A standard error of this fraction of the larger of estimate and CAD value is poor,"""
 POOR_TORQUE = 0.05
 """if the torque it stands for is this fraction of the residual; below, the parameter hardly matters in this motion."""
+LOAD_ITERATIONS = 6
+LOAD_CONVERGENCE = 1e-4
+"""Friction that depends on load is settled where renewing the load lowers no joint's squared error by more than this fraction."""
 LARGE_CONDITION = 200.0
 """Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR 1992, ask for less than 100)."""
 
@@ -65,6 +68,16 @@ def identify(
     information = accumulate_stream(model, found, batches, block_seconds=block_seconds, threads=threads)
     cad = design_values(model, found)
     estimate = estimator.estimate(Evidence(model, information, batches, cad, unexcited, block_seconds))
+    if found.drive.needs_load:
+        information, estimate = _with_own_load(
+            model,
+            information,
+            estimate,
+            batches,
+            lambda seen: estimator.estimate(Evidence(model, seen, batches, cad, unexcited, block_seconds)),
+            block_seconds,
+            threads,
+        )
     source = ", ".join(information.sources)
     measured = []
     for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
@@ -83,6 +96,27 @@ def identify(
         cad=measured[1],
         provenance=tuple(dict.fromkeys(line for batch in batches for line in batch.provenance)),
     )
+
+
+def _with_own_load(
+    model: RobotModel,
+    information: SquareRootInformation,
+    estimate: Estimate,
+    batches: Sequence[Samples],
+    estimated: Callable[[SquareRootInformation], Estimate],
+    block_seconds: float | None,
+    threads: int | None,
+) -> tuple[SquareRootInformation, Estimate]:
+    """Repeat until the load that friction depends on is that of the estimate itself, not that of the description."""
+    base = information.base
+    for _ in range(LOAD_ITERATIONS):
+        information = accumulate_stream(carrying(model, base, estimate.beta), base, batches, block_seconds=block_seconds, threads=threads)
+        renewed = estimated(information)
+        step = information.residual_energy(renewed.beta) / np.maximum(information.residual_energy(estimate.beta), np.finfo(np.float64).tiny)
+        estimate = renewed
+        if np.all(step > 1.0 - LOAD_CONVERGENCE):
+            break
+    return information, estimate
 
 
 def conclude(

@@ -15,6 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, ResultError
+from asbuilt.identification.cause_evidence import CauseEvidence
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.summary import Summary, summarise
 from asbuilt.identification.torque_prediction import Prediction, predict_torque
@@ -90,6 +91,7 @@ class IdentificationResult:
     | `physically_consistent`, `consistency_margin` | whether any standard parameters of real bodies have these base parameters; None if unknown |
     | `warnings`, `provenance` | what to know, and how the samples were made |
     | `notes` | what the estimator decided, in sentences |
+    | `evidence` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |
     """
 
     model: RobotModel
@@ -117,6 +119,7 @@ class IdentificationResult:
     warnings: tuple[IdentificationWarning, ...]
     provenance: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    evidence: CauseEvidence | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -182,7 +185,7 @@ class IdentificationResult:
         return {
             "robot": self.robot,
             "method": self.method,
-            "drive": list(self.base.drive.keys),
+            "drive": list(self.base.drive.specifications),
             "sources": list(self.sources),
             "n_samples": self.n_samples,
             "rate": self.rate,
@@ -211,6 +214,7 @@ class IdentificationResult:
         """Return the whole result, robot and covariances included, as JSON that `from_json` reads back to the last bit."""
         whole = {"format": FORMAT, "version": FORMAT_VERSION} | self.as_dict()
         whole |= {name: getattr(self, name).tolist() for name in ("singular_values", "covariance", "textbook_covariance")}
+        whole |= {"evidence": None if self.evidence is None else self.evidence.as_dict()}
         return json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1) + "\n"
 
     @classmethod
@@ -259,6 +263,7 @@ class IdentificationResult:
                 warnings=tuple(IdentificationWarning(**warning) for warning in whole["warnings"]),
                 provenance=tuple(whole["provenance"]),
                 notes=tuple(whole.get("notes", ())),
+                evidence=None if whole.get("evidence") is None else CauseEvidence.from_dict(whole["evidence"]),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as problem:
             if isinstance(problem, ResultError):

@@ -40,6 +40,13 @@ class Prediction:
         return self.measured - self.predicted
 
 
+def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> RobotModel:
+    """Return the robot with link parameters that give the rigid-body torque of these base parameters, though no real bodies need have them."""
+    chi = np.zeros(base.n_standard)
+    chi[base.columns] = np.asarray(values, dtype=np.float64)
+    return model.with_parameters(chi[: 10 * model.n_joints])
+
+
 def predict_torque(model: RobotModel, base: BaseParameters, values: ArrayLike, samples: Samples) -> Prediction:
     """Predict `F(Y_b beta)` beside `F(tau)`, F being the parallel filter of the samples, if any.
 
@@ -58,5 +65,5 @@ def predict_torque(model: RobotModel, base: BaseParameters, values: ArrayLike, s
     links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
     torque = inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
     if base.drive:
-        torque = torque + drive_torque(base.drive, drives, samples.q, samples.qd, samples.qdd)
+        torque = torque + drive_torque(base.drive, drives, samples.q, samples.qd, samples.qdd, load=torque, shares=model.motor_shares)
     return Prediction(samples.filtered_times, samples.filtered_torque, samples.filtered(torque), model.joint_names, samples.source)

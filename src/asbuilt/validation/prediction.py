@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drive_torque import drive_torque
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification.identify import design_values as described_values
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
-from asbuilt.identification.torque_prediction import Prediction, predict_torque
+from asbuilt.identification.torque_prediction import Prediction, carrying, predict_torque
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve, analyse_residual, velocity_curve
 
 if TYPE_CHECKING:
@@ -134,7 +134,9 @@ def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
 def _drive_torque(result: IdentificationResult, samples: Samples) -> Array:
     """Return the filtered torque of the identified drive terms other than armature, (N, n); a term regrouped with others adds nothing."""
     drive = result.base.drive
-    own = DriveSet(tuple(term for term in drive.terms if term.key != "armature" and not term.needs_load))
+    own = drive.without("armature", "motor_armature", "spring", "balancer")
     identified = {parameter.name: parameter.estimate for parameter in result.parameters}
     values = [identified.get(name, 0.0) for k in range(result.model.n_joints) for name in own.names(k + 1)]
-    return samples.filtered(drive_torque(own, values, samples.q, samples.qd, samples.qdd))
+    state = (samples.q, samples.qd, samples.qdd)
+    load = inverse_dynamics(carrying(result.model, result.base, result.estimates), *state) if own.needs_load else None
+    return samples.filtered(drive_torque(own, values, *state, load=load, shares=result.model.motor_shares))

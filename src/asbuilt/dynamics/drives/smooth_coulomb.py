@@ -21,7 +21,7 @@ class SmoothCoulomb(DriveTerm):
     revolute_units = ("N m",)
     prismatic_units = ("N",)
     formula = "Fct tanh(qd / width)"
-    shapes = (Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0),)
+    shapes = (Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True),)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `tanh(qd / width)`."""

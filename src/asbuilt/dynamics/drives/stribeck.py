@@ -26,7 +26,7 @@ class Stribeck(DriveTerm):
     prismatic_units = ("N",)
     formula = "Fs exp(-|qd/velocity|^power) sign(qd)"
     shapes = (
-        Shape("velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0),
+        Shape("velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True),
         Shape("power", 2.0, 0.5, 4.0, "", fitted=False, typical=2.0),
     )
 

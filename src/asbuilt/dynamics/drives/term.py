@@ -26,7 +26,7 @@ class Shape:
     """A number that enters the columns of a term non-linearly: its name, where a fit starts, and the range it may take.
 
     `fitted` False keeps the default unless another value is stated. `typical` is a value at which the columns stand out at speeds of some rad/s, for
-    questions of structure; None where the value itself decides them.
+    questions of structure; None where the value itself decides them. A shape that is a `speed` is looked for among the speeds of the recording.
     """
 
     name: str
@@ -36,6 +36,7 @@ class Shape:
     unit: str
     fitted: bool = True
     typical: float | None = None
+    speed: bool = False
 
 
 class DriveTerm(ABC):

@@ -1,0 +1,189 @@
+"""Shapes of drive terms - a Stribeck velocity, an exponent, the width of a sign - by variable projection over everything linear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm, Shape
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.identification.rows import Stretch, stretches
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.samples import Samples
+
+Array = NDArray[np.float64]
+
+MOST_SAMPLES = 20_000
+"""Filtered samples that a fit of shapes looks at; of longer recordings every so many time blocks."""
+GRID = 24
+"""Values tried over the whole range of a shape,"""
+REFINEMENTS = 10
+"""then so many golden sections about the best of each joint."""
+TOLD = 30.0
+"""A shape is told where it lowers the squared error of its joint by this fraction, divided by the number of filtered samples (an F of 30 for white residuals, of a
+few for correlated ones); elsewhere it keeps its default."""
+SLOWEST_SHARE = 0.03
+"""A speed is looked for above the slowest samples of a joint, this share of those that move."""
+CYCLES = 2
+"""Rounds over the shapes, where there are several."""
+SAME_COLUMN = 1e-8
+"""What is left of a column beside all others, relative to its size, below which it is one of their sums."""
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedShape:
+    """The values of a shape, one per joint, the fraction of the squared error that the term takes away there, and where the data told the value."""
+
+    term: str
+    shape: Shape
+    values: tuple[float, ...]
+    reduction: Array
+    told: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ShapeFit:
+    """The drive with every shape stated, and how each was found."""
+
+    drive: DriveSet
+    shapes: tuple[FittedShape, ...]
+
+    def sentences(self, joint_names: Sequence[str]) -> tuple[str, ...]:
+        """Say what was found, a sentence per shape."""
+        said = []
+        for found in self.shapes:
+            unit = f" {found.shape.unit}" if found.shape.unit else ""
+            listed = ", ".join(
+                f"{name} {value:.3g}{'' if told else ' (not told, default)'}"
+                for name, value, told in zip(joint_names, found.values, found.told, strict=True)
+            )
+            said.append(f"{found.shape.name} of {found.term}, fitted by variable projection: {listed}{unit}")
+        return tuple(said)
+
+
+def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> ShapeFit:
+    """Fit the shapes that are not stated, joint by joint, each to the least squared error that remains after all linear parameters of its joint.
+
+    For joint k and shape s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint k, links free for each joint (a little freer than
+    the robot is, so that no joint waits for another). The range is searched whole, then refined, because the error has several minima. The load of load-dependent
+    terms is that of `model`.
+
+    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection.
+    """
+    found: dict[tuple[str, str], FittedShape] = {}
+    current = drive
+    free = [(term.key, shape) for term in drive.terms for shape in term.free_shapes]
+    chosen = _thinned(model, samples)
+    with one_blas_thread():
+        for _ in range(CYCLES if len(free) > 1 else 1):
+            for key, shape in free:
+                term = next(term for term in current.terms if term.key == key)
+                fitted = _fit_one(model, current.without(key), term, shape, chosen)
+                found[key, shape.name] = fitted
+                current = current.with_term(term.with_shapes({shape.name: fitted.values}))
+    return ShapeFit(current, tuple(found.values()))
+
+
+def _thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
+    every = list(stretches(model, samples))
+    step = max(1, -(-sum(each.n_outputs for each in every) // MOST_SAMPLES))
+    return every[::step]
+
+
+def _fit_one(model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape, chosen: Sequence[Stretch]) -> FittedShape:
+    n = model.n_joints
+    remaining = _Remaining(model, others, chosen)
+
+    def error(values: Array) -> Array:
+        return remaining.with_term(term.with_shapes({shape.name: tuple(float(value) for value in values)}))
+
+    lowest, highest = _range(shape, chosen, n)
+    logarithmic = shape.lower > 0.0
+    first, last = (np.log(lowest), np.log(highest)) if logarithmic else (lowest, highest)
+
+    def real(points: Array) -> Array:
+        return np.clip(np.exp(points) if logarithmic else points, lowest, highest)
+
+    grid = np.linspace(first, last, GRID)
+    errors = np.array([error(real(points)) for points in grid])
+    best = errors.argmin(axis=0)
+    every = np.arange(n)
+    low, high = grid[np.maximum(best - 1, 0), every], grid[np.minimum(best + 1, GRID - 1), every]
+    a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    at_a, at_b = error(real(a)), error(real(b))
+    for _ in range(REFINEMENTS):
+        left = at_a < at_b
+        low, high = np.where(left, low, a), np.where(left, b, high)
+        renewed = np.where(left, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
+        at = error(real(renewed))
+        a, b, at_a, at_b = np.where(left, renewed, b), np.where(left, a, renewed), np.where(left, at, at_b), np.where(left, at_a, at)
+    values, least = real(np.where(at_a < at_b, a, b)), np.minimum(at_a, at_b)
+    worse = least > errors.min(axis=0)
+    values = np.where(worse, real(grid[best, every]), values)
+    reduction = 1.0 - np.minimum(least, errors.min(axis=0)) / np.maximum(remaining.energy, np.finfo(np.float64).tiny)
+    told = reduction > TOLD / sum(each.n_outputs for each in chosen)
+    stated = tuple(float(f"{value:.4g}") for value in np.where(told, values, shape.default))
+    return FittedShape(term.key, shape, tuple(min(max(value, shape.lower), shape.upper) for value in stated), reduction, told)
+
+
+def _range(shape: Shape, chosen: Sequence[Stretch], n: int) -> tuple[Array, Array]:
+    """Return the range of a shape for each joint, two (n,): what the term allows, and for a speed what the recording has."""
+    lowest, highest = np.full(n, shape.lower), np.full(n, shape.upper)
+    if shape.speed:
+        speeds = np.abs(np.concatenate([each.samples.qd[each.start : each.stop] for each in chosen]))
+        for k in range(n):
+            moving = speeds[speeds[:, k] > 0.0, k]
+            if moving.size:
+                lowest[k] = np.clip(np.quantile(moving, SLOWEST_SHARE), shape.lower, shape.upper)
+                highest[k] = np.clip(moving.max(), lowest[k], shape.upper)
+    return lowest, highest
+
+
+class _Remaining:
+    """What the torque of each joint has left after all columns but one term's, ready to be asked what that term leaves of it."""
+
+    def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[Stretch]) -> None:
+        self._model, self._chosen = model, chosen
+        base = find_base_parameters(model, others)
+        plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
+        rows = _joined(plan, chosen)
+        self._bases, self._torques = [], []
+        for joint in rows:
+            columns, torque = joint[:-1], joint[-1]
+            sizes = np.linalg.norm(columns, axis=1)
+            present = sizes > 1e-12 * sizes.max(initial=0.0)
+            _, s, vt = np.linalg.svd(columns[present] / sizes[present, None], full_matrices=False)
+            basis = vt[s > SAME_COLUMN * s.max(initial=0.0)]
+            self._bases.append(basis)
+            self._torques.append(torque - basis.T @ (basis @ torque))
+        self.energy = np.array([float(torque @ torque) for torque in self._torques])
+
+    def with_term(self, term: DriveTerm) -> Array:
+        """Return the squared error of each joint that is left beside the columns of this term, shape (n,)."""
+        n, per = self._model.n_joints, len(term.letters)
+        plan = RegressorPlan.of(self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1)
+        left = []
+        for rows, basis, torque in zip(_joined(plan, self._chosen), self._bases, self._torques, strict=True):
+            columns = rows[:-1]
+            rest = columns - (columns @ basis.T) @ basis
+            rest = rest - (rest @ basis.T) @ basis
+            kept = np.linalg.norm(rest, axis=1) > 1e-4 * np.linalg.norm(columns, axis=1)
+            coefficients, *_ = np.linalg.lstsq(rest[kept].T, torque, rcond=None)
+            error = torque - coefficients @ rest[kept]
+            left.append(float(error @ error))
+        return np.array(left)
+
+
+def _joined(plan: RegressorPlan, chosen: Sequence[Stretch]) -> list[Array]:
+    pieces: Iterator[tuple[Array, ...]] = (tuple(rows.copy() for rows in piece) for each in chosen for piece in each.pieces(plan))
+    return [np.hstack(parts) for parts in zip(*pieces, strict=True)]
