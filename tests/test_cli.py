@@ -161,3 +161,29 @@ def test_wrong_calls_name_the_place_and_the_cure(
     assert says in err
     assert "Traceback" not in err
     assert "should not have happened" not in err
+
+
+def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The virtual robot carries 3 % of its moving mass; a bare one was recorded before."""
+    from asbuilt.description.inertia import LinkInertia
+    from asbuilt.description.load import load_robot
+    from asbuilt.excitation.random_motion import random_fourier
+    from asbuilt.experiment.simulation import InstalledRobot
+    from asbuilt.writers.recording_files import write_recording
+
+    robot = InstalledRobot.ideal(load_robot("kuka-iiwa7-r800"))
+    carrying = robot.with_tool(LinkInertia.from_com(2.0, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005])), at="flange")
+    for name, machine, seed in (("bare", robot, 1), ("loaded", carrying, 2)):
+        motion = random_fourier(robot.model, rng=seed, duration=12.0, n_harmonics=8)
+        write_recording(tmp_path / f"{name}.csv", machine.record(motion, 200.0).recording)
+    found = document(capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--out", tmp_path)
+    assert found["payload"]["mass"]["estimate"] == pytest.approx(2.0, abs=0.02)
+    alone = document(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv", "--out", tmp_path)
+    assert alone["frame"] == "flange"
+    assert alone["com"]["estimate"] == pytest.approx([0.0, 0.02, 0.08], abs=0.005)
+    assert alone["physically_consistent"] is True
+    assert alone["validation"][0]["relative_error"] < 0.2 * alone["bare"][0]["relative_error"]
+    assert Path(alone["files"]["payload"]).stat().st_size > 0
+    status, out, _ = call(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv")
+    assert status == 0
+    assert "told by this motion" in out

@@ -94,11 +94,12 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     tasks: dict[str, Any] = {}
 
     def report(what: str, fraction: float) -> None:
-        if what not in tasks:
+        stage = what.split(":", maxsplit=1)[0]
+        if stage not in tasks:
             for task in tasks.values():
                 bar.update(task, completed=1.0)
-            tasks[what] = bar.add_task(what, total=1.0)
-        bar.update(tasks[what], completed=fraction)
+            tasks[stage] = bar.add_task(what, total=1.0)
+        bar.update(tasks[stage], description=what, completed=fraction)
 
     with bar:
         yield report
@@ -216,6 +217,9 @@ def identify(
     undetermined: Annotated[
         str, typer.Option("--undetermined", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
     ] = "cad",
+    payload: Annotated[
+        list[Path] | None, typer.Option("--payload", metavar="LOG", help="a recording under load: what does the flange carry?")
+    ] = None,
     unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
     rate: Rate = None,
     flip_torque: Flip = False,
@@ -230,7 +234,9 @@ def identify(
 ) -> None:
     """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
     from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.validation.payload_study import run_payload_study
     from asbuilt.validation.study import StudyOptions, run_study
+    from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.study_files import study_text, write_study
     from asbuilt.writers.tabular import identify_document
 
@@ -248,8 +254,14 @@ def identify(
         recordings = _read(model, log, rate, flip_torque, gain, torque_source, sheet)
         others = _read(model, validate or [], rate, flip_torque, gain, torque_source, sheet)
         study = run_study(model, recordings, validation=others, options=options, progress=report)
+        loaded = _read(model, payload or [], rate, flip_torque, gain, torque_source, sheet)
+        carried = run_payload_study(study.result, loaded, chain=options.chain) if loaded else None
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
-    _answer(as_json, lambda: identify_document(study.result, files=files), lambda: study_text(study) + _listed(files))
+    _answer(
+        as_json,
+        lambda: identify_document(study.result, files=files) | ({"payload": payload_document(carried)} if carried is not None else {}),
+        lambda: study_text(study) + (f"\n\n{payload_text(carried)}" if carried is not None else "") + _listed(files),
+    )
 
 
 @app.command()
@@ -301,6 +313,121 @@ def compare(
     comparison = compare_with(_result(result), cad=None if cad is None else _load(cad))
     files = {"comparison": atomic_write(out / "comparison.csv", comparison.parameter_table().as_csv())} if out is not None else {}
     _answer(as_json, lambda: {**comparison.as_document(), "files": _texts(files)}, lambda: comparison.as_text() + _listed(files))
+
+
+@app.command()
+def payload(
+    result: Result,
+    log: Logs,
+    unloaded: Annotated[
+        list[Path] | None, typer.Option("--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more")
+    ] = None,
+    validate: Annotated[list[Path] | None, typer.Option("--validate", metavar="LOG", help="a loaded recording to judge by")] = None,
+    holdout: Annotated[
+        str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 or last:0.3, of the loaded recordings")
+    ] = None,
+    frame: Annotated[
+        str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
+    ] = None,
+    arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    decimate: Decimate = None,
+    preset: Preset = "default",
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find what the flange carries: mass, centre and inertia, from recordings under load."""
+    from asbuilt.validation.payload_study import run_payload_study
+    from asbuilt.writers.payload_tables import payload_document, payload_text
+    from asbuilt.writers.tabular import write_json
+
+    identified = _result(result)
+    read = [_read(identified.model, logs or [], rate, flip_torque, gain, torque_source, sheet) for logs in (log, unloaded, validate)]
+    found = run_payload_study(
+        identified,
+        *read,
+        chain=_chain(preset, cutoff, decimate),
+        holdout=holdout,
+        frame=frame,
+        arm=_one_of("--arm", arm, ("refined", "frozen")),
+    )
+    files = {"payload": write_json(out / "payload.json", payload_document(found))} if out is not None else {}
+    _answer(as_json, lambda: payload_document(found, files), lambda: payload_text(found) + _listed(files))
+
+
+@app.command()
+def excite(
+    robot: Robot,
+    drive: Drive = "viscous,coulomb,offset",
+    duration: Annotated[str, typer.Option("--duration", metavar="S", help="length of the motion, or auto (see --precision)")] = "20",
+    parametrisation: Annotated[
+        str, typer.Option("--parametrisation", metavar="KIND", help="fourier, bspline, quintic or point-to-point")
+    ] = "fourier",
+    harmonics: Annotated[
+        int | None, typer.Option("--harmonics", metavar="N", help="harmonics, or control or way points (default: by duration)")
+    ] = None,
+    criterion: Annotated[str, typer.Option("--criterion", metavar="NAME", help="d, a, e or condition")] = "d",
+    focus: Annotated[str | None, typer.Option("--focus", metavar="LIST", help="names or ids of the base parameters that matter")] = None,
+    given: Annotated[
+        Path | None, typer.Option("--given", metavar="RESULT", help="an earlier result: find what it left open, with its noise")
+    ] = None,
+    noise: Annotated[
+        str | None, typer.Option("--noise", metavar="S1,S2,...", help="standard deviation of the torque, one or one per joint")
+    ] = None,
+    fraction: Annotated[float, typer.Option("--fraction", help="how much of the limits of motion may be used")] = 0.95,
+    torque_fraction: Annotated[float, typer.Option("--torque-fraction", help="how much of the torque limits may be used")] = 0.8,
+    perturbed: Annotated[
+        int, typer.Option("--perturbed", metavar="N", help="hold the torque limit for N other robots, masses 10 % off")
+    ] = 0,
+    starts: Annotated[int, typer.Option("--starts", metavar="N", help="local searches")] = 24,
+    time_limit: Annotated[float, typer.Option("--time-limit", metavar="S", help="end the search after this time")] = 20.0,
+    seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
+    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")] = 1000.0,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="motion file to write")] = Path("motion.csv"),
+    as_json: AsJson = False,
+) -> None:
+    """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.excitation.design import DesignOptions, design_motion
+    from asbuilt.identification.known_information import known_information
+    from asbuilt.writers.design_tables import excite_document, excite_text, write_design
+
+    model, drives, prior = _load(robot), DriveSet.parse(drive or "none"), None
+    sigma = _numbers("--noise", noise) or (1.0,)
+    if given is not None:
+        known = _result(given)
+        model, drives, prior = known.model, known.base.drive, known_information(known)
+        sigma = _numbers("--noise", noise) or tuple(known.sigma.tolist())
+    options = DesignOptions(
+        parametrisation=parametrisation,
+        size=harmonics,
+        duration=_positive("--duration", duration),
+        criterion=criterion,
+        focus=tuple(name for name in (focus or "").split(",") if name.strip()),
+        noise=sigma[0] if len(sigma) == 1 else sigma,
+        fraction=fraction,
+        torque_fraction=torque_fraction,
+        perturbed=perturbed,
+        starts=starts,
+        seed=seed,
+        time_limit=time_limit,
+    )
+    with _progress() as report:
+        report("bound the information", 0.0)
+        design = design_motion(
+            model,
+            drives,
+            options,
+            prior=prior,
+            progress=lambda p: report(f"search: best log det {p.best:.2f}" if p.finished else "search", p.finished / p.planned),
+        )
+        files = write_design(out, design, rate)
+    _answer(as_json, lambda: excite_document(design, files), lambda: excite_text(design) + _listed(files))
 
 
 @app.command()
@@ -382,6 +509,23 @@ def _one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -
     if value not in known:
         raise UsageError(f"{option} {value!r} is not one of {', '.join(known)}")
     return known[value] if isinstance(known, Mapping) else value
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in (text or "").split(",") if part.strip())
+    except ValueError:
+        raise UsageError(f"{option} takes numbers separated by commas, got {text!r}") from None
+
+
+def _positive(option: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise UsageError(f"{option} takes a positive number, got {text!r}")
+    return value
 
 
 def _texts(files: Mapping[str, Path]) -> dict[str, str]:

@@ -16,16 +16,16 @@ MARGIN_TOLERANCE = 1e-8
 """How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be rounding of the solver."""
 
 _HALF = np.sqrt(0.5)
-_PSEUDO_INERTIA = np.zeros((10, 10))
+PSEUDO_INERTIA = np.zeros((10, 10))
 """svec of the 4 x 4 pseudo-inertia, upper triangle column by column with off-diagonal entries times sqrt(2), from `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`."""
-_PSEUDO_INERTIA[0, [0, 3, 5]] = -0.5, 0.5, 0.5
-_PSEUDO_INERTIA[1, 1] = -2.0 * _HALF
-_PSEUDO_INERTIA[2, [0, 3, 5]] = 0.5, -0.5, 0.5
-_PSEUDO_INERTIA[3, 2] = -2.0 * _HALF
-_PSEUDO_INERTIA[4, 4] = -2.0 * _HALF
-_PSEUDO_INERTIA[5, [0, 3, 5]] = 0.5, 0.5, -0.5
-_PSEUDO_INERTIA[[6, 7, 8], [6, 7, 8]] = 2.0 * _HALF
-_PSEUDO_INERTIA[9, 9] = 1.0
+PSEUDO_INERTIA[0, [0, 3, 5]] = -0.5, 0.5, 0.5
+PSEUDO_INERTIA[1, 1] = -2.0 * _HALF
+PSEUDO_INERTIA[2, [0, 3, 5]] = 0.5, -0.5, 0.5
+PSEUDO_INERTIA[3, 2] = -2.0 * _HALF
+PSEUDO_INERTIA[4, 4] = -2.0 * _HALF
+PSEUDO_INERTIA[5, [0, 3, 5]] = 0.5, 0.5, -0.5
+PSEUDO_INERTIA[[6, 7, 8], [6, 7, 8]] = 2.0 * _HALF
+PSEUDO_INERTIA[9, 9] = 1.0
 _IDENTITY = np.array([1.0, 0, 1.0, 0, 0, 1.0, 0, 0, 0, 1.0])
 
 
@@ -50,7 +50,7 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     positive = sparse.hstack([-sparse.eye_array(len(armatures), n, k=10 * n_links), sparse.csc_matrix(np.ones((len(armatures), 1)))])
     bodies = sparse.hstack(
         [
-            sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-_PSEUDO_INERTIA)),
+            sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-PSEUDO_INERTIA)),
             sparse.csc_matrix((10 * n_links, len(armatures))),
             sparse.csc_matrix(np.tile(_IDENTITY, n_links)[:, None]),
         ]

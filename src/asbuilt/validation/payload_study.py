@@ -1,0 +1,39 @@
+"""From recordings under load to the payload: filter, hold out, identify, judge."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from asbuilt.errors import UsageError
+from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.payload import Arm, Payload, identify_payload
+from asbuilt.identification.result import IdentificationResult
+
+
+def run_payload_study(
+    result: IdentificationResult,
+    loaded: Sequence[Recording],
+    unloaded: Sequence[Recording] = (),
+    validation: Sequence[Recording] = (),
+    *,
+    chain: SignalChain | None = None,
+    holdout: str | None = None,
+    frame: str | None = None,
+    arm: Arm = "refined",
+) -> Payload:
+    """Identify what the flange carries and judge it on what was held out of the loaded recordings, on other ones, or else on the data used.
+
+    All recordings go through one signal chain, whose open choices are made for the loaded ones. Raises as `identify_payload`.
+    """
+    if not loaded:
+        raise UsageError(f"no recording under load is given for {result.robot}")
+    resolved = (chain or SignalChain()).resolved(*loaded)
+    learning = [prepare_samples(recording, resolved) for recording in loaded]
+    judging = [prepare_samples(recording, resolved) for recording in validation]
+    if holdout is not None:
+        parts = [hold_out(samples, holdout) for samples in learning]
+        learning, judging = [train for train, _ in parts], [held for _, held in parts] + judging
+    bare = [prepare_samples(recording, resolved) for recording in unloaded]
+    return identify_payload(result, learning, unloaded=bare, frame=frame, arm=arm, validation=judging)
