@@ -53,7 +53,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     if n_blocks < FEWEST_BLOCKS or estimate.rank == 0:
         return Uncertainty(estimate.covariance, float(n_samples), "textbook", n_blocks)
     residual = np.append(-estimate.beta, 1.0)
-    moves = np.empty((n_blocks, estimate.rank))
+    moves = np.empty((n_blocks, root.shape[1]))
     with one_blas_thread():
         for b in range(n_blocks):
             factor = information.block_stacked(b, estimate.weights)

@@ -1,0 +1,110 @@
+"""The least torque error that real bodies allow: a conic program on the square-root information, solved by Clarabel in milliseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.body_bounds import BodyBounds
+from asbuilt.identification.cad_prior import CadPrior
+
+Array = NDArray[np.float64]
+
+SMALLEST_PART = 1e-3
+"""Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
+TINY_PULL = 1e-3
+"""Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution unique."""
+
+_ROW, _COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+_SVEC: Array = np.where(_ROW == _COLUMN, 1.0, np.sqrt(2.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConicFit:
+    """Hold the minimiser `chi` (n_standard,), the largest part t of the CAD bodies below all bodies (`P_i >= t P0_i`), and the iterations it took."""
+
+    chi: Array
+    part: float
+    iterations: int
+
+
+def fit_real_bodies(
+    prior: CadPrior,
+    regrouping: Array,
+    *,
+    factor: Array,
+    bounds: BodyBounds | None = None,
+    weight: float = TINY_PULL,
+    smallest_part: float = SMALLEST_PART,
+) -> ConicFit:
+    """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` subject to `P_i >= smallest_part P0_i` for every link and to `bounds`.
+
+    [R z] is the triangular `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the CAD values, g their metric: the distance
+    `tr((P0^-1 dP)^2)` of every body, the same in all frames and units (the constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, near 1 all of them, which a solver likes. Positive definiteness after Wensing, Kim &
+    Slotine, IEEE RA-L 3, 2018, and Sousa & Cortesao, IJRR 33, 2014.
+
+    Raises `IdentifiabilityError` where the bounds leave nothing, saying so.
+    """
+    z = factor[:-1, -1]
+    p = len(z)
+    bodies, q0 = _near_one(prior)
+    n = len(prior.parameters)
+    inertial = 10 * prior.n_links
+    torque = factor[:-1, :-1] @ regrouping @ bodies
+    pull = np.concatenate([np.repeat(weight * prior.strength, 10), np.full(n - inertial, min(weight, 1.0) * 1e-3)])
+    quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
+    linear = np.concatenate([-pull * q0, np.zeros(p)])
+    blocks = [sparse.hstack([sparse.csc_matrix(torque), -sparse.eye_array(p)])]
+    right = [z]
+    cones = [clarabel.ZeroConeT(p)]
+    if bounds is not None and len(bounds.offsets):
+        rows = bounds.rows @ bodies
+        size = np.linalg.norm(rows, axis=1)
+        blocks.append(sparse.hstack([sparse.csc_matrix(-rows / size[:, None]), sparse.csc_matrix((len(rows), p))]))
+        right.append(bounds.offsets / size)
+        cones.append(clarabel.NonnegativeConeT(len(rows)))
+    blocks.append(-sparse.eye_array(inertial, n + p))
+    right.append(-smallest_part * np.tile(_svec(np.eye(4)), prior.n_links))
+    cones += [clarabel.PSDTriangleConeT(4)] * prior.n_links
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    solver = clarabel.DefaultSolver(quadratic, linear, sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(right), cones, settings)
+    solution = solver.solve()
+    status = str(solution.status)
+    if "PrimalInfeasible" in status:
+        raise IdentifiabilityError(f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them")
+    if status not in ("Solved", "AlmostSolved"):
+        raise IdentifiabilityError(
+            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}"
+        )
+    chi = bodies @ np.array(solution.x[:n])
+    return ConicFit(chi, float(prior.relative_eigenvalues(chi).min()), int(solution.iterations))
+
+
+def _near_one(prior: CadPrior) -> tuple[Array, Array]:
+    """Return M and q0 with `chi = M q`: q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD."""
+    roots = np.linalg.cholesky(prior.pseudo_inertias)
+    n, inertial = len(prior.parameters), 10 * prior.n_links
+    M = np.zeros((n, n))
+    units = np.zeros((10, 4, 4))
+    units[np.arange(10), _ROW, _COLUMN] = 1.0 / _SVEC
+    units[np.arange(10), _COLUMN, _ROW] = 1.0 / _SVEC
+    for i, L in enumerate(roots):
+        images = L @ units @ L.T
+        M[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = np.array([LinkInertia.from_pseudo_inertia(image).parameters for image in images]).T
+    M[range(inertial, n), range(inertial, n)] = prior.drive_scale
+    q0 = np.concatenate([np.tile(_svec(np.eye(4)), prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
+    return M, q0
+
+
+def _svec(matrix: Array) -> Array:
+    """Upper triangle, column by column, off-diagonal entries times sqrt(2), shape (..., 10)."""
+    return np.asarray(matrix[..., _ROW, _COLUMN] * _SVEC)

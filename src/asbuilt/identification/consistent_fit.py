@@ -1,0 +1,242 @@
+"""Estimators whose every link is a real body: least torque error alone, or with a pull to CAD."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import lapack, solve_triangular
+
+from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.errors import UsageError
+from asbuilt.identification.body_bounds import BodyBounds, generous_bounds, non_negative_drives
+from asbuilt.identification.cad_prior import CadPrior, body_metric, cad_prior
+from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, fit_real_bodies
+from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, closest_to_cad
+from asbuilt.identification.least_squares import Estimate, FactorSolution, fit_least_squares
+from asbuilt.identification.prior_weight import choose_weight
+from asbuilt.identification.square_root_information import SquareRootInformation
+
+if TYPE_CHECKING:
+    from asbuilt.identification.evidence import Evidence
+
+Array = NDArray[np.float64]
+Metric = Literal["entropic", "euclidean"]
+
+QUIETEST = 1e-5
+"""Noise of a joint, as a fraction of its torque RMS, below which its weight grows no further: simulations have none, and programs round."""
+REWEIGHTINGS = 2
+WEIGHT_WHILE_WEIGHING = 100.0
+START_SLACK = 0.1
+"""Where bounded drive parameters start, in units of their scale."""
+WEAKEST_BELIEF = 1.0
+"""Weight of CAD in the errors of an estimate that does not lean on it: every body is known to lie within a factor of e or so of its CAD."""
+STRONGEST_BELIEF = 25.0
+"""In the errors, no CAD is believed to better than a fifth."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConsistentEstimate(Estimate):
+    """Hold an estimate with bodies behind it: `standard` (n_standard,) gives `beta`, with `P_i >= part P0_i > 0` for every link.
+
+    `prior_weight` is what a divergence of 1 from CAD costs in units of the squared weighted residual, `belief` the weight that the errors were judged with.
+    """
+
+    standard: Array = None  # type: ignore[assignment]
+    part: float = np.nan
+    prior_weight: float = 0.0
+    belief: float = 0.0
+
+
+def estimate_consistent(evidence: Evidence) -> ConsistentEstimate:
+    """Estimate the real bodies and passive drives that fit best: the conic program, with the tiniest pull to CAD."""
+    return fit_consistent(evidence.information, _prior(evidence))
+
+
+def estimate_entropic(evidence: Evidence) -> ConsistentEstimate:
+    """Estimate with an entropic prior around CAD, its weight chosen by held-out time blocks."""
+    return fit_toward_cad(evidence.information, _prior(evidence), metric="entropic")
+
+
+def estimate_euclidean(evidence: Evidence) -> ConsistentEstimate:
+    """Estimate with a quadratic prior around CAD, its weight chosen by held-out time blocks."""
+    return fit_toward_cad(evidence.information, _prior(evidence), metric="euclidean")
+
+
+def _prior(evidence: Evidence) -> CadPrior:
+    if evidence.unexcited == "refuse":
+        fit_least_squares(evidence.information, unexcited="refuse")
+    return cad_prior(evidence.model, evidence.base.drive)
+
+
+def fit_consistent(
+    information: SquareRootInformation,
+    prior: CadPrior,
+    *,
+    bounds: BodyBounds | None = None,
+    weights: Array | None = None,
+    smallest_part: float = SMALLEST_PART,
+) -> ConsistentEstimate:
+    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2` over real bodies: `P_i >= smallest_part P0_i`, within `bounds` (`generous_bounds` by default).
+
+    Without `weights` they are 1 / sigma_k of a consistent fit, settled in two rounds. What the torques leave open lies next to CAD.
+    """
+    limits = generous_bounds(prior) if bounds is None else bounds
+    with one_blas_thread():
+        w, rounds = _joint_weights(information, prior, limits, weights)
+        fit = fit_real_bodies(prior, information.base.regrouping, factor=information.stacked(w), bounds=limits, smallest_part=smallest_part)
+        near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
+        notes = (
+            f"real bodies and passive drives, by conic program: {len(limits.labels)} bounds, of which active: "
+            f"{', '.join(limits.labels[j] for j in near[:8]) or 'none'}{f' and {len(near) - 8} more' if len(near) > 8 else ''}",
+        )
+        return _estimate("consistent", information, prior, w, fit.chi, TINY_PULL, rounds, notes)
+
+
+def fit_toward_cad(
+    information: SquareRootInformation,
+    prior: CadPrior,
+    *,
+    metric: Metric = "entropic",
+    weight: float | None = None,
+    bounds: BodyBounds | None = None,
+    weights: Array | None = None,
+) -> ConsistentEstimate:
+    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2 / 2 + weight * distance(chi, CAD)` over real bodies and passive drives.
+
+    The distance is the divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its quadratic form at CAD (`"euclidean"`:
+    a conic program). `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to nothing, are not pulled.
+    """
+    if metric not in ("entropic", "euclidean"):
+        raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")
+    base, coordinates = information.base, Coordinates.of(information.base)
+    limits = non_negative_drives(prior) if bounds is None else non_negative_drives(prior).and_also(bounds)
+
+    def fit(factor: Array, pull: float, warm: Array | None) -> Array:
+        if metric == "euclidean":
+            return fit_real_bodies(prior, base.regrouping, factor=factor, bounds=limits, weight=pull).chi
+        start = _inside(prior, limits) if warm is None else warm
+        return closest_to_cad(prior, coordinates, start, weight=pull, factor=factor, bounds=limits).chi
+
+    with one_blas_thread():
+        w, rounds = _joint_weights(information, prior, limits, weights)
+        if weight is None:
+            choice = choose_weight(information, w, base.regrouping, fit)
+            pull, reason = choice.weight, choice.reason
+        else:
+            pull, reason = float(weight), f"weight of CAD {weight:g}, as given"
+        chi = fit(information.stacked(w), pull, None)
+        return _estimate(metric, information, prior, w, chi, pull, rounds, (reason,))
+
+
+def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
+    """Return parameters strictly inside: CAD, its bounded drives off zero; nearest to it with room to spare where bounds exclude it."""
+    chi = prior.parameters.copy()
+    lifted = prior.non_negative
+    chi[lifted] = np.maximum(chi[lifted], START_SLACK * prior.drive_scale[lifted - 10 * prior.n_links])
+    if np.all(bounds.slack(chi) > 0):
+        return chi
+    room = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
+    tighter = BodyBounds(bounds.rows, bounds.offsets - room, bounds.labels)
+    p = len(prior.parameters)
+    nothing = np.zeros((p + 1, p + 1))
+    return fit_real_bodies(prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2).chi
+
+
+def _joint_weights(information: SquareRootInformation, prior: CadPrior, bounds: BodyBounds, weights: Array | None) -> tuple[Array, int]:
+    """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
+    if weights is not None:
+        return fit_least_squares(information, weights=weights, prior=np.zeros(information.base.n_base)).weights, 0
+    rms = np.sqrt(information.torque_energy / information.n_samples)
+    quietest = np.maximum(QUIETEST * rms, np.finfo(np.float64).tiny)
+    w = 1.0 / np.maximum(fit_least_squares(information, weights="joint", prior=np.zeros(information.base.n_base)).sigma, quietest)
+    for _ in range(REWEIGHTINGS):
+        factor = information.stacked(w)
+        chi = fit_real_bodies(prior, information.base.regrouping, factor=factor, bounds=bounds).chi
+        w = 1.0 / np.maximum(np.sqrt(information.residual_energy(information.base.regrouping @ chi) / information.n_samples), quietest)
+    return w, REWEIGHTINGS
+
+
+def _estimate(
+    method: str,
+    information: SquareRootInformation,
+    prior: CadPrior,
+    weights: Array,
+    chi: Array,
+    prior_weight: float,
+    rounds: int,
+    notes: tuple[str, ...],
+) -> ConsistentEstimate:
+    """Return the estimate with its errors.
+
+    The errors are those of the normal approximation to the posterior, `K H^-1 K^T` with H the information of the data plus `belief` times the metric
+    of the bodies halfway between CAD and estimate. The belief is the smallest of the weight used, of 25, of the weight that the distance of the found bodies from CAD bears
+    out (as many determined parameters as twice the divergence times the weight: MacKay, Neural Computation 4, 1992), and, where the fit does not lean on CAD,
+    of 1. Active bounds are not taken as known, so these errors are rather too large than too small.
+    """
+    base = information.base
+    free = fit_least_squares(information, weights=weights, prior=base.regrouping @ prior.parameters)
+    beta = base.regrouping @ chi
+    belief, root = _belief_and_root(information, prior, weights, chi, WEAKEST_BELIEF if prior_weight <= TINY_PULL else prior_weight)
+    n_rows = information.n_samples * information.n_joints
+    factor = information.stacked(weights)
+    error = factor @ np.append(-beta, 1.0)
+    energy = float(error @ error)
+    solution: FactorSolution = replace(free.solution, x=beta, inverse_root=root, residual_energy=energy)
+    spent = np.array(
+        [
+            float(np.sum((w * R[:-1, :-1] @ root[support]) ** 2))
+            for support, R, w in zip(information.support, information.joint_factors, weights, strict=True)
+        ]
+    )
+    sigma = np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0))
+    part = float(prior.relative_eigenvalues(chi).min())
+    return ConsistentEstimate(
+        method=method,
+        beta=beta,
+        covariance=max(energy / max(n_rows - free.rank, 1), 1.0) * root @ root.T,
+        sigma=sigma,
+        weights=weights,
+        solution=solution,
+        undetermined=free.undetermined,
+        determined=free.determined,
+        iterations=rounds,
+        converged=True,
+        notes=(
+            *notes,
+            f"every link is a real body: its pseudo-inertia is at least {part:.2g} of that of CAD",
+            f"standard errors believe CAD with weight {belief:.3g}",
+            *prior.notes,
+        ),
+        standard=chi,
+        part=part,
+        prior_weight=prior_weight,
+        belief=belief,
+    )
+
+
+def _belief_and_root(information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float) -> tuple[float, Array]:
+    """Return the belief in CAD and the root (p, p) of the covariance of beta."""
+    coordinates = Coordinates.of(information.base)
+    free = np.hstack([coordinates.kept, coordinates.dependent])
+    inertial = 10 * prior.n_links
+    halfway = 0.5 * (prior.parameters[:inertial] + chi[:inertial])
+    roots = np.linalg.cholesky(body_metric(halfway, prior.strength)).transpose(0, 2, 1)
+    bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
+    drives = np.sqrt(DRIVE_RIDGE) / prior.drive_scale[:, None] * free[inertial:]
+    R = information.stacked(weights)[:-1, :-1]
+    data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
+
+    def inverse_root(belief: float) -> Array:
+        triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives])), overwrite_a=True)
+        return np.asarray(solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1])))
+
+    told = inertial - float(np.sum((np.sqrt(weight) * bodies @ inverse_root(weight)) ** 2))
+    moved = float(prior.strength @ prior.divergence(chi))
+    belief = min(weight, STRONGEST_BELIEF, max(told, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny))
+    p = len(R)
+    wide = inverse_root(belief)[:p]
+    triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
+    return belief, np.asarray(np.triu(triangle[:p]).T)
