@@ -431,6 +431,25 @@ def excite(
 
 
 @app.command()
+def export(
+    result: Result,
+    urdf: Annotated[Path | None, typer.Option("--urdf", metavar="FILE", help="the URDF it was identified with, as built")] = None,
+    mjcf: Annotated[Path | None, typer.Option("--mjcf", metavar="FILE", help="a model for MuJoCo")] = None,
+    toml: Annotated[Path | None, typer.Option("--toml", metavar="FILE", help="a robot file of asbuilt")] = None,
+    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it")] = None,
+    original: Annotated[
+        Path | None, typer.Option("--original", metavar="FILE", help="the URDF to edit (default: where the robot was read from)")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the identified robot for other software."""
+    from asbuilt.writers.export import export_result
+
+    exported = export_result(_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original)
+    _answer(as_json, exported.as_document, exported.as_text)
+
+
+@app.command()
 def simulate(
     robot: Robot,
     motion: Annotated[

@@ -70,12 +70,10 @@ def c_code(
     n = model.n_joints
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
     chi = _fewest_parameters(model)
-    per_joint = values.reshape(n, -1)
-    columns = [_drive_columns(forward.code, terms, j) for j in range(n)]
-    torques = [
-        forward.code.total((torque,), *[(Term(float(value)), column) for value, column in zip(per_joint[j], columns[j], strict=True)])
-        for j, torque in enumerate(forward.torques(chi))
-    ]
+    torques = forward.torques(chi)
+    for entry, value in zip(_drive_entries(forward, terms), values, strict=True):
+        for j, column in entry.items():
+            torques[j] = forward.code.total((torques[j],), (Term(float(value)), column))
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     functions = [
         _function(f"void {name}_inverse_dynamics({motion}, double tau[{n}])", ("q", "qd", "qdd"), forward.code, _assigned("tau", torques)),
@@ -129,14 +127,35 @@ def _regressor(mechanism: Mechanism, base: BaseParameters, terms: DriveSet) -> d
     inertial = 10 * mechanism.model.n_joints
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
+    drives = _drive_entries(mechanism, terms)
     for position, column in enumerate(base.columns[len(columns) :], start=len(columns)):
-        joint, k = divmod(int(column) - inertial, terms.columns_per_joint)
-        entries[joint, position] = _drive_columns(mechanism.code, terms, joint)[k]
+        entries |= {(j, position): entry for j, entry in drives[int(column) - inertial].items()}
     return entries
 
 
-def _sign(code: StraightLine, j: int) -> Term:
-    return code.given(f"(double)((qd[{j}] > 0.0) - (qd[{j}] < 0.0))")
+def _drive_entries(mechanism: Mechanism, terms: DriveSet) -> list[dict[int, Term]]:
+    """Return for each drive parameter the joints that it acts on and its column there; motors that several joints turn act on all of these."""
+    code, shares = mechanism.code, mechanism.model.motor_shares
+    entries: list[dict[int, Term]] = []
+    for k in range(mechanism.model.n_joints):
+        for term in terms.terms:
+            if term.key in _MOTOR_COLUMNS:
+                turned = _MOTOR_COLUMNS[term.key](code, {array: _turned(code, array, shares[k]) for array in ("qd", "qdd")})
+                entries.append({j: code.total((Term(float(shares[k, j])), turned)) for j in np.flatnonzero(shares[k]).tolist()})
+            elif term.key in _COLUMNS:
+                entries += [{k: column} for column in _COLUMNS[term.key](code, k)]
+            else:
+                written = ", ".join((*_COLUMNS, *_MOTOR_COLUMNS))
+                raise UsageError(f"drive term {term.key!r} cannot be written as C with sin and cos alone; written are {written}")
+    return entries
+
+
+def _turned(code: StraightLine, array: str, shares: Array) -> Term:
+    return code.sum(*[Term(float(share), f"{array}[{j}]") for j, share in enumerate(shares)])
+
+
+def _sign(code: StraightLine, rate: Term) -> Term:
+    return code.given(f"(double)(({rate.written()} > 0.0) - ({rate.written()} < 0.0))", rate.name)
 
 
 _COLUMNS: dict[str, Callable[[StraightLine, int], tuple[Term, ...]]] = {
@@ -148,19 +167,20 @@ _COLUMNS: dict[str, Callable[[StraightLine, int], tuple[Term, ...]]] = {
     ),
     "quadratic": lambda code, j: (code.given(f"qd[{j}] > 0.0 ? qd[{j}]*qd[{j}] : -qd[{j}]*qd[{j}]"),),
     "cubic": lambda code, j: (code.given(f"qd[{j}]*qd[{j}]*qd[{j}]"),),
-    "coulomb": lambda code, j: (_sign(code, j),),
+    "coulomb": lambda code, j: (_sign(code, Term(1.0, f"qd[{j}]")),),
     "asymmetric_coulomb": lambda code, j: (code.given(f"(double)(qd[{j}] > 0.0)"), -code.given(f"(double)(qd[{j}] < 0.0)")),
     "spring": lambda code, j: (Term(1.0, f"q[{j}]"),),
     "balancer": lambda code, j: (code.given(f"sin(q[{j}])"), code.given(f"cos(q[{j}])")),
     "offset": lambda code, j: (ONE,),
 }
+"""The columns of a drive term on joint j."""
 
-
-def _drive_columns(code: StraightLine, terms: DriveSet, joint: int) -> list[Term]:
-    unknown = [key for key in terms.keys if key not in _COLUMNS]
-    if unknown:
-        raise UsageError(f"drive term {unknown[0]!r} cannot be written as C with sin and cos alone; written are {', '.join(_COLUMNS)}")
-    return [column for key in terms.keys for column in _COLUMNS[key](code, joint)]
+_MOTOR_COLUMNS: dict[str, Callable[[StraightLine, dict[str, Term]], Term]] = {
+    "motor_armature": lambda code, motor: motor["qdd"],
+    "motor_viscous": lambda code, motor: motor["qd"],
+    "motor_coulomb": lambda code, motor: _sign(code, motor["qd"]),
+}
+"""The column of a drive term of a motor, from the motion of the motor."""
 
 
 def _assigned(array: str, values: Sequence[Term]) -> dict[str, Term]:
@@ -248,7 +268,7 @@ def _tables(base: BaseParameters, beta: Array, name: str) -> str:
 def _self_test(model: RobotModel, terms: DriveSet, values: Array, base: BaseParameters, name: str) -> str:
     q, qd, qdd = sample_states(model, CHECKED_STATES)
     rigid = inverse_dynamics(model, q, qd, qdd)
-    tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid)
+    tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
     arrays = {"q": q, "qd": qd, "qdd": qdd, "tau": tau, "gravity": gravity_torque(model, q)}
     n, p, S = model.n_joints, base.n_base, CHECKED_STATES
     known = "\n".join(

@@ -86,8 +86,7 @@ class Mechanism:
         return entries
 
     def _moved(self, j: int, joint: Joint) -> Motion:
-        gravity = tuple(Term(-float(g)) for g in self.model.gravity)
-        above = Motion(NOTHING, NOTHING, (gravity[0], gravity[1], gravity[2])) if joint.parent == ROOT else self.motions[joint.parent]
+        above = Motion(NOTHING, NOTHING, _vector(-self.model.gravity)) if joint.parent == ROOT else self.motions[joint.parent]
         total, plus = self.code.total, self.code.sum
         at = self._into(joint.before, above)
         q, v, dv, c, s = self.q[j], self.qd[j], self.qdd[j], self.cosine[j], self.sine[j]
@@ -124,7 +123,7 @@ class Mechanism:
 
     def _into(self, placement: Array, motion: Motion) -> Motion:
         """Return the motion of a frame at `placement` in a moving frame."""
-        R, p = placement[:3, :3], _numbers(placement[:3, 3])
+        R, p = placement[:3, :3], _vector(placement[:3, 3])
         a = motion.a
         if any(not part.is_zero for part in p):
             a = self._added(a, self._times(self._swing(motion), p))
@@ -132,7 +131,7 @@ class Mechanism:
 
     def _out(self, placement: Array, wrench: Wrench) -> Wrench:
         """Return a wrench on a frame at `placement` as one on the frame that carries it."""
-        R, p = _matrix(placement[:3, :3]), _numbers(placement[:3, 3])
+        R, p = _matrix(placement[:3, :3]), _vector(placement[:3, 3])
         force = self._times(R, wrench.force)
         return Wrench(force, self._added(self._times(R, wrench.moment), self._cross(p, force)))
 
@@ -172,7 +171,7 @@ class Mechanism:
         return screws
 
     def _through(self, placement: Array, screw: Screw) -> Screw:
-        R, p = _matrix(placement[:3, :3].T), _numbers(placement[:3, 3])
+        R, p = _matrix(placement[:3, :3].T), _vector(placement[:3, 3])
         return Screw(self._times(R, screw.z), self._times(R, self._added(screw.m, self._cross(screw.z, p))))
 
     def _over(self, j: int, screw: Screw) -> Screw:
@@ -203,6 +202,11 @@ def _numbers(values: Array) -> tuple[Term, ...]:
     return tuple(Term(float(value)) for value in values)
 
 
+def _vector(values: Array) -> Vector:
+    x, y, z = _numbers(values)
+    return x, y, z
+
+
 def _matrix(values: Array) -> Matrix:
-    x, y, z = (tuple(Term(float(value)) for value in row) for row in values)
-    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
+    x, y, z = (_vector(row) for row in values)
+    return x, y, z

@@ -28,17 +28,22 @@ _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
-def as_built_model(result: IdentificationResult) -> RobotModel:
-    """Return the robot with standard parameters that give the identified torques exactly and move least from the description.
+def as_built_parameters(result: IdentificationResult) -> Array:
+    """Return the standard parameters (n_standard,) that give the identified torques exactly and move least from the description.
 
     chi = chi_cad + S (K S)^+ (beta - K chi_cad), where K is the regrouping and S scales each parameter by the size of its link (kg, m).
     What torques do not determine stays as described, so single masses and inertias are a choice and may be impossible for a rigid body.
     """
-    model, base = result.model, result.base
-    described = np.nan_to_num(parameter_values(model, base.drive), nan=0.0)
-    scale = _parameter_scales(model, base.n_standard)
+    base = result.base
+    described = np.nan_to_num(parameter_values(result.model, base.drive), nan=0.0)
+    scale = _parameter_scales(result.model, base.n_standard)
     step, *_ = np.linalg.lstsq(base.regrouping * scale, result.estimates - base.regrouping @ described, rcond=1e-13)
-    chi = described + scale * step
+    return np.asarray(described + scale * step)
+
+
+def as_built_model(result: IdentificationResult) -> RobotModel:
+    """Return the robot with the standard parameters of `as_built_parameters`; drive terms that a robot has no place for are left out."""
+    model, base, chi = result.model, result.base, as_built_parameters(result)
     inertial = 10 * model.n_joints
     robot = model.with_parameters(chi[:inertial])
     joints, place = [], inertial
