@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -50,34 +50,69 @@ def rank_tolerance(n_rows: int, n_columns: int) -> float:
     return 4.0 * float(np.finfo(np.float64).eps) * max(n_rows, n_columns)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighted:
+    """Hold the singular value decomposition `R D^-1 = U S V^T` of the triangular factor [R | z] of `n_rows` weighted rows, columns scaled to length 1.
+
+    Only the `rank` singular values above `rank_tolerance` are in `u`, `s`, `vt`; `null` (p - rank, p) are the other right vectors. What the rows
+    leave open is resolved toward `toward`. Source: Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5 (rank).
+    """
+
+    factor: Array
+    toward: Array
+    scale: Array
+    u: Array
+    s: Array
+    vt: Array
+    null: Array
+    singular_values: Array
+
+    @classmethod
+    def factored(cls, factor: Array, n_rows: int, toward: Array | None = None) -> Weighted:
+        """Decompose a triangular factor (p + 1, p + 1); without `toward` open directions go to zero."""
+        p = len(factor) - 1
+        r = factor[:p, :p]
+        length = np.linalg.norm(r, axis=0)
+        present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
+        scale = np.where(present, length, 1.0)
+        u, s, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
+        rank = int(np.sum(s > rank_tolerance(n_rows, p) * s.max(initial=0.0)))
+        start = np.zeros(p) if toward is None else np.asarray(toward, dtype=np.float64)
+        return cls(factor, start, scale, u[:, :rank], s[:rank], vt[:rank], vt[rank:], s)
+
+    @classmethod
+    def of(cls, information: SquareRootInformation, weights: Array, toward: Array | None = None) -> Weighted:
+        """Decompose the information of all joints, joint k multiplied by `weights[k]`."""
+        return cls.factored(information.stacked(weights), information.n_samples * information.n_joints, toward)
+
+    def solve(self, ridge: float = 0.0) -> FactorSolution:
+        """Return the solution of least squares, with `ridge |D (x - toward)|^2` added."""
+        p = len(self.factor) - 1
+        r, z = self.factor[:p, :p], self.factor[:p, p]
+        damped = np.sqrt(self.s**2 + ridge)
+        inverse_root = (self.vt.T / damped) / self.scale[:, None]
+        x = self.toward + inverse_root @ ((self.s / damped) * (self.u.T @ (z - r @ self.toward)))
+        plain: Array = np.asarray(np.linalg.svd(r, compute_uv=False), dtype=np.float64)
+        error = self.factor @ np.append(-x, 1.0)
+        rank = len(self.s)
+        return FactorSolution(
+            x=x,
+            rank=rank,
+            residual_energy=float(error @ error),
+            inverse_root=inverse_root,
+            open_directions=_echelon(self.null, self.scale),
+            singular_values=self.singular_values,
+            condition_number=_ratio(plain, rank),
+            scaled_condition_number=_ratio(self.singular_values, rank),
+        )
+
+
 def solve_factor(factor: Array, n_rows: int, toward: Array | None = None) -> FactorSolution:
     """Solve least squares from the triangular factor (p + 1, p + 1) of `n_rows` rows, by singular values of its column-scaled form.
 
-    What the rows leave open is resolved toward `toward` (p,), zero where none is given. Source: Golub & Van Loan, Matrix Computations, 2013,
-    sections 5.3.5 (column scaling) and 5.5 (rank).
+    What the rows leave open is resolved toward `toward` (p,), zero where none is given.
     """
-    p = len(factor) - 1
-    r, z = factor[:p, :p], factor[:p, p]
-    start = np.zeros(p) if toward is None else np.asarray(toward, dtype=np.float64)
-    length = np.linalg.norm(r, axis=0)
-    present = length > rank_tolerance(n_rows, p) * length.max(initial=0.0)
-    scale = np.where(present, length, 1.0)
-    u, s, vt = np.linalg.svd(np.where(present, r / scale, 0.0))
-    rank = int(np.sum(s > rank_tolerance(n_rows, p) * s.max(initial=0.0)))
-    inverse_root = (vt[:rank].T / s[:rank]) / scale[:, None]
-    x = start + inverse_root @ (u[:, :rank].T @ (z - r @ start))
-    plain: Array = np.asarray(np.linalg.svd(r, compute_uv=False), dtype=np.float64)
-    error = factor @ np.append(-x, 1.0)
-    return FactorSolution(
-        x=x,
-        rank=rank,
-        residual_energy=float(error @ error),
-        inverse_root=inverse_root,
-        open_directions=_echelon(vt[rank:], scale),
-        singular_values=s,
-        condition_number=_ratio(plain, rank),
-        scaled_condition_number=_ratio(s, rank),
-    )
+    return Weighted.factored(factor, n_rows, toward).solve()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +148,38 @@ class Estimate:
         """Textbook standard errors, shape (p,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    def renewed(
+        self,
+        method: str,
+        information: SquareRootInformation,
+        solution: FactorSolution,
+        *,
+        beta: Array | None = None,
+        inverse_root: Array | None = None,
+        sigma: Array | None = None,
+        own_information: SquareRootInformation | None = None,
+        iterations: int | None = None,
+        converged: bool | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> Estimate:
+        """Return the estimate that another method makes of it: the same directions, other values; `information` is what its rows are judged on."""
+        found = solution.x if beta is None else beta
+        root = solution.inverse_root if inverse_root is None else inverse_root
+        error = information.stacked(self.weights) @ np.append(-found, 1.0)
+        energy, n_rows = float(error @ error), information.n_samples * information.n_joints
+        return replace(
+            self,
+            method=method,
+            beta=found,
+            covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
+            sigma=_deviation(information, found, solution, self.weights) if sigma is None else sigma,
+            solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
+            iterations=self.iterations if iterations is None else iterations,
+            converged=self.converged if converged is None else converged,
+            information=own_information,
+            notes=notes,
+        )
+
 
 def fit_least_squares(
     information: SquareRootInformation,
@@ -145,8 +212,7 @@ def fit_least_squares(
     with one_blas_thread():
         while True:
             solution = solve_factor(information.stacked(w), rows * n, toward)
-            spent = _spent(information, solution, w)
-            sigma = np.sqrt(information.residual_energy(solution.x) / np.maximum(rows - spent, 1.0))
+            sigma = _deviation(information, solution.x, solution, w)
             iterations += 1
             if not iterated:
                 break
@@ -197,6 +263,12 @@ def combination(direction: Array, names: tuple[str, ...]) -> str:
         size = f"{abs(factor):.3g}"
         text += f" {'-' if factor < 0 else '+'} {names[j] if size == '1' else f'{size} {names[j]}'}"
     return text + (f" + ... ({len(shown) - MOST_TERMS} more)" if len(shown) > MOST_TERMS else "")
+
+
+def _deviation(information: SquareRootInformation, beta: Array, solution: FactorSolution, weights: Array) -> Array:
+    """Return the standard deviation of each joint's residual, shape (n,)."""
+    spent = _spent(information, solution, weights)
+    return np.asarray(np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0)))
 
 
 def _spent(information: SquareRootInformation, solution: FactorSolution, weights: Array) -> Array:

@@ -41,6 +41,50 @@ methods: dict[str, Method] = {
     for method in (
         Method("ols", "ordinary least squares", "every torque counts alike", "information", "least_squares:estimate_ols"),
         Method("wls", "weighted least squares", "a weight per joint, from its own noise", "information", "least_squares:estimate_wls"),
+        Method("ridge", "ridge toward CAD", "drawn toward CAD as far as held-out blocks ask for", "information", "ridge:estimate_ridge"),
+        Method("huber", "Huber's robust fit", "outliers pull with bounded force", "samples", "robust:estimate_huber"),
+        Method(
+            "bisquare",
+            "Tukey's robust fit",
+            "gross outliers, collisions and contacts, do not pull at all",
+            "samples",
+            "robust:estimate_bisquare",
+        ),
+        Method(
+            "ml",
+            "maximum likelihood",
+            "noise that joints share, its covariance estimated along",
+            "samples",
+            "maximum_likelihood:estimate_ml",
+        ),
+        Method(
+            "total",
+            "total least squares",
+            "errors in positions and their derivatives too",
+            "information",
+            "total_least_squares:estimate_total",
+        ),
+        Method(
+            "consistent",
+            "physically consistent least squares",
+            "the real bodies and passive drives that fit best, by conic program",
+            "information",
+            "consistent_fit:estimate_consistent",
+        ),
+        Method(
+            "entropic",
+            "physically consistent, with an entropic CAD prior",
+            "real bodies near CAD; the weight of CAD from held-out time blocks",
+            "information",
+            "consistent_fit:estimate_entropic",
+        ),
+        Method(
+            "euclidean",
+            "physically consistent, with a quadratic CAD prior",
+            "the same with a quadratic distance from CAD",
+            "information",
+            "consistent_fit:estimate_euclidean",
+        ),
     )
 }
 """All estimators, in the order in which they are listed."""

@@ -1,0 +1,126 @@
+"""Estimators that a collision, a contact or a burst of bad samples does not carry away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.identification.evidence import Evidence
+from asbuilt.identification.least_squares import SMALLEST_NOISE, Estimate, estimate_wls, fit_least_squares
+from asbuilt.identification.rows import RowBlock, Rows
+from asbuilt.identification.square_root_information import reduce_rows
+
+Array = NDArray[np.float64]
+
+MAD_TO_SIGMA = 1.4826022185056018
+"""Standard deviation of a normal distribution in medians of the absolute deviation."""
+MOST_ITERATIONS = 60
+SCALE_ITERATIONS = 25
+"""Iterations after which the scales rest, so that the steps converge."""
+STEP = 1e-6
+"""Length of the last step, in standard errors of all parameters together."""
+OUTLYING = 4.0
+"""Residual, in robust standard deviations, that is called an outlier in the notes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A loss rho(r) of standardised residuals r: `weight(r)` = rho'(r) / r and `slope(r)` = rho''(r)."""
+
+    weight: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+
+def huber_loss(threshold: float = 1.345) -> Loss:
+    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond; 1.345 keeps 95 % efficiency (Huber, Ann. Math. Stat. 35, 1964)."""
+    return Loss(
+        lambda r: threshold / np.maximum(np.abs(r), threshold),
+        lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
+    )
+
+
+def bisquare_loss(threshold: float = 4.685) -> Loss:
+    """Return Tukey's bisquare, which gives residuals beyond the threshold no weight at all (Beaton & Tukey, Technometrics 16, 1974)."""
+
+    def share(r: Array) -> Array:
+        return np.asarray(np.maximum(1.0 - (r / threshold) ** 2, 0.0))
+
+    return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
+
+
+def estimate_huber(evidence: Evidence, threshold: float = 1.345) -> Estimate:
+    """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss, by iteratively reweighted least squares.
+
+    sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least squares on pseudo-values
+    `W beta + sigma rho'(r) / mean(rho'')`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7.
+    """
+    return _robust(evidence, "huber", huber_loss(threshold), estimate_wls(evidence))
+
+
+def estimate_bisquare(evidence: Evidence, threshold: float = 4.685) -> Estimate:
+    """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale: gross outliers count for nothing.
+
+    Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
+    """
+    start = estimate_huber(evidence)
+    return _robust(evidence, "bisquare", bisquare_loss(threshold), start, scale=start.sigma)
+
+
+def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: Array | None = None) -> Estimate:
+    information, rows = evidence.information, evidence.rows
+    root, beta = start.solution.inverse_root / start.weights.max(), start.beta
+    floor = SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples)) or 1.0
+    sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
+    with one_blas_thread():
+        while not converged and iterations < MOST_ITERATIONS:
+            residuals = _residuals(rows, beta)
+            if scale is None and iterations < SCALE_ITERATIONS:
+                sigma = np.array([max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(e)))), floor) for e in residuals])
+            gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
+            for b, block in enumerate(rows):
+                for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                    weight = loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
+                    weighted = columns[:-1] * weight
+                    gram += root[support].T @ (weighted @ columns[:-1].T) @ root[support]
+                    score += root[support].T @ (weighted @ residuals[k][b])
+            step = np.linalg.lstsq(gram, score, rcond=None)[0]
+            beta = beta + root @ step
+            converged = bool(step @ gram @ step <= STEP**2)
+            iterations += 1
+        residuals = _residuals(rows, beta)
+        standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
+        slope = [max(float(np.mean(loss.slope(r))), 0.1) for r in standard]
+
+        def pseudo() -> Iterator[RowBlock]:
+            for b, block in enumerate(rows):
+                made = []
+                for k, columns in enumerate(block.rows):
+                    e = residuals[k][b]
+                    made.append(np.vstack([columns[:-1], columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]]))
+                yield RowBlock(tuple(made), block.time, block.seconds)
+
+        solved = reduce_rows(evidence.base, information.joint_names, rows.support, pseudo())
+    fitted = fit_least_squares(solved, weights=1.0 / sigma, prior=evidence.prior, unexcited=evidence.unexcited)
+    outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
+    worst = int(np.argmax(outlying))
+    note = (
+        f"{100 * outlying.mean():.2g} % of the torques lie beyond {OUTLYING:g} robust standard deviations, most on joint "
+        f"{information.joint_names[worst]} ({100 * outlying[worst]:.2g} %), and count for less."
+        if outlying.any()
+        else f"No torque lies beyond {OUTLYING:g} robust standard deviations."
+    )
+    return fitted.renewed(
+        name, solved, fitted.solution, sigma=sigma, iterations=iterations, converged=converged, own_information=solved, notes=(note,)
+    )
+
+
+def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:
+    """Residuals per joint and block."""
+    blocks = [
+        [columns[-1] - beta[support] @ columns[:-1] for columns, support in zip(block.rows, rows.support, strict=True)] for block in rows
+    ]
+    return [list(joint) for joint in zip(*blocks, strict=True)]
