@@ -65,6 +65,16 @@ methods: dict[str, Method] = {
             "total_least_squares:estimate_total",
         ),
         Method(
+            "iv", "instrumental variables", "noise in the motion, by a simulated motion without it", "simulation", "instruments:estimate_iv"
+        ),
+        Method(
+            "essential",
+            "weighted least squares, essential parameters",
+            "parameters that an F-test does not miss set to zero",
+            "information",
+            "essential:estimate_essential",
+        ),
+        Method(
             "consistent",
             "physically consistent least squares",
             "the real bodies and passive drives that fit best, by conic program",

@@ -1,0 +1,178 @@
+"""One contract for every estimator: what holds whatever it minimises."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.description.dh import DHRow, robot_from_dh
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.experiment.parallel_filter import design_parallel_filter
+from asbuilt.experiment.samples import Samples
+from asbuilt.identification.identify import identify
+from asbuilt.identification.methods import find_method, methods
+from asbuilt.identification.result import IdentificationResult
+
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
+RATE = 50.0
+DRIVES = np.array([0.8, 1.5, -0.2, 0.6, 1.1, 0.1, 0.3, 0.5, 0.05])
+
+every_method = pytest.mark.parametrize("method", list(methods))
+
+
+def arm(scale=1.0):
+    """Three links that bodies of uniform density could have."""
+    rng = np.random.default_rng(3)
+    rows = []
+    for a, alpha, b, mass in [(0.0, np.pi / 2, 0.3, 6.0), (0.35, 0.0, 0.0, 4.0), (0.25, -np.pi / 2, 0.1, 2.0)]:
+        half = rng.uniform(0.05, 0.2, 3)
+        inertia = LinkInertia.from_com(
+            scale * mass, rng.uniform(-0.1, 0.1, 3), scale * mass / 3 * (np.sum(half**2) * np.eye(3) - np.diag(half**2))
+        )
+        rows.append(DHRow(a=a, alpha=alpha, b=b, inertia=inertia))
+    return robot_from_dh(rows, name="three links", gravity=[0.0, 0.0, -9.81])
+
+
+def truth(base, model, scale=1.0):
+    """Heavier than designed, each link as a whole, with friction."""
+    chi = parameter_values(model, DRIVE)
+    chi[:30] = (chi[:30].reshape(3, 10) * np.array([1.1, 1.3, 0.9])[:, None]).ravel()
+    chi[30:] = scale * DRIVES
+    return base.values(chi)
+
+
+def recording(model, base, beta, *, noise=0.0, seconds=24.0, seed=0, still=(), source="recording", parallel=True):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 1.0 / RATE)
+    q, qd, qdd = (np.zeros((len(t), 3)) for _ in range(3))
+    for k in range(3):
+        q[:, k] = rng.uniform(-0.5, 0.5)
+        if k in still:
+            continue
+        for _ in range(5):
+            a, w, phase = rng.uniform(0.1, 0.4), rng.uniform(0.5, 5.0), rng.uniform(0, 6)
+            q[:, k] += a * np.sin(w * t + phase)
+            qd[:, k] += a * w * np.cos(w * t + phase)
+            qdd[:, k] -= a * w * w * np.sin(w * t + phase)
+    tau = (observation_matrix(model, q, qd, qdd, drive=DRIVE, columns=base.columns) @ beta).reshape(q.shape)
+    tau = tau + noise * rng.normal(size=tau.shape) * [1.0, 2.0, 0.5]
+    names = model.joint_names
+    return Samples(
+        t, q, qd, qdd, tau, rate=RATE, joint_names=names, source=source, parallel=design_parallel_filter(6.0, RATE, 2) if parallel else None
+    )
+
+
+@pytest.fixture(scope="module")
+def robot():
+    model = arm()
+    base = find_base_parameters(model, DRIVE)
+    return model, base, truth(base, model)
+
+
+@pytest.fixture(scope="module")
+def noisy(robot):
+    model, base, beta = robot
+    return [recording(model, base, beta, noise=0.3, seed=seed, source=f"run {seed}") for seed in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def found(robot, noisy):
+    """What every estimator finds from the noisy recordings."""
+    model, base, _ = robot
+    return {name: identify(model, noisy, drive=DRIVE, base=base, method=name) for name in methods}
+
+
+@every_method
+def test_without_noise_it_finds_the_truth(robot, method):
+    model, base, beta = robot
+    result = identify(model, recording(model, base, beta), drive=DRIVE, base=base, method=method)
+    assert result.train.relative_error < 1e-5
+    np.testing.assert_allclose(result.estimates, beta, rtol=0, atol=2e-4 * np.abs(beta).max())
+
+
+@every_method
+def test_with_noise_errors_cover_the_truth(robot, found, method):
+    _, _, beta = robot
+    result = found[method]
+    told = result.std_errors > 0
+    assert np.mean(np.abs(result.estimates - beta)[told] < 4 * result.std_errors[told]) > 0.9
+    assert result.train.relative_error < 0.1
+    assert np.all(result.sigma > 0)
+
+
+@every_method
+def test_torques_in_other_units_scale_the_estimate(robot, noisy, found, method):
+    _, _, _ = robot
+    tenfold = arm(10.0)
+    batches = [replace(samples, tau=10 * samples.tau, tau_raw=np.empty((0, 0))) for samples in noisy]
+    result = identify(tenfold, batches, drive=DRIVE, method=method)
+    size = np.abs(found[method].estimates).max()
+    np.testing.assert_allclose(result.estimates / 10, found[method].estimates, rtol=0, atol=1e-3 * size)
+    np.testing.assert_allclose(result.sigma / 10, found[method].sigma, rtol=1e-3)
+
+
+@every_method
+def test_order_of_recordings_does_not_matter(robot, noisy, found, method):
+    model, base, _ = robot
+    result = identify(model, noisy[::-1], drive=DRIVE, base=base, method=method)
+    size = np.abs(found[method].estimates).max()
+    np.testing.assert_allclose(result.estimates, found[method].estimates, rtol=0, atol=1e-5 * size)
+    np.testing.assert_allclose(result.std_errors, found[method].std_errors, rtol=1e-2, atol=1e-6 * size)
+
+
+@every_method
+def test_same_data_give_the_same_bits(robot, noisy, found, method):
+    model, base, _ = robot
+    again = identify(model, noisy, drive=DRIVE, base=base, method=method)
+    assert again.to_json() == found[method].to_json()
+
+
+@every_method
+def test_result_survives_storage_and_says_its_method(found, method):
+    result = found[method]
+    assert IdentificationResult.from_json(result.to_json()).to_json() == result.to_json()
+    assert result.method == method or method == "auto"
+    assert methods[result.method].title in result.summary().as_text().splitlines()[0]
+    for note in result.notes:
+        assert note in result.summary().as_text()
+
+
+@every_method
+def test_joint_that_stands_still_is_named_or_refused(robot, method):
+    model, base, beta = robot
+    samples = recording(model, base, beta, noise=0.1, still=(2,), seed=4)
+    result = identify(model, samples, drive=DRIVE, base=base, method=method)
+    assert result.rank < result.n_base
+    assert any("Fv3" in text for text in result.undetermined)
+    assert np.all(np.isfinite(result.estimates))
+    with pytest.raises(IdentifiabilityError, match="Fv3"):
+        identify(model, samples, drive=DRIVE, base=base, method=method, unexcited="refuse")
+
+
+@every_method
+def test_too_few_samples_are_refused(robot, method):
+    model, base, beta = robot
+    few = recording(model, base, beta, seconds=0.1, parallel=False)
+    with pytest.raises(IdentifiabilityError, match="too few"):
+        identify(model, few, drive=DRIVE, base=base, method=method)
+
+
+def test_unknown_method_is_answered_with_the_list():
+    with pytest.raises(UsageError, match=r"'owls'.*ols, wls.*huber"):
+        find_method("owls")
+
+
+@every_method
+def test_every_method_says_what_it_is(method):
+    entry = methods[method]
+    assert entry.name == method
+    assert entry.title and entry.description
+    assert not entry.description.endswith(".")
+    assert entry.needs in ("information", "samples", "simulation")
