@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -11,12 +12,13 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import UsageError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.cause_evidence import gather_evidence
 from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
@@ -115,6 +117,10 @@ def run_study(
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
     result = _judged(result, checks, validations)
+    with suppress(IdentifiabilityError):
+        result = replace(
+            result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=options.block_seconds)
+        )
     report("predict", 1.0)
     return Study(result, checks, training, validations, compare(result, validation=validations or training))
 
