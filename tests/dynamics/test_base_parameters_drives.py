@@ -81,3 +81,9 @@ def test_every_term_alone_and_beside_the_defaults(key):
         assert alone.n_base >= rigid
         assert both.n_base >= find_base_parameters(model, defaults).n_base
         assert len(both.expressions) == len(both.standard_names) - sum(name not in both.names for name in both.standard_names)
+
+
+def test_a_term_at_some_joints_leaves_the_others_without_it():
+    base = find_base_parameters(planar(), DriveSet.parse("viscous,spring:joints=2"))
+    assert "Ks2" in base.names and "Ks1" not in base.names
+    assert_regroups(base, stacked(planar(), base.drive))

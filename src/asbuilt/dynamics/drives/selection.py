@@ -7,7 +7,7 @@ import importlib
 import inspect
 import pkgutil
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -55,7 +55,8 @@ class DriveSet:
     def parse(cls, text: str | Sequence[str]) -> DriveSet:
         """Read a comma-separated list of keys (or a sequence of them); "none" and the empty list choose no term.
 
-        A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by slashes, for each: `smooth_coulomb:width=0.02/0.01`.
+        A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by slashes, for each: `smooth_coulomb:width=0.02/0.01`;
+        and the numbers of the joints that have the term: `spring:joints=2/5`.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
         chosen = [[part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()]
@@ -70,7 +71,7 @@ class DriveSet:
                 if key == NONE:
                     hint = f"{NONE!r} stands alone; "
                 raise UsageError(f"unknown drive term {key!r}; {hint}available: {', '.join(known)}, or {NONE}")
-        return cls(tuple(known[key].with_shapes(dict(_option(key, option) for option in options)) for key, *options in chosen))
+        return cls(tuple(_stated(known[key], options) for key, *options in chosen))
 
     @classmethod
     def default(cls, source: str) -> DriveSet:
@@ -132,7 +133,8 @@ class DriveSet:
 
     def functions(self, joint: int) -> tuple[Mapping[Hashable, float], ...]:
         """Return each column of a joint (counted from 0) as a sum of elementary functions; see `DriveTerm.functions`."""
-        return tuple(function for term in self.terms for function in term.at(joint).functions())
+        empty: dict[Hashable, float] = {}
+        return tuple(function if term.is_at(joint) else empty for term in self.terms for function in term.at(joint).functions())
 
     def check_joints(self, n_joints: int) -> None:
         """Raise UsageError where shapes are stated for another number of joints."""
@@ -176,7 +178,9 @@ class DriveSet:
         for shared in self.terms:
             term = shared if joint is None else shared.at(joint)
             own = columns[row : row + len(term.letters)]
-            if not term.of_motor:
+            if joint is not None and not term.is_at(joint):
+                own[...] = 0.0
+            elif not term.of_motor:
                 term.evaluate(q, qd, qdd, load, own)
             elif motor is None:
                 own[...] = 0.0
@@ -186,15 +190,25 @@ class DriveSet:
         return columns
 
 
-def _option(key: str, text: str) -> tuple[str, ShapeValue]:
-    name, equals, values = text.partition("=")
-    try:
-        numbers = tuple(float(value) for value in values.split("/"))
-    except ValueError:
-        numbers = ()
-    if not equals or not numbers:
-        raise UsageError(f"option {text!r} of drive term {key!r} must read name=number, or name=number/number/... with one per joint")
-    return name.strip(), numbers[0] if len(numbers) == 1 else numbers
+def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
+    shapes: dict[str, ShapeValue] = {}
+    for option in options:
+        name, equals, values = (part.strip() for part in option.partition("="))
+        try:
+            numbers = tuple(float(value) for value in values.split("/"))
+        except ValueError:
+            numbers = ()
+        if not equals or not numbers:
+            raise UsageError(
+                f"option {option!r} of drive term {term.key!r} must read name=number, or name=number/number/... with one per joint"
+            )
+        if name == "joints":
+            if any(number != int(number) or number < 1 for number in numbers):
+                raise UsageError(f"joints of drive term {term.key!r} are numbers from 1, such as joints=2/5, got {values!r}")
+            term = replace(term, joints=tuple(sorted({int(number) for number in numbers})))
+        else:
+            shapes[name] = numbers[0] if len(numbers) == 1 else numbers
+    return term.with_shapes(shapes)
 
 
 NO_DRIVE = DriveSet()

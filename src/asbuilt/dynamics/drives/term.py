@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from dataclasses import KW_ONLY, dataclass, replace
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,13 +39,18 @@ class Shape:
     speed: bool = False
 
 
+@dataclass(frozen=True, slots=True)
 class DriveTerm(ABC):
     """Add `sum_c columns[c](q, qd, qdd, load) * parameter_c` to the torque of one joint.
 
     A term is one file in this package: a frozen dataclass without arguments in its simplest form. What enters the columns
     non-linearly (a Stribeck velocity, the width of a smooth sign) is declared in `shapes` and is a field of the same name, None by default, so that
-    `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters.
+    `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters. `joints` are the numbers (from 1) of the joints that
+    have the term, None for all; the parameters of the others never act.
     """
+
+    _: KW_ONLY
+    joints: tuple[int, ...] | None = None
 
     key: ClassVar[str]
     """Name used to select the term."""
@@ -102,19 +107,26 @@ class DriveTerm(ABC):
             raise UsageError(f"{self} has one {name} per joint; say of which joint its columns are wanted")
         return stated
 
+    def is_at(self, joint: int) -> bool:
+        """Whether a joint (counted from 0) has the term."""
+        return self.joints is None or joint + 1 in self.joints
+
     def at(self, joint: int) -> Self:
         """Return the term of one joint (counted from 0), with one number per shape."""
         own = {shape.name: getattr(self, shape.name) for shape in self.shapes}
         several = {name: values for name, values in own.items() if isinstance(values, tuple)}
-        return replace(self, **{name: values[joint] for name, values in several.items()}) if several else self  # type: ignore[type-var]
+        return self._with({name: values[joint] for name, values in several.items()}) if several else self
 
     def typical(self) -> Self:
         """Return the term with shapes at which its columns stand out, where they do not decide its structure."""
         values = {shape.name: shape.typical for shape in self.shapes if shape.typical is not None}
-        return replace(self, **values) if values else self  # type: ignore[type-var]
+        return self._with(values) if values else self
 
     def check_joints(self, n_joints: int) -> None:
-        """Raise UsageError where a shape is given for another number of joints."""
+        """Raise UsageError where a shape is given for another number of joints, or a joint does not exist."""
+        outside = [number for number in self.joints or () if not 1 <= number <= n_joints]
+        if outside:
+            raise UsageError(f"{self} names joint {outside[0]}; the robot has joints 1 to {n_joints}")
         for shape in self.shapes:
             stated = getattr(self, shape.name)
             if isinstance(stated, tuple) and len(stated) != n_joints:
@@ -134,10 +146,15 @@ class DriveTerm(ABC):
                         f"{name} of drive term {self.key!r} must lie between {shape.lower:g} and {shape.upper:g} {shape.unit}".rstrip()
                         + f", got {number:g}"
                     )
-        return replace(self, **values)  # type: ignore[type-var]
+        return self._with(values)
+
+    def _with(self, fields: Mapping[str, Any]) -> Self:
+        return cast(Self, replace(cast(Any, self), **fields))
 
     def __str__(self) -> str:
         parts = [self.key]
+        if self.joints is not None:
+            parts.append(f"joints={'/'.join(map(str, self.joints))}")
         for shape in self.shapes:
             stated = getattr(self, shape.name)
             if stated is not None:
