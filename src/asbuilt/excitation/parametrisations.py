@@ -1,0 +1,146 @@
+"""Families of motions that are linear in their coefficients: what a design chooses among."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from asbuilt.excitation.bspline import BSplineMotion
+from asbuilt.excitation.fourier import FourierMotion, fourier_basis
+from asbuilt.excitation.motion import Array, Motion
+from asbuilt.excitation.quintic import QuinticMotion
+
+
+@dataclass(frozen=True)
+class Parametrisation(ABC):
+    """Map coefficients (n_basis, n_joints) linearly to a motion of `duration` seconds; `size` says how rich the family is."""
+
+    duration: float
+    size: int
+    key: ClassVar[str]
+    size_name: ClassVar[str]
+
+    @abstractmethod
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions at the times `t` (N,), shape (N, n_basis)."""
+
+    @abstractmethod
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the motion with these coefficients."""
+
+    @property
+    @abstractmethod
+    def shortest_wave(self) -> float:
+        """About the shortest time in which a motion of the family goes there and back [s]."""
+
+    @property
+    @abstractmethod
+    def constant(self) -> Array:
+        """The coefficients (n_basis,) of standing still at 1."""
+
+    def random(self, rng: np.random.Generator, n_joints: int) -> Array:
+        """Return random coefficients that move every joint about 0, at no particular scale."""
+        return rng.normal(size=(self.constant.size, n_joints))
+
+
+@dataclass(frozen=True)
+class Fourier(Parametrisation):
+    """Fourier series with `size` harmonics, at rest at both ends (`FourierMotion`), repeated `periods` times."""
+
+    periods: int = 1
+    key = "fourier"
+    size_name = "harmonics"
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions."""
+        return fourier_basis(t, self.duration / self.periods, self.size, order)
+
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the series."""
+        return FourierMotion(coefficients, self.duration / self.periods, self.periods)
+
+    @property
+    def shortest_wave(self) -> float:
+        """Period of the highest harmonic [s]."""
+        return self.duration / self.periods / self.size
+
+    @property
+    def constant(self) -> Array:
+        """The first coefficient is the pose."""
+        return np.concatenate([[1.0], np.zeros(2 * self.size - 2)])
+
+
+@dataclass(frozen=True)
+class BSpline(Parametrisation):
+    """Quintic B-spline with `size` control points, at rest at both ends (`BSplineMotion`)."""
+
+    key = "bspline"
+    size_name = "control points"
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions."""
+        return BSplineMotion(np.zeros((self.size, 1)), self.duration).basis(t, order)
+
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the spline."""
+        return BSplineMotion(coefficients, self.duration)
+
+    @property
+    def shortest_wave(self) -> float:
+        """Some two knots [s]."""
+        return 2.0 * self.duration / max(self.size - 1, 1)
+
+    @property
+    def constant(self) -> Array:
+        """All control points alike."""
+        return np.ones(self.size)
+
+
+@dataclass(frozen=True)
+class Quintic(Parametrisation):
+    """Quintic polynomials through `size` way points at equal times, whose positions, velocities and accelerations are free; at rest at both ends.
+
+    Coefficients: positions of the `size` way points, then velocities and accelerations of the inner ones, in units of the time between
+    two points and its square.
+    """
+
+    key = "quintic"
+    size_name = "way points"
+
+    def _times(self) -> Array:
+        return np.linspace(0.0, self.duration, self.size)
+
+    def _parts(self, coefficients: Array) -> tuple[Array, Array, Array]:
+        m, n = self.size, coefficients.shape[1]
+        step = self.duration / (m - 1)
+        speed, change = np.zeros((m, n)), np.zeros((m, n))
+        speed[1:-1] = coefficients[m : 2 * m - 2] / step
+        change[1:-1] = coefficients[2 * m - 2 :] / step**2
+        return coefficients[:m], speed, change
+
+    def basis(self, t: Array, order: int) -> Array:
+        """Return the derivative of this order of the basis functions."""
+        places = np.eye(3 * self.size - 4)
+        return QuinticMotion.through(self._parts(places)[0], self._times(), *self._parts(places)[1:]).derivative(t, order)
+
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the motion through the way points."""
+        q, qd, qdd = self._parts(coefficients)
+        return QuinticMotion.through(q, self._times(), qd, qdd)
+
+    @property
+    def shortest_wave(self) -> float:
+        """The time between two way points [s]."""
+        return self.duration / (self.size - 1)
+
+    @property
+    def constant(self) -> Array:
+        """All way points alike, no velocity."""
+        return np.concatenate([np.ones(self.size), np.zeros(2 * self.size - 4)])
+
+
+PARAMETRISATIONS: dict[str, type[Parametrisation]] = {kind.key: kind for kind in (Fourier, BSpline, Quintic)}
+"""The linear families by key."""

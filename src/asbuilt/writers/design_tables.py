@@ -1,0 +1,150 @@
+"""A designed motion as text and as a document, and its file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.excitation.design import Design
+from asbuilt.excitation.motion_csv import write_motion
+from asbuilt.tables import Cell, Column, Table, share, significant
+
+LISTED = 12
+"""How many of the worst determined parameters the text names."""
+
+
+def write_design(path: str | os.PathLike[str], design: Design, rate: float) -> dict[str, Path]:
+    """Write the motion as CSV at `rate` [Hz]."""
+    return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
+
+
+def excite_document(design: Design, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return what `asbuilt excite --json` prints."""
+    worst = design.limits.worst_margin
+    return {
+        "robot": design.model.name,
+        "parametrisation": design.options.parametrisation,
+        "drive": str(design.base.drive),
+        "criterion": design.options.criterion,
+        "focus": list(design.options.focus),
+        "duration": design.motion.duration,
+        "n_harmonics": design.size if design.options.parametrisation == "fourier" else None,
+        "size": design.size,
+        "n_parameters": design.base.n_base,
+        "log_det": design.log_det,
+        "d_efficiency": design.d_efficiency,
+        "family_efficiency": design.family_efficiency,
+        "log_det_bound": None if design.bound is None else design.bound.upper + design.base.n_base * float(np.log(design.n_samples)),
+        "condition_number": design.condition_number,
+        "scaled_condition_number": design.scaled_condition_number,
+        "worst_margin": worst,
+        "assumed_limits": list(design.assumed),
+        "collision_distance": design.collision_distance,
+        "noise": design.noise.tolist(),
+        "n_samples": design.n_samples,
+        "parameters": [
+            {"id": int(i), "name": name, "unit": unit, "cad": cad, "std_error": error}
+            for i, name, unit, cad, error in zip(
+                design.base.ids, design.base.names, design.base.units, _cad(design), design.std_errors.tolist(), strict=True
+            )
+        ],
+        "starts": len(design.candidates),
+        "interrupted": design.interrupted,
+        "solve_seconds": design.solve_seconds,
+        "notes": list(design.notes),
+        "files": {kind: str(path) for kind, path in files.items()},
+    }
+
+
+def excite_text(design: Design) -> str:
+    """Return a design in words and two small tables."""
+    head = (
+        f"{design.model.name} - {design.options.parametrisation} motion of {design.motion.duration:g} s, "
+        f"{design.size} {design.size_name}, {design.base.n_base} parameters (drive terms {design.base.drive})"
+    )
+    bound, family = design.d_efficiency, design.family_efficiency
+    facts = [
+        f"log det {design.log_det:.2f} for {design.n_samples:g} samples, noise {_joined(design.noise)} N m (N)",
+        f"D-efficiency {share(bound)} of the bound over all states within the limits" if bound is not None else "",
+        f"D-efficiency {share(family)} of the bound over motions with these harmonics" if family is not None else "",
+        f"condition number {design.condition_number:.1f}, scaled {design.scaled_condition_number:.2f}",
+        f"best of {len(design.candidates)} searches in {design.solve_seconds:.1f} s" + (", INTERRUPTED" if design.interrupted else ""),
+    ]
+    notes = list(design.notes)
+    if design.assumed:
+        notes.append(
+            f"the description gives no limit of {', '.join(design.assumed)} for some joints; those of MotionBounds.assumed were kept"
+        )
+    if design.collision_distance is not None:
+        notes.append(f"smallest distance between bodies {1000 * design.collision_distance:.0f} mm")
+    tables = [_margins(design).as_text(), "largest predicted standard errors, as share of the CAD value", _errors(design).as_text()]
+    numbered = [f"[{k}] {note}" for k, note in enumerate(notes, 1)]
+    return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *numbered])
+
+
+def _margins(design: Design) -> Table:
+    rows: list[tuple[Cell, ...]] = []
+    for quantity, margin in design.limits.worst.items():
+        if margin is not None:
+            rows.append(
+                (
+                    quantity,
+                    margin.joint,
+                    margin.time,
+                    significant(margin.value, 4),
+                    significant(margin.limit, 4),
+                    margin.unit,
+                    share(margin.margin),
+                )
+            )
+    heads = (
+        Column("limit"),
+        Column("nearest joint"),
+        Column("at", "s", "decimal", ".3f"),
+        Column("value", align="decimal"),
+        Column("allowed", align="decimal"),
+        Column("unit"),
+        Column("margin", align="decimal"),
+    )
+    return Table(heads, tuple(rows))
+
+
+def _errors(design: Design) -> Table:
+    cad, errors = np.array([np.nan if value is None else value for value in _cad(design)]), design.std_errors
+    ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.inf)
+    order = np.argsort(-np.where(np.isnan(ratio), -1.0, ratio))[:LISTED]
+    rows = tuple(
+        (
+            int(design.base.ids[i]),
+            design.base.names[i],
+            None if np.isnan(cad[i]) else significant(float(cad[i]), 3),
+            significant(float(errors[i]), 2),
+            design.base.units[i],
+            share(float(ratio[i])) if np.isfinite(ratio[i]) else None,
+        )
+        for i in order
+    )
+    heads = (
+        Column("id", align="right"),
+        Column("parameter"),
+        Column("CAD", align="decimal"),
+        Column("std err", align="decimal"),
+        Column("unit"),
+        Column("share", align="decimal"),
+    )
+    return Table(heads, rows)
+
+
+def _cad(design: Design) -> list[float | None]:
+    values = design.base.values(parameter_values(design.model, design.base.drive))
+    return [None if np.isnan(value) else float(value) for value in values]
+
+
+def _joined(values: Any) -> str:
+    numbers = [f"{value:g}" for value in values]
+    return numbers[0] if len(set(numbers)) == 1 else ", ".join(numbers)
