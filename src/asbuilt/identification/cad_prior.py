@@ -32,6 +32,9 @@ PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
 PSEUDO_INERTIA_BASIS.setflags(write=False)
 
+_ROW, _COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+_LENGTH: Array = np.where(_ROW == _COLUMN, 1.0, np.sqrt(2.0))
+
 
 @dataclass(frozen=True, eq=False)
 class CadPrior:
@@ -93,13 +96,32 @@ class CadPrior:
         return np.asarray(np.linalg.eigvalsh(inverse @ P @ inverse.transpose(0, 2, 1)))
 
 
+def svec(matrix: Array) -> Array:
+    """Return symmetric 4 x 4 matrices as vectors of the same norm, (..., 4, 4) -> (..., 10): upper triangle by columns, off-diagonal entries times sqrt(2)."""
+    return np.asarray(matrix[..., _ROW, _COLUMN] * _LENGTH)
+
+
+def smat(vector: Array) -> Array:
+    """Return the symmetric matrix (4, 4) of a vector (10,); the inverse of `svec`."""
+    matrix = np.zeros((4, 4))
+    matrix[_ROW, _COLUMN] = matrix[_COLUMN, _ROW] = vector / _LENGTH
+    return matrix
+
+
 def body_metric(parameters: Array, strength: Array) -> Array:
     """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10): the Hessian of -log det, a metric without frames or units.
 
     B_a are the pseudo-inertias of the unit parameters (Lee & Park, IEEE RA-L 3, 2018).
     """
-    X = np.linalg.solve(pseudo_inertias(parameters.reshape(-1, 10))[:, None], PSEUDO_INERTIA_BASIS)
-    return np.asarray(strength[:, None, None] * np.einsum("naij,nbji->nab", X, X))
+    root = body_metric_root(parameters, strength)
+    return np.asarray(root.transpose(0, 2, 1) @ root)
+
+
+def body_metric_root(parameters: Array, strength: Array) -> Array:
+    """Return roots S_i (n, 10, 10) of `body_metric`, S_i^T S_i: column a is svec(L_i^-1 B_a L_i^-T) with P_i = L_i L_i^T, so that nothing is squared."""
+    inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(parameters.reshape(-1, 10))))[:, None]
+    whitened = inverse @ PSEUDO_INERTIA_BASIS @ inverse.transpose(0, 1, 3, 2)
+    return np.asarray(np.sqrt(strength)[:, None, None] * svec(whitened).transpose(0, 2, 1))
 
 
 def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:

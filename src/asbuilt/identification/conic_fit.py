@@ -12,7 +12,7 @@ from scipy import sparse
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.body_bounds import BodyBounds
-from asbuilt.identification.cad_prior import CadPrior
+from asbuilt.identification.cad_prior import CadPrior, smat, svec
 
 Array = NDArray[np.float64]
 
@@ -20,9 +20,8 @@ SMALLEST_PART = 1e-3
 """Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
 TINY_PULL = 1e-3
 """Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution unique."""
-
-_ROW, _COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
-_SVEC: Array = np.where(_ROW == _COLUMN, 1.0, np.sqrt(2.0))
+RESOLVED = 1e-11
+"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide: it only counts where there is no noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +53,11 @@ def fit_real_bodies(
     """
     z = factor[:-1, -1]
     p = len(z)
-    bodies, q0 = _near_one(prior)
+    bodies, q0 = near_one(prior)
     n = len(prior.parameters)
     inertial = 10 * prior.n_links
     torque = factor[:-1, :-1] @ regrouping @ bodies
+    weight = max(weight, RESOLVED * float(np.max(np.sum(torque**2, axis=0))))
     pull = np.concatenate([np.repeat(weight * prior.strength, 10), np.full(n - inertial, min(weight, 1.0) * 1e-3)])
     quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
     linear = np.concatenate([-pull * q0, np.zeros(p)])
@@ -71,7 +71,7 @@ def fit_real_bodies(
         right.append(bounds.offsets / size)
         cones.append(clarabel.NonnegativeConeT(len(rows)))
     blocks.append(-sparse.eye_array(inertial, n + p))
-    right.append(-smallest_part * np.tile(_svec(np.eye(4)), prior.n_links))
+    right.append(-smallest_part * np.tile(svec(np.eye(4)), prior.n_links))
     cones += [clarabel.PSDTriangleConeT(4)] * prior.n_links
     settings = clarabel.DefaultSettings()
     settings.verbose = False
@@ -89,22 +89,15 @@ def fit_real_bodies(
     return ConicFit(chi, float(prior.relative_eigenvalues(chi).min()), int(solution.iterations))
 
 
-def _near_one(prior: CadPrior) -> tuple[Array, Array]:
+def near_one(prior: CadPrior) -> tuple[Array, Array]:
     """Return M and q0 with `chi = M q`: q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD."""
     roots = np.linalg.cholesky(prior.pseudo_inertias)
     n, inertial = len(prior.parameters), 10 * prior.n_links
     M = np.zeros((n, n))
-    units = np.zeros((10, 4, 4))
-    units[np.arange(10), _ROW, _COLUMN] = 1.0 / _SVEC
-    units[np.arange(10), _COLUMN, _ROW] = 1.0 / _SVEC
+    units = np.array([smat(row) for row in np.eye(10)])
     for i, L in enumerate(roots):
         images = L @ units @ L.T
         M[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = np.array([LinkInertia.from_pseudo_inertia(image).parameters for image in images]).T
     M[range(inertial, n), range(inertial, n)] = prior.drive_scale
-    q0 = np.concatenate([np.tile(_svec(np.eye(4)), prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
+    q0 = np.concatenate([np.tile(svec(np.eye(4)), prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
     return M, q0
-
-
-def _svec(matrix: Array) -> Array:
-    """Upper triangle, column by column, off-diagonal entries times sqrt(2), shape (..., 10)."""
-    return np.asarray(matrix[..., _ROW, _COLUMN] * _SVEC)

@@ -12,7 +12,7 @@ from scipy.linalg import lapack, solve_triangular
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.identification.body_bounds import BodyBounds, generous_bounds, non_negative_drives
-from asbuilt.identification.cad_prior import CadPrior, body_metric, cad_prior
+from asbuilt.identification.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, fit_real_bodies
 from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, closest_to_cad
 from asbuilt.identification.least_squares import Estimate, FactorSolution, fit_least_squares
@@ -223,7 +223,7 @@ def _belief_and_root(information: SquareRootInformation, prior: CadPrior, weight
     free = np.hstack([coordinates.kept, coordinates.dependent])
     inertial = 10 * prior.n_links
     halfway = 0.5 * (prior.parameters[:inertial] + chi[:inertial])
-    roots = np.linalg.cholesky(body_metric(halfway, prior.strength)).transpose(0, 2, 1)
+    roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
     drives = np.sqrt(DRIVE_RIDGE) / prior.drive_scale[:, None] * free[inertial:]
     R = information.stacked(weights)[:-1, :-1]

@@ -12,7 +12,7 @@ from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.body_bounds import BodyBounds
-from asbuilt.identification.cad_prior import PSEUDO_INERTIA_BASIS, CadPrior
+from asbuilt.identification.cad_prior import PSEUDO_INERTIA_BASIS, CadPrior, svec
 
 Array = NDArray[np.float64]
 
@@ -176,15 +176,19 @@ class _Problem:
 
     def model(self, chi: Array, barrier: float) -> tuple[Array, Array]:
         """Return gradient (v,) and the triangular root of the Hessian (v, v) in the free coordinates."""
-        X = np.linalg.solve(self.bodies(chi)[:, None], PSEUDO_INERTIA_BASIS)
+        inverse = np.linalg.inv(np.linalg.cholesky(self.bodies(chi)))[:, None]
+        whitened = inverse @ PSEUDO_INERTIA_BASIS @ inverse.transpose(0, 1, 3, 2)
         drives = chi[self.inertial :] - self.prior.parameters[self.inertial :]
         slack = self.slack(chi)
         gradient = np.concatenate(
-            [(self.pull - self.weights[:, None] * np.trace(X, axis1=2, axis2=3)).ravel(), self.stiffness * drives]
+            [(self.pull - self.weights[:, None] * np.trace(whitened, axis1=2, axis2=3)).ravel(), self.stiffness * drives]
         ) - self.rows.T @ (barrier / slack)
-        hessians = self.weights[:, None, None] * np.einsum("naij,nbji->nab", X, X)
+        roots = np.sqrt(self.weights)[:, None, None] * svec(whitened).transpose(0, 2, 1)
         free = self.directions
-        stack = [self.directions_of_bodies(np.linalg.cholesky(hessians)), np.sqrt(self.stiffness)[:, None] * free[self.inertial :]]
+        stack = [
+            (roots @ free[: self.inertial].reshape(len(roots), 10, -1)).reshape(self.inertial, -1),
+            np.sqrt(self.stiffness)[:, None] * free[self.inertial :],
+        ]
         if len(slack):
             stack.append((np.sqrt(barrier) / slack)[:, None] * (self.rows @ free))
         reduced = free.T @ gradient
@@ -195,11 +199,6 @@ class _Problem:
             stack.insert(0, np.hstack([R, np.zeros((p, free.shape[1] - p))]))
         triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(np.vstack(stack)), overwrite_a=True)
         return reduced, np.triu(triangle[: free.shape[1]])
-
-    def directions_of_bodies(self, roots: Array) -> Array:
-        """Rows `L_i^T directions_i` of all links, shape (10 n, v)."""
-        blocks = self.directions[: self.inertial].reshape(len(roots), 10, -1)
-        return np.asarray(roots.transpose(0, 2, 1) @ blocks).reshape(self.inertial, -1)
 
     def room(self, chi: Array, direction: Array) -> float:
         """Return how many steps along a direction lead to the edge: a singular body or a bound."""
