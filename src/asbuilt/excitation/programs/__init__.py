@@ -1,0 +1,1 @@
+"""Programs that make real controllers run a motion and record it, one format per file."""

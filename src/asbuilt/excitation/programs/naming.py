@@ -1,0 +1,59 @@
+"""Names that people chose, made safe for the languages of controllers."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+MOST_CHARACTERS = 60
+"""Longest name made here."""
+
+
+def plain_text(text: str) -> str:
+    r"""Return printable ASCII on one line that cannot end or escape from a comment or a string literal in any language.
+
+    Backslashes, double quotes, backticks and the marks that end comments become other characters; accents are dropped.
+
+    Examples
+    --------
+    >>> plain_text('Müller\u2019s "arm" */ \\u000a')
+    "Mullers 'arm' * / /u000a"
+    """
+    letters = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode("ascii")
+    line = " ".join("".join(character if character.isprintable() else " " for character in letters).split())
+    return line.replace("\\", "/").replace('"', "'").replace("`", "'").replace("*/", "* /").replace("/*", "/ *")
+
+
+def file_stem(name: str, *, default: str = "motion") -> str:
+    """Return a file name without suffix of letters, digits, `_` and `-`.
+
+    Examples
+    --------
+    >>> file_stem("../my robot: run 1"), file_stem("///")
+    ('my_robot_run_1', 'motion')
+    """
+    return re.sub(r"[^A-Za-z0-9-]+", "_", plain_text(name)).strip("_-")[:MOST_CHARACTERS].strip("_-") or default
+
+
+def identifier(name: str, *, prefix: str) -> str:
+    """Return `prefix` and the name as one lower-case identifier; the prefix keeps it from being a keyword.
+
+    Examples
+    --------
+    >>> identifier("2 fast; halt", prefix="asbuilt_")
+    'asbuilt_2_fast_halt'
+    """
+    return prefix + file_stem(name).replace("-", "_").lower()
+
+
+def class_name(name: str, *, suffix: str) -> str:
+    """Return the name as a Java class name that ends in `suffix`, which keeps it from being the name of a library's class.
+
+    Examples
+    --------
+    >>> class_name("iiwa 7, run-2", suffix="Excitation"), class_name("7", suffix="Excitation")
+    ('Iiwa7Run2Excitation', 'Motion7Excitation')
+    """
+    words = re.findall(r"[A-Za-z0-9]+", file_stem(name))
+    joined = "".join(word[0].upper() + word[1:] for word in words)
+    return ("Motion" + joined if joined[0].isdigit() else joined) + suffix

@@ -1,0 +1,48 @@
+"""The formats by name, and the one call that makes a program."""
+
+from __future__ import annotations
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.excitation.motion import Motion
+from asbuilt.excitation.programs.franka import FrankaFormat
+from asbuilt.excitation.programs.fri import FriFormat
+from asbuilt.excitation.programs.plain_csv import CsvFormat
+from asbuilt.excitation.programs.request import ProgramFile, ProgramFormat, ProgramRequest
+from asbuilt.excitation.programs.ros2 import Ros2Format
+from asbuilt.excitation.programs.sunrise import SunriseFormat
+from asbuilt.excitation.programs.urscript import UrScriptFormat
+
+PROGRAM_FORMATS: dict[str, ProgramFormat] = {
+    kind.key: kind() for kind in (SunriseFormat, FriFormat, Ros2Format, UrScriptFormat, FrankaFormat, CsvFormat)
+}
+"""Every format by its key."""
+
+
+def make_program(
+    model: RobotModel, motion: Motion, form: str, *, name: str = "excitation", rate: float | None = None
+) -> tuple[ProgramFile, ...]:
+    """Return the files of the program that moves `model` along `motion` on a controller of this format, its recording sheet among them.
+
+    `rate` [Hz] is that of the points or of the recording, as the format has it; by default what suits it. Nothing is written here.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format.
+    MotionError
+        If the format cannot move this robot or sample at this rate, or the motion violates a limit or does not start and end at rest.
+
+    Examples
+    --------
+    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.excitation.random_motion import random_fourier
+    >>> robot = bundled_robot("scara")
+    >>> [file.name for file in make_program(robot, random_fourier(robot, rng=1, duration=4.0), "ros2", name="run 1")]
+    ['run_1_run.py', 'run_1.yaml', 'run_1_dry_run.yaml', 'run_1_bag.toml']
+    """
+    if form not in PROGRAM_FORMATS:
+        raise UsageError(f"unknown program format {form!r}; available: {', '.join(PROGRAM_FORMATS)}")
+    chosen = PROGRAM_FORMATS[form]
+    chosen.check_joints(model)
+    return chosen.files(ProgramRequest(model, motion, name, chosen.default_rate if rate is None else float(rate)))
