@@ -40,10 +40,26 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("recorded")
     logs = {}
     for robot in ROBOTS:
-        for kind, options in (("train", ["--installed"]), ("ideal", [])):
+        for kind, options in (("train", ["--preset", "lab"]), ("ideal", [])):
             log = folder / f"{robot}_{kind}.csv"
             with pytest.raises(SystemExit):
-                main(["simulate", robot, "--rate", "200", "--duration", "12", "--seed", "3", "--out", str(log), *options])
+                main(
+                    [
+                        "simulate",
+                        robot,
+                        "--rate",
+                        "200",
+                        "--duration",
+                        "12",
+                        "--seed",
+                        "3",
+                        "--engine",
+                        "inverse-dynamics",
+                        "--out",
+                        str(log),
+                        *options,
+                    ]
+                )
             logs[f"{robot} {kind}"] = log
     return logs
 
@@ -187,3 +203,44 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     status, out, _ = call(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv")
     assert status == 0
     assert "told by this motion" in out
+
+
+def test_simulate_on_the_engine_with_a_tool_and_let_go(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    log = tmp_path / "lab.csv"
+    told = document(
+        capsys,
+        "simulate",
+        "ur10e",
+        "--preset",
+        "lab",
+        "--tool",
+        "2@0,0,0.05",
+        "--at",
+        "flange",
+        "--duration",
+        "2",
+        "--rate",
+        "250",
+        "--out",
+        log,
+    )
+    assert told["n_samples"] == 501
+    truth = json.loads(Path(told["files"]["truth"]).read_text())
+    assert truth["settings"]["preset"] == "lab"
+    assert truth["parameters"]["m6"] > 2.0
+    for release in ("drop", "free", "step"):
+        freed = document(capsys, "simulate", "two-link", "--free", release, "--duration", "0.5", "--out", tmp_path / f"{release}.csv")
+        assert freed["energy"]["imbalance"] < 1e-6
+        assert Path(freed["files"]["figure"]).read_bytes()[:4] == b"\x89PNG"
+    for wrong, message in (
+        (("--preset", "shop"), "is not one of ideal, lab, factory"),
+        (("--engine", "bullet"), "is not one of mujoco, inverse-dynamics"),
+        (("--engine", "inverse-dynamics", "--preset", "factory"), "knows no preset 'factory'"),
+        (("--tool", "heavy"), "a tool is KG@X,Y,Z"),
+        (("--tool", "1", "--at", "nose"), "no moving link or frame 'nose'"),
+        (("--free", "hop"), "is not one of drop, step, free"),
+        (("--free", "drop", "--start", "1"), "start must be 2 finite numbers"),
+    ):
+        status, _, err = call(capsys, "simulate", "two-link", *wrong)
+        assert status == 2
+        assert message in err

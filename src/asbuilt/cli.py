@@ -35,7 +35,14 @@ Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: 
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write")]
-Drive = Annotated[str | None, typer.Option("--drive", metavar="LIST", help="armature,viscous,coulomb,offset or none")]
+Drive = Annotated[
+    str | None,
+    typer.Option(
+        "--drive",
+        metavar="LIST",
+        help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto",
+    ),
+]
 Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")]
 Flip = Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")]
 Gain = Annotated[str | None, typer.Option("--gain", metavar="G1,G2,...", help="torque per logged unit, one for all joints or one each")]
@@ -130,6 +137,14 @@ def robots(as_json: AsJson = False) -> None:
 
     models = [bundled_robot(name) for name in robot_names()]
     _answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text())
+
+
+@app.command()
+def drives(as_json: AsJson = False) -> None:
+    """List the drive terms that --drive takes, with their options."""
+    from asbuilt.writers.drive_tables import drives_document, drives_text
+
+    _answer(as_json, drives_document, drives_text)
 
 
 @app.command()
@@ -242,7 +257,7 @@ def identify(
 
     model = _load(robot)
     options = StudyOptions(
-        drive=None if drive is None else DriveSet.parse(drive),
+        drive=None if drive is None else "auto" if drive.strip() == "auto" else DriveSet.parse(drive),
         method=_one_of("--method", method, list(methods)),
         chain=_chain(preset, cutoff, decimate),
         holdout=holdout,
@@ -451,30 +466,75 @@ def export(
 
 @app.command()
 def simulate(
-    robot: Robot,
+    robot: Annotated[
+        str,
+        typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote"),
+    ],
     motion: Annotated[
         Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
     ] = None,
-    rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="sampling rate of the recording")] = 1000.0,
-    duration: Annotated[float, typer.Option("--duration", metavar="S", help="length of the random motion")] = 20.0,
-    installed: Annotated[
-        bool, typer.Option("--installed", help="a typical robot on the floor: friction, tool, tilt, sensor noise")
-    ] = False,
+    preset: Annotated[str, typer.Option("--preset", metavar="NAME", help="the robot and its sensors: ideal, lab or factory")] = "ideal",
+    tool: Annotated[
+        str | None, typer.Option("--tool", metavar="KG@X,Y,Z", help="a ball of this mass, its centre in the axes of --at [m]")
+    ] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME", help="link or frame that carries the tool (default: the last link)")
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option("--free", metavar="HOW", help="no motion, let go: drop (at rest), free (without friction), step (of a controller)"),
+    ] = None,
+    start: Annotated[str | None, typer.Option("--start", metavar="Q1,Q2,...", help="pose in which --free begins [rad, m]")] = None,
+    engine: Annotated[
+        str, typer.Option("--engine", metavar="NAME", help="mujoco (controlled, in physics) or inverse-dynamics (follows exactly)")
+    ] = "mujoco",
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of the recording (default: the preset's)")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="length of the random motion (20) or of --free (3)")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
-    out: Annotated[Path, typer.Option("--out", metavar="LOG", help="recording to write: .csv or .parquet")] = Path("recording.csv"),
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="LOG", help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Record a virtual robot along a motion; the parameters it was made with are written beside the recording."""
+    """Record a virtual robot along a motion, or let a robot go; the parameters it was made with are written beside the recording."""
+    from asbuilt.description.tool import tool_from_text
     from asbuilt.excitation.motion_csv import read_motion
     from asbuilt.excitation.random_motion import random_fourier
-    from asbuilt.experiment.simulation import InstalledRobot
+    from asbuilt.experiment.simulation import InstalledRobot, with_body
     from asbuilt.writers.recording_files import simulate_document, write_simulation
 
-    model = _load(robot)
-    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=duration)
-    machine = InstalledRobot.typical(model, rng=seed) if installed else InstalledRobot.ideal(model)
-    simulated = machine.record(moved, rate, rng=seed)
-    files = write_simulation(out, simulated)
+    _one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
+    _one_of("--preset", preset, ("ideal", "lab", "factory"))
+    carried = None if tool is None else tool_from_text(tool)
+    model = _load_built(robot)
+    if free is not None:
+        from asbuilt.experiment.free_motion import run_free
+        from asbuilt.writers.free_motion_files import free_motion_document, free_motion_text, write_free_motion
+
+        let_go = model if carried is None else with_body(model, carried, at)
+        freed = run_free(
+            let_go, _one_of("--free", free, ("drop", "step", "free")), duration=duration or 3.0, start=_numbers("--start", start) or None
+        )
+        files = write_free_motion(out or Path("free.csv"), freed)
+        _answer(as_json, lambda: free_motion_document(freed, files), lambda: free_motion_text(freed) + _listed(files))
+        return
+    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=duration or 20.0)
+    if engine == "mujoco":
+        from asbuilt.experiment.virtual_robot import VirtualRobot
+
+        virtual = VirtualRobot.preset(preset, model, rng=seed, tool=carried, at=at)
+        with _progress() as report:
+            simulated = virtual.logging(rate).record(moved, rng=seed, progress=lambda fraction: report("move", fraction))
+    else:
+        if preset == "factory":
+            raise UsageError("--engine inverse-dynamics knows no preset 'factory'; it has ideal and lab")
+        machine = InstalledRobot.typical(model, rng=seed) if preset == "lab" else InstalledRobot.ideal(model)
+        simulated = (machine if carried is None else machine.with_tool(carried, at)).record(moved, rate or 1000.0, rng=seed)
+    files = write_simulation(out or Path("recording.csv"), simulated)
     _answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + _listed(files))
 
 
@@ -513,6 +573,15 @@ def _result(path: Path) -> IdentificationResult:
             f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt identify --out DIR` writes"
         ) from None
     return IdentificationResult.from_json(text)
+
+
+def _load_built(robot: str) -> RobotModel:
+    """Return a described robot, or an identified one as built where a result is given."""
+    if Path(robot).suffix.lower() != ".json":
+        return _load(robot)
+    from asbuilt.writers.robot_toml import as_built_model
+
+    return as_built_model(_result(Path(robot)))
 
 
 def _chain(preset: str, cutoff: float | None, decimate: int | None) -> SignalChain:

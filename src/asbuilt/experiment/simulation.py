@@ -118,14 +118,7 @@ class InstalledRobot:
         UsageError
             If the robot has no moving link or frame of that name.
         """
-        index, placement = self._flange(at)
-        link = self.model.links[index]
-        carried = tool.moved(placement)
-        links = list(self.model.links)
-        links[index] = replace(
-            link, inertia=link.inertia + carried, parts=(*(link.parts or ((link.name, link.inertia),)), ("tool", carried))
-        )
-        return replace(self, model=replace(self.model, links=tuple(links)))
+        return replace(self, model=with_body(self.model, tool, at))
 
     def with_perturbed_links(self, fraction: float, rng: Seed = None) -> InstalledRobot:
         """Return the robot with other mass distributions: every link stretched, sheared, shifted and made heavier by about `fraction`.
@@ -201,16 +194,32 @@ class InstalledRobot:
         )
         return SimulatedRecording(recording, self.truth, parameter_names(self.model, self.drive), self.model, self.drive)
 
-    def _flange(self, at: str | None) -> tuple[int, Array]:
-        if at is None:
-            return self.model.n_joints - 1, np.eye(4)
-        if at in self.model.link_names:
-            return self.model.link_names.index(at), np.eye(4)
-        for frame in self.model.frames:
-            if frame.name == at and frame.link != ROOT:
-                return frame.link, frame.placement
-        names = [*self.model.link_names, *(frame.name for frame in self.model.frames if frame.link != ROOT)]
-        raise UsageError(f"{self.model.name} has no moving link or frame {at!r} to carry a tool; it has {', '.join(names)}")
+
+def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> RobotModel:
+    """Return the robot with a body welded to a link or frame `at`, given in its axes; to the last link where none is named.
+
+    Raises
+    ------
+    UsageError
+        If the robot has no moving link or frame of that name.
+    """
+    index, placement = _flange(model, at)
+    link, carried = model.links[index], body.moved(placement)
+    links = list(model.links)
+    links[index] = replace(link, inertia=link.inertia + carried, parts=(*(link.parts or ((link.name, link.inertia),)), ("tool", carried)))
+    return replace(model, links=tuple(links))
+
+
+def _flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
+    if at is None:
+        return model.n_joints - 1, np.eye(4)
+    if at in model.link_names:
+        return model.link_names.index(at), np.eye(4)
+    for frame in model.frames:
+        if frame.name == at and frame.link != ROOT:
+            return frame.link, frame.placement
+    names = [*model.link_names, *(frame.name for frame in model.frames if frame.link != ROOT)]
+    raise UsageError(f"{model.name} has no moving link or frame {at!r} to carry a tool; it has {', '.join(names)}")
 
 
 def simulate_recording(

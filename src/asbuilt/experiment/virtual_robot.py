@@ -22,7 +22,7 @@ from asbuilt.experiment.drive_train import DriveTrain, PositionController
 from asbuilt.experiment.physics import Physics
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.sensors import PERFECT_SENSORS, SensorNoise, per_joint
-from asbuilt.experiment.simulation import InstalledRobot, Seed, SimulatedRecording, torque_and_inertia
+from asbuilt.experiment.simulation import InstalledRobot, Seed, SimulatedRecording, torque_and_inertia, with_body
 from asbuilt.experiment.tracking import TrackedMotion, track
 
 Array = NDArray[np.float64]
@@ -101,7 +101,11 @@ class VirtualRobot:
 
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> VirtualRobot:
         """Return the robot with a body welded to the link or frame `at` (default: the last link), given in its axes."""
-        return replace(self, model=InstalledRobot(self.model).with_tool(tool, at).model)
+        return replace(self, model=with_body(self.model, tool, at))
+
+    def logging(self, rate: float | None) -> VirtualRobot:
+        """Return the robot with a logger at `rate` [Hz]; None leaves it as it is."""
+        return self if rate is None else replace(self, logger=replace(self.logger, rate=rate))
 
     @property
     def drive(self) -> DriveSet:

@@ -22,6 +22,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.errors import UsageError
+from asbuilt.experiment.free_motion import FreeMotion
 from asbuilt.tables import plus_minus, shortened, significant
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.files import atomic_write
@@ -300,6 +301,38 @@ def friction_figure(
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=3, markerscale=5)
         _headline(figure, title)
+    return figure
+
+
+def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
+    """Draw a free motion: joint positions, and kinetic, potential and total energy with what the drives put in and friction takes out."""
+    model, t = motion.model, motion.t
+    turning = [joint.is_revolute for joint in model.joints]
+    with _styled():
+        figure = _figure(8.5, 5.2)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
+        colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, model.n_joints))
+        for name, positions, colour in zip(model.joint_names, (motion.q - motion.q[0]).T, colours, strict=True):
+            above.plot(*thinned(t, positions, points=POINTS), color=colour, label=shortened(name, 20))
+        above.set_ylabel(f"moved [{'rad' if all(turning) else 'm' if not any(turning) else 'rad, m'}]")
+        above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
+        curves = [
+            (motion.kinetic, BLUE, "-", "kinetic"),
+            (motion.potential, GREEN, "-", "potential, 0 at the start"),
+            (motion.total, INK, "-", "kinetic + potential"),
+            (motion.total[0] + motion.work - motion.dissipated, ORANGE, (0, (3, 2)), "start + work - friction"),
+            (motion.dissipated, VERMILION, "-", "taken by friction"),
+        ]
+        for values, colour, style, label in curves:
+            wide = 1.8 if label == "kinetic + potential" else 1.2
+            below.plot(*thinned(t, values, points=POINTS), color=colour, linestyle=style, linewidth=wide, label=label)
+        below.set_ylabel("energy [J]")
+        below.set_xlabel("time [s]")
+        below.margins(x=0.01)
+        legend = below.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.6)
+        legend.set_title(f"energy balance to {motion.imbalance:.0e}", prop={"size": 8})
+        legend.set_alignment("left")
+        _headline(figure, title or f"{model.name}: {motion.release}")
     return figure
 
 

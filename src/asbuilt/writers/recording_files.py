@@ -53,6 +53,7 @@ def truth_document(simulated: SimulatedRecording) -> dict[str, Any]:
         "gravity": simulated.model.gravity.tolist(),
         "parameters": dict(zip(simulated.names, simulated.truth.tolist(), strict=True)),
         "notes": list(simulated.recording.notes),
+        "settings": dict(simulated.settings),
     }
 
 
