@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.identification.drive_shapes import fit_shapes
+from asbuilt.identification.identify import LARGE_CONDITION
 from asbuilt.identification.least_squares import fit_least_squares, solve_factor
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
 from asbuilt.identification.torque_prediction import carrying
@@ -61,26 +62,66 @@ class DriveTrial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveChoice:
-    """The drive terms chosen, with shapes stated, among `trials`; `sentences` say why."""
+    """The drive terms chosen, with shapes stated, among `trials`; `sentences` say why, `warnings` what speaks against them."""
 
     drive: DriveSet
-    trials: tuple[DriveTrial, ...]
-    sentences: tuple[str, ...]
+    trials: tuple[DriveTrial, ...] = ()
+    sentences: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def settle_drive(model: RobotModel, samples: Sequence[Samples], drive: DriveSet | Literal["auto"] | None = None) -> DriveChoice:
+    """Return the drive terms to identify with: by torque source where `drive` is None, chosen where it is "auto", else as given with its shapes fitted.
+
+    Fitted shapes are judged on held-out blocks against the set without them, and stay whatever comes of it; a warning says where they are worse.
+    """
+    source = samples[0].torque_source
+    if drive is None:
+        return DriveChoice(DriveSet.default(source))
+    if isinstance(drive, str):
+        return choose_drive(model, samples)
+    if drive.is_shaped:
+        return DriveChoice(drive)
+    shaped = [term.key for term in drive.terms if term.free_shapes]
+    plain = drive.without(*shaped)
+    for key in shaped:
+        simple = STANDS_FOR.get(key)
+        if simple is not None and simple not in plain.keys:
+            plain = plain.with_term(available_terms()[simple])
+    found = fit_shapes(model, drive, samples)
+    pair = [accumulate_stream(model, find_base_parameters(model, each), samples) for each in (plain, found.drive)]
+    if pair[0].n_blocks < FEWEST_BLOCKS:
+        return DriveChoice(found.drive, (), found.sentences(model.joint_names))
+    before, after = (BlockJudge(model, information).trial(information.base.drive) for information in pair)
+    change = f"torque error on held-out blocks {100 * (after.error / before.error - 1):+.1f} % against {_named(plain)}"
+    warnings = (
+        () if after.error <= before.error else (f"Fitted {', '.join(shaped)} do not pay: {change}. Leave them out, or state their shapes.",)
+    )
+    return DriveChoice(found.drive, (before, after), (*found.sentences(model.joint_names), change), warnings)
 
 
 def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: DriveSet | None = None) -> DriveChoice:
     """Choose drive terms by the error on held-out time blocks, starting from those that the torque source calls for.
 
     One pass gives the square-root information of all candidates together, shapes fitted to the same samples beforehand; then the term that lowers
-    the held-out error most, as a geometric mean over joints, is added while it is worth it: by more than one standard error from fold to fold, or, short of that,
-    where BIC agrees. The blocks of a fold are neighbours, so that residuals which last do not leak. The set is judged once more as a whole.
+    the held-out error most, as a geometric mean over joints, is added while it is worth it: by two standard errors from fold to fold, and where BIC agrees.
+    A term goes to all joints or to those alone that it helps. The blocks of a fold are neighbours, so that residuals which last do not leak. Where the motion
+    hardly tells the defaults apart (scaled condition number above 200) they stay.
     """
     start = default if default is not None else DriveSet.default(samples[0].torque_source)
     plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     if plain.n_blocks < FEWEST_BLOCKS:
         said = f"drive terms {start}: {plain.n_blocks} time blocks are too few to choose among more by holding some out"
         return DriveChoice(start, (), (said,))
-    loaded = carrying(model, plain.base, fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base)).beta)
+    fitted = fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base))
+    condition = fitted.solution.scaled_condition_number
+    if not condition <= LARGE_CONDITION:
+        said = (
+            f"drive terms {start}: the motion hardly tells these apart (scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer "
+            "sets were not tried; record a richer motion"
+        )
+        return DriveChoice(start, (), (said,))
+    loaded = carrying(model, plain.base, fitted.beta)
     wide = start
     for key in CANDIDATES:
         if key not in start.keys:

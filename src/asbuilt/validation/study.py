@@ -19,16 +19,18 @@ from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.cause_evidence import gather_evidence
+from asbuilt.identification.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation, validate
+from asbuilt.validation.standing import standing_errors
 
 Progress = Callable[[str, float], None]
 
-SENSOR_DRIVE = "viscous,coulomb,offset"
-MOTOR_DRIVE = "armature,viscous,coulomb,offset"
+STANDING_ERROR = 0.5
+"""Share of a joint's squared error at standstill from which it is said so."""
 OVERFIT = 2.0
 """Held-out error of a joint, in multiples of its error on the data used, from which the fit is said not to generalise."""
 BEHIND_CAD = 1.05
@@ -37,12 +39,12 @@ BEHIND_CAD = 1.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOptions:
-    """Say how to identify: drive terms (None: by torque source), estimator, signal chain, what to hold out, what to do without excitation.
+    """Say how to identify: drive terms (None: by torque source; "auto": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
 
     `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them.
     """
 
-    drive: DriveSet | None = None
+    drive: DriveSet | Literal["auto"] | None = None
     method: str = "wls"
     chain: SignalChain = field(default_factory=SignalChain)
     holdout: str | None = None
@@ -68,7 +70,7 @@ class Study:
 
 def default_drive(source: TorqueSource) -> DriveSet:
     """Return the drive terms that a torque of this source calls for: a sensor behind the gear does not feel the rotor's inertia."""
-    return DriveSet.parse(MOTOR_DRIVE if source in ("motor", "current") else SENSOR_DRIVE)
+    return DriveSet.default(source)
 
 
 def run_study(
@@ -103,11 +105,11 @@ def run_study(
         learning = [train for train, _ in parts]
         judging = [replace(held, source=f"{held.source}, held out {options.holdout}") for _, held in parts] + judging
     report("identify", 0.0)
-    drive = options.drive if options.drive is not None else default_drive(learning[0].torque_source)
+    chosen = settle_drive(model, learning, options.drive)
     result = identify(
         model,
         learning,
-        base=find_base_parameters(model, drive),
+        base=find_base_parameters(model, chosen.drive),
         method=options.method,
         unexcited=options.unexcited,
         block_seconds=options.block_seconds,
@@ -116,7 +118,7 @@ def run_study(
     report("predict", 0.0)
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
-    result = _judged(result, checks, validations)
+    result = _judged(_with_drive_choice(result, chosen), checks, validations)
     with suppress(IdentifiabilityError):
         result = replace(
             result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=options.block_seconds)
@@ -129,6 +131,13 @@ def _prepared(item: Recording | Samples, chain: SignalChain) -> Samples:
     return item if isinstance(item, Samples) else prepare_samples(item, chain)
 
 
+def _with_drive_choice(result: IdentificationResult, chosen: DriveChoice) -> IdentificationResult:
+    """Return the result with how its drive terms were chosen, among its warnings where terms were added or do not pay."""
+    spoken = [IdentificationWarning("drive_terms", f"{sentence[0].upper()}{sentence[1:]}.") for sentence in chosen.sentences]
+    spoken += [IdentificationWarning("drive_shapes", warning) for warning in chosen.warnings]
+    return replace(result, warnings=(*result.warnings, *spoken), provenance=(*result.provenance, *chosen.sentences))
+
+
 def _judged(result: IdentificationResult, checks: Sequence[RecordingCheck], validations: Sequence[Validation]) -> IdentificationResult:
     """Return the result with its held-out metrics, the findings of the checks and the verdict on generalisation among its warnings."""
     found = [
@@ -137,7 +146,7 @@ def _judged(result: IdentificationResult, checks: Sequence[RecordingCheck], vali
         for finding in check.warnings
     ]
     for validation in validations:
-        found += _generalisation(result.train, validation)
+        found += _generalisation(result.train, validation) + _standstill(validation)
     if not validations:
         found.append(
             IdentificationWarning(
@@ -151,6 +160,26 @@ def _judged(result: IdentificationResult, checks: Sequence[RecordingCheck], vali
         cad=validations[0].metrics_cad if validations else result.cad,
         warnings=(*result.warnings, *found),
     )
+
+
+def _standstill(validation: Validation) -> list[IdentificationWarning]:
+    """Say where most of a joint's error falls on the time in which it stands still."""
+    errors = standing_errors(validation)
+    held = np.flatnonzero((errors.energy > STANDING_ERROR) & (errors.standing > 2.0 * errors.moving) & (errors.time > 0.05))
+    if not held.size:
+        return []
+    listed = "; ".join(
+        f"{errors.joint_names[k]}: {100 * errors.energy[k]:.0f} % of the squared error in the {100 * errors.time[k]:.0f} % of the time it stands, RMS {errors.standing[k]:.3g} there and "
+        f"{errors.moving[k]:.3g} ({100 * errors.relative_moving[k]:.1f} %) while it moves"
+        for k in held
+    )
+    return [
+        IdentificationWarning(
+            "error_at_standstill",
+            f"On {validation.source} static friction holds joints that stand while others move, and may take any value up to break-away, which no friction "
+            f"law in velocity predicts. {listed}. Judge these joints by their motion.",
+        )
+    ]
 
 
 def _generalisation(train: TorqueMetrics, validation: Validation) -> list[IdentificationWarning]:
