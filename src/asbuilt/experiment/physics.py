@@ -86,9 +86,10 @@ class Physics:
         self.rub(np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)), np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)))
         self.compiled.dof_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
         self.compiled.dof_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
-        self.data: Any = self._mujoco.MjData(self.compiled)
-        self._mujoco.mj_setConst(self.compiled, self.data)
         self._check_mass_matrix()
+        self.data: Any = self._mujoco.MjData(self.compiled)
+        with self.quiet():
+            self._mujoco.mj_setConst(self.compiled, self.data)
 
     def _take_inertias(self, compiled: RobotModel) -> None:
         for k, link, stand_in in zip(self._bodies, self.model.links, compiled.links, strict=True):
