@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, Frame, RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
@@ -70,10 +71,10 @@ def test_identified_robot_predicts_what_was_identified(which: str, request: pyte
     np.testing.assert_allclose(result.base.values(chi), result.estimates, rtol=1e-9, atol=1e-10)
     torque = (observation_matrix(robot, samples.q, samples.qd, samples.qdd, drive=drive) @ chi).reshape(samples.q.shape)
     np.testing.assert_allclose(torque, result.predict(samples).predicted, atol=1e-9)
-    assert "NOT physically consistent" in robot.notes[-1]
+    assert ("NOT physically consistent" in robot.notes[-1]) == bool(inconsistencies(robot))
 
 
 def test_design_values_give_the_design_back(example: Any) -> None:
     known = tuple(replace(p, estimate=0.0 if np.isnan(p.cad) else p.cad) for p in example.result.parameters)
     robot = as_built_model(replace(example.result, parameters=known))
-    np.testing.assert_allclose(robot.parameters, example.model.parameters, atol=1e-12)
+    np.testing.assert_allclose(robot.parameters, example.model.parameters, atol=1e-8)

@@ -14,8 +14,10 @@ from asbuilt.dynamics.parameters import parameter_names, parameter_values
 
 Array = NDArray[np.float64]
 
-SMALLEST_SPREAD = 1e-3
-"""Smallest principal second moment about the centre of mass that a prior body may have, as a fraction of their sum: no plate is thinner."""
+NO_THICKNESS = 1e-5
+"""A body whose smallest principal second moment about the centre of mass is below this fraction of their sum is no solid: a plate 0.3 % thick;"""
+USUAL_THICKNESS = 1e-3
+"""every moment is then brought to at least this fraction."""
 SMALLEST_REACH = 0.05
 """Size [m] of a body whose joints leave it none."""
 GUESSED_STRENGTH = 0.1
@@ -127,7 +129,7 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
 def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """Return what the description of a robot says of its bodies, mended where it is impossible and guessed where it is silent.
 
-    A second moment about the centre of mass thinner than a thousandth of the body's is thickened to that. A link without mass gets that of its
+    A body without thickness, or less, gets some. A link without mass gets that of its
     neighbours, its centre between its joints, and the size of its reach; guesses count a tenth.
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
@@ -151,8 +153,10 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
         if total <= 1e-9 * mass * reach[i] ** 2:
             mended = np.full(3, mass * (reach[i] / 4.0) ** 2)
+        elif eigenvalues[0] < NO_THICKNESS * total:
+            mended = np.maximum(eigenvalues, USUAL_THICKNESS * total)
         else:
-            mended = np.maximum(eigenvalues, SMALLEST_SPREAD * total)
+            mended = eigenvalues
         if masses[i] <= 0:
             notes.append(f"CAD gives {link.name} no mass: {mass:.3g} kg guessed from its neighbours")
         elif np.any(mended != eigenvalues):

@@ -30,6 +30,7 @@ class Export:
     """Say which files were written, by kind, and for each what its reader must know."""
 
     robot: str
+    verdict: str
     files: dict[str, Path]
     notes: dict[str, tuple[str, ...]]
 
@@ -37,13 +38,14 @@ class Export:
         """Return the export as plain texts and lists."""
         return {
             "robot": self.robot,
+            "verdict": self.verdict,
             "files": {kind: str(path) for kind, path in self.files.items()},
             "notes": {kind: list(notes) for kind, notes in self.notes.items()},
         }
 
     def as_text(self) -> str:
         """Return the files and notes, one a line."""
-        lines = [f"{self.robot}, as built"]
+        lines = [f"{self.robot} as built: {self.verdict}"]
         for kind, path in self.files.items():
             lines += [f"  {kind:<9} {path}", *[f"            note: {note}" for note in self.notes.get(kind, ())]]
         return "\n".join(lines)
@@ -57,11 +59,13 @@ def export_result(
     toml: Place | None = None,
     c: Place | None = None,
     original: Place | None = None,
+    nearest: bool = False,
 ) -> Export:
     """Write the identified robot into each file asked for; a `.c` file comes with its header.
 
     `original` is the URDF that is edited; by default the description the robot was identified with, where that was a URDF and is still there.
-    Without one the URDF is written afresh, without shapes.
+    Without one the URDF is written afresh, without shapes. The standard parameters are real bodies that give the identified torques exactly and are
+    closest to CAD; where there are none, `nearest` takes the real ones that lose least of the fit.
 
     Raises
     ------
@@ -74,14 +78,13 @@ def export_result(
         raise UsageError("nothing to export: name at least one file with --urdf, --mjcf, --toml or --c")
     if original is not None and urdf is None:
         raise UsageError("--original is the URDF to edit, so it needs --urdf FILE to write")
-    model = as_built_model(result)
-    refuse_impossible(model)
+    found, model = as_built_parameters(result, nearest=nearest), as_built_model(result, nearest=nearest)
+    refuse_impossible(model, "write the nearest possible robot (--nearest)")
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     carried = _left_out(result.base.drive)
     if c is not None:
-        values = as_built_parameters(result)[10 * model.n_joints :]
-        files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=values)
+        files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
     if urdf is not None:
         edited, missing = _original(result.model, original)
         files["urdf"], said = write_urdf(urdf, model, original=edited)
@@ -92,7 +95,7 @@ def export_result(
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = carried
-    return Export(result.robot, files, {kind: said for kind, said in notes.items() if said})
+    return Export(result.robot, found.verdict, files, {kind: said for kind, said in notes.items() if said})
 
 
 def _left_out(drive: DriveSet) -> tuple[str, ...]:

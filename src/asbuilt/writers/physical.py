@@ -19,11 +19,11 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def refuse_impossible(model: RobotModel) -> None:
-    """Raise `InertiaError` with every reason where the model is impossible; simulators would refuse it or blow up."""
+def refuse_impossible(model: RobotModel, cure: str = "take the nearest possible robot") -> None:
+    """Raise `InertiaError` with every reason and the cure where the model is impossible; simulators would refuse it or blow up."""
     reasons = impossibilities(model)
     if reasons:
         raise InertiaError(
-            f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}. "
-            "Identify with physical consistency, or leave out drive terms that the recording does not tell"
+            f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}. Identify with physical consistency "
+            f"(--method consistent), {cure}, or leave out drive terms that the recording does not tell"
         )

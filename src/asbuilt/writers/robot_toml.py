@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values
 from asbuilt.description.model import ROOT, DriveValues, Joint, Letters, Link, RobotModel
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.identification.result import IdentificationResult
+from asbuilt.identification.standard_parameters import StandardParameters, standard_parameters
 from asbuilt.writers.files import atomic_write
 
 Array = NDArray[np.float64]
@@ -24,43 +25,46 @@ Array = NDArray[np.float64]
 SAME_LENGTH = 1e-12
 """Letters are written for a length where they give it to within this [m]."""
 
+INFORMATION_TOLERANCE = 1e-13
+"""Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
+
 _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
-def as_built_parameters(result: IdentificationResult) -> Array:
-    """Return the standard parameters (n_standard,) that give the identified torques exactly and move least from the description.
+def as_built_parameters(result: IdentificationResult, *, nearest: bool = False) -> StandardParameters:
+    """Return standard parameters of the whole robot as built, drives included: real bodies closest to CAD that give the identified torques exactly.
 
-    chi = chi_cad + S (K S)^+ (beta - K chi_cad), where K is the regrouping and S scales each parameter by the size of its link (kg, m).
-    What torques do not determine stays as described, so single masses and inertias are a choice and may be impossible for a rigid body.
+    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones that lose least of the fit.
     """
-    base = result.base
-    described = np.nan_to_num(parameter_values(result.model, base.drive), nan=0.0)
-    scale = _parameter_scales(result.model, base.n_standard)
-    step, *_ = np.linalg.lstsq(base.regrouping * scale, result.estimates - base.regrouping @ described, rcond=1e-13)
-    return np.asarray(described + scale * step)
+    covariance = np.array(result.textbook_covariance)
+    size = np.sqrt(np.diag(covariance))
+    size[size == 0.0] = 1.0
+    information = np.linalg.pinv(covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True) / np.outer(size, size)
+    return standard_parameters(result.model, result.base, result.estimates, nearest=nearest, information=information)
 
 
-def as_built_model(result: IdentificationResult) -> RobotModel:
+def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
     """Return the robot with the standard parameters of `as_built_parameters`; drive terms that a robot has no place for are left out."""
-    model, base, chi = result.model, result.base, as_built_parameters(result)
-    inertial = 10 * model.n_joints
-    robot = model.with_parameters(chi[:inertial])
-    joints, place = [], inertial
+    found = as_built_parameters(result, nearest=nearest)
+    robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
+    note = f"identified ({result.method}) from {', '.join(result.sources)}; {found.verdict}"
+    return replace(robot, notes=(*result.model.notes, note), source=f"identified from {', '.join(result.sources)}")
+
+
+def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
+    """Return a robot with other standard parameters (n_standard,), drives included as far as a robot has a place for them."""
+    place = 10 * model.n_joints
+    robot = model.with_parameters(parameters[:place])
+    joints = []
     for joint in robot.joints:
         named = {}
-        for term in base.drive.terms:
+        for term in drive.terms:
             if term.key in DriveValues.__dataclass_fields__:
-                named[term.key] = float(chi[place])
+                named[term.key] = float(parameters[place])
             place += len(term.letters)
         joints.append(replace(joint, drive=replace(joint.drive, **named)))
-    consistency = {
-        True: "the base parameters are physically consistent; these standard parameters are one choice among many and need not be",
-        False: "the base parameters are NOT physically consistent: no rigid bodies have them",
-        None: "physical consistency was not checked",
-    }[result.physically_consistent]
-    note = f"identified ({result.method}) from {', '.join(result.sources)}; gives the identified torques exactly; {consistency}"
-    return replace(robot, joints=tuple(joints), notes=(*model.notes, note), source=f"identified from {', '.join(result.sources)}")
+    return replace(robot, joints=tuple(joints))
 
 
 def robot_toml(model: RobotModel) -> str:
@@ -90,19 +94,6 @@ def robot_toml(model: RobotModel) -> str:
 def write_robot_toml(path: str | os.PathLike[str], model: RobotModel) -> Path:
     """Write a robot file that `load_robot` reads back to the same torques."""
     return atomic_write(path, robot_toml(model))
-
-
-def _parameter_scales(model: RobotModel, n_standard: int) -> Array:
-    """Return the typical size of each standard parameter: mass m and length l of a link give m l^2, m l and m; 1 for a drive."""
-    masses = np.abs([link.inertia.mass for link in model.links])
-    typical = float(np.mean(masses[masses > 0])) if np.any(masses > 0) else 1.0
-    reach = [float(np.linalg.norm(joint.before[:3, 3]) + np.linalg.norm(joint.after[:3, 3])) for joint in model.joints]
-    length = max(float(np.mean(reach)), 0.05)
-    scale = np.ones(n_standard)
-    for k, mass in enumerate(masses):
-        m = max(float(mass), 0.1 * typical)
-        scale[10 * k : 10 * k + 10] = [m * length**2] * 6 + [m * length] * 3 + [m]
-    return scale
 
 
 def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
