@@ -455,12 +455,16 @@ def export(
     original: Annotated[
         Path | None, typer.Option("--original", metavar="FILE", help="the URDF to edit (default: where the robot was read from)")
     ] = None,
+    nearest: Annotated[
+        bool,
+        typer.Option("--nearest", help="where no real bodies and drives have the identified parameters, write the nearest that can be"),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write the identified robot for other software."""
     from asbuilt.writers.export import export_result
 
-    exported = export_result(_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original)
+    exported = export_result(_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original, nearest=nearest)
     _answer(as_json, exported.as_document, exported.as_text)
 
 
