@@ -376,6 +376,57 @@ def payload(
 
 
 @app.command()
+def gains(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
+    loaded: Annotated[list[Path], typer.Option("--loaded", metavar="LOG", help="a recording with the payload; repeat for more")],
+    mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
+    com: Annotated[
+        str | None, typer.Option("--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known")
+    ] = None,
+    frame: Annotated[
+        str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
+    ] = None,
+    drive: Drive = None,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the torque per ampere (or the factor on a logged torque) of every drive from a payload of known mass."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.identification.torque_gains import identify_gains
+    from asbuilt.writers.drive_tables import gains_document, gains_text
+
+    model = _load(robot)
+    bare, under = (_read(model, logs, rate, flip_torque, gain, "current", sheet) for logs in (log, loaded))
+    chain = _chain("default", cutoff, None).resolved(*bare, *under)
+    found = identify_gains(
+        model,
+        [prepare_samples(recording, chain) for recording in bare],
+        [prepare_samples(recording, chain) for recording in under],
+        mass=mass,
+        com=None if com is None else _numbers("--com", com),
+        drive=None if drive is None else DriveSet.parse(drive),
+        frame=frame,
+    )
+    _answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3:
+        raise UsageError(f"{option} takes three numbers separated by commas, got {text!r}; for example {option} 0,0,0.05")
+    return values
+
+
+@app.command()
 def excite(
     robot: Robot,
     drive: Drive = "viscous,coulomb,offset",

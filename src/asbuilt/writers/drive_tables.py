@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from asbuilt.dynamics.drives.selection import available_terms
-from asbuilt.tables import Column, Table
+from asbuilt.identification.torque_gains import TorqueGains
+from asbuilt.tables import Column, Table, plus_minus
 
 USE = """\
 Terms are chosen as --drive viscous,coulomb,offset; armature is added by default for torques from motors and currents.
@@ -42,3 +43,33 @@ def drives_text() -> str:
         rows.append((term.key, " ".join(term.letters), term.formula, options or "-", ", ".join(term.units(revolute=True))))
     columns = (Column("term"), Column("parameters"), Column("torque"), Column("options"), Column("units"))
     return Table(columns, tuple(rows)).as_text() + "\n" + USE
+
+
+def gains_document(found: TorqueGains) -> dict[str, Any]:
+    """Return gains as plain data."""
+    return {
+        "joints": list(found.joint_names),
+        "gains": found.gains.tolist(),
+        "std_errors": found.std_errors.tolist(),
+        "determined": found.determined.tolist(),
+        "payload_share": found.payload_share.tolist(),
+        "known": list(found.known),
+        "frame": found.frame,
+        "payload": found.payload.tolist(),
+        "sources": list(found.sources),
+        "notes": list(found.sentences()),
+    }
+
+
+def gains_text(found: TorqueGains) -> str:
+    """Return gains as a table with what they rest on, and the option that uses them."""
+    rows = [
+        (name, plus_minus(float(gain), float(error)), f"{100 * share:.0f}", "yes" if told else "NO")
+        for name, gain, error, share, told in zip(
+            found.joint_names, found.gains, found.std_errors, found.payload_share, found.determined, strict=True
+        )
+    ]
+    columns = (Column("joint"), Column("torque per logged unit"), Column("payload in torque", "%", "right"), Column("told"))
+    notes = [f"[{number}] {sentence[0].upper()}{sentence[1:]}." for number, sentence in enumerate(found.sentences(), start=1)]
+    option = "--gain " + ",".join(f"{gain:.4g}" for gain in found.gains)
+    return "\n".join([Table(columns, tuple(rows)).as_text().rstrip(), *notes, f"Use them with {option}"])
