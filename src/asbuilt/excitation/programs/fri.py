@@ -8,7 +8,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.programs.log_sheet import sheet_text
 from asbuilt.excitation.programs.naming import class_name
 from asbuilt.excitation.programs.preamble import commented, preamble
-from asbuilt.excitation.programs.rendering import numbers, render
+from asbuilt.excitation.programs.rendering import numbers, render, rounded_down
 from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramFormat, ProgramRequest
 from asbuilt.excitation.programs.streamed_motion import DECIMALS, motion_table
 from asbuilt.excitation.programs.sunrise import PACKAGE, SIGN_NOTE
@@ -68,7 +68,7 @@ class FriFormat(ProgramFormat):
             package=PACKAGE,
             class_name=java,
             interval=request.period_ms,
-            approach=f"{approach:.3f}",
+            approach=rounded_down(approach),
             tolerance=values["tolerance"],
             start=numbers(request.motion.start),
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
+from math import floor
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -23,6 +24,17 @@ def numbers(values: Iterable[float], decimals: int = 6) -> str:
     '1.000, -0.250, 0.000'
     """
     return ", ".join(f"{round(float(value), decimals) + 0.0:.{decimals}f}" for value in values)
+
+
+def rounded_down(value: float, decimals: int = 4) -> str:
+    """Return a positive number with a fixed count of decimals, never above itself, as a limit must be.
+
+    Examples
+    --------
+    >>> rounded_down(0.06999), rounded_down(0.5)
+    ('0.0699', '0.5000')
+    """
+    return f"{floor(value * 10**decimals + 1e-9) / 10**decimals:.{decimals}f}"
 
 
 @cache

@@ -11,7 +11,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.programs.log_sheet import sheet_text
 from asbuilt.excitation.programs.naming import class_name
 from asbuilt.excitation.programs.preamble import DRY_RUN_PART, commented, preamble
-from asbuilt.excitation.programs.rendering import numbers, render
+from asbuilt.excitation.programs.rendering import numbers, render, rounded_down
 from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramFormat, ProgramRequest
 from asbuilt.excitation.programs.via_points import Stretch, point_to_point_stretches, spline_times
 
@@ -87,7 +87,7 @@ class SunriseFormat(ProgramFormat):
             class_name=name,
             dry_run=f"{1 / DRY_RUN_SLOWDOWN:g}",
             dry_run_percent=DRY_RUN_PART,
-            approach=f"{approach:.3f}",
+            approach=rounded_down(approach),
             acceleration=f"{ACCELERATION:g}",
             jerk=f"{ACCELERATION:g}",
             tolerance=f"{request.start_tolerance.min():g}",
@@ -95,7 +95,7 @@ class SunriseFormat(ProgramFormat):
             start=numbers(request.motion.start),
             step=f"{request.motion.duration / len(stretches):.4f}",
             points=[numbers(stretch.pose) for stretch in stretches],
-            speeds=[f"{speed:.4f}" for speed in speeds],
+            speeds=[rounded_down(speed) for speed in speeds],
             dwells=[10 * round(100 * stretch.dwell) for stretch in stretches],
             log=f"{request.stem}_log.txt",
             dry_run_log=f"{request.stem}_dry_run_log.txt",
