@@ -409,20 +409,20 @@ def gains(
         [prepare_samples(recording, chain) for recording in bare],
         [prepare_samples(recording, chain) for recording in under],
         mass=mass,
-        com=None if com is None else _numbers("--com", com),
+        com=None if com is None else _centre(com),
         drive=None if drive is None else DriveSet.parse(drive),
         frame=frame,
     )
     _answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
 
 
-def _numbers(option: str, text: str) -> list[float]:
+def _centre(text: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
         values = []
     if len(values) != 3:
-        raise UsageError(f"{option} takes three numbers separated by commas, got {text!r}; for example {option} 0,0,0.05")
+        raise UsageError(f"--com takes three numbers separated by commas, got {text!r}; for example --com 0,0,0.05")
     return values
 
 
