@@ -17,6 +17,8 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import DescriptionError, InertiaError, UsageError
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.identification.metrics import torque_metrics
 from asbuilt.identification.result import IdentificationResult, IdentifiedParameter
 from asbuilt.writers.export import export_result
@@ -171,3 +173,19 @@ def test_drive_terms_without_a_place_are_said(tmp_path: Path) -> None:
     for kind in ("urdf", "mjcf", "toml"):
         assert "drive terms cubic have no place" in exported.notes[kind][-1]
     assert "c" not in exported.notes
+
+
+def test_a_study_leaves_the_edited_urdf_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    original = arm_urdf(tmp_path)
+    model = load_robot(original)
+    recording = InstalledRobot.ideal(model).record(random_fourier(model, rng=1, duration=8.0), 200.0, rng=1).recording
+    columns = {"t": recording.t} | {f"{what}_{k}": getattr(recording, what)[:, k] for what in ("q", "tau") for k in range(2)}
+    log = tmp_path / "log.csv"
+    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    status, out, err = call(
+        capsys, "identify", original, log, "--method", "consistent", "--drive", "none", "--out", tmp_path / "out", "--json"
+    )
+    assert status == 0, err
+    files = json.loads(out)["files"]
+    assert "the user's own" in Path(files["urdf"]).read_text()
+    assert load_robot(files["urdf"]).joint_names == model.joint_names

@@ -86,7 +86,7 @@ def export_result(
     if c is not None:
         files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
     if urdf is not None:
-        edited, missing = _original(result.model, original)
+        edited, missing = urdf_to_edit(result.model, original)
         files["urdf"], said = write_urdf(urdf, model, original=edited)
         notes["urdf"] = (*missing, *said, *carried)
     if mjcf is not None:
@@ -98,13 +98,8 @@ def export_result(
     return Export(result.robot, found.verdict, files, {kind: said for kind, said in notes.items() if said})
 
 
-def _left_out(drive: DriveSet) -> tuple[str, ...]:
-    lost = [key for key in drive.keys if key not in DriveValues.__dataclass_fields__]
-    return (f"the identified drive terms {', '.join(lost)} have no place in this file and are left out",) if lost else ()
-
-
-def _original(model: RobotModel, given: Place | None) -> tuple[Path | None, tuple[str, ...]]:
-    """Return the URDF to edit, None where there is none, and a note where there was one."""
+def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | None, tuple[str, ...]]:
+    """Return the URDF to edit: the one given, else the one that the robot was read from, None where there is none, with a note where there was one."""
     place = Path(given if given is not None else model.source)
     if given is not None or place.is_file():
         content, source = described_text(place)
@@ -117,3 +112,8 @@ def _original(model: RobotModel, given: Place | None) -> tuple[Path | None, tupl
         said = f"the URDF it was identified with, {place}, is not there any more, so a fresh one without shapes was written; name it with --original"
         return None, (said,)
     return None, ()
+
+
+def _left_out(drive: DriveSet) -> tuple[str, ...]:
+    lost = [key for key in drive.keys if key not in DriveValues.__dataclass_fields__]
+    return (f"the identified drive terms {', '.join(lost)} have no place in this file and are left out",) if lost else ()

@@ -10,11 +10,14 @@ from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.study import Study
+from asbuilt.writers.export import urdf_to_edit
 from asbuilt.writers.figures import save_figure, torque_figure
 from asbuilt.writers.files import atomic_write
+from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.report import write_report
 from asbuilt.writers.robot_toml import as_built_model, write_robot_toml
 from asbuilt.writers.tabular import prediction_table, write_parameters_csv
+from asbuilt.writers.urdf import write_urdf
 
 
 def study_text(study: Study) -> str:
@@ -23,9 +26,9 @@ def study_text(study: Study) -> str:
 
 
 def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> dict[str, Path]:
-    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and, where real bodies have these parameters, robot.toml.
+    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as built, robot.toml.
 
-    Returns the path of each, by kind; `command` is the command line that repeats the study.
+    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built. Returns the path of each, by kind; `command` is the command line that repeats the study.
     """
     result = study.result
     files = {
@@ -36,7 +39,11 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
     files["report"] = write_report(folder / "report.html", result, study.validations, fitted=study.training, command=command)
     try:
-        files["robot"] = write_robot_toml(folder / "robot.toml", as_built_model(result))
+        robot = as_built_model(result)
+        files["robot"] = write_robot_toml(folder / "robot.toml", robot)
+        original, _ = urdf_to_edit(result.model)
+        if original is not None and not impossibilities(robot):
+            files["urdf"], _ = write_urdf(folder / "robot.urdf", robot, original=original)
     except AsbuiltError:
         return files
     return files
