@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
-RICHER_TERMS = ("asymmetric_viscous", "load_friction", "stribeck")
+RICHER_TERMS = ("load_friction", "quadratic", "stribeck")
 """Friction beyond the plain one whose columns need no fitted shape, or do with the usual one."""
 TILTS = ("tilt 1", "tilt 2")
 HELD_BACK = 3

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -46,12 +46,20 @@ _OF_TERM |= {"motor_viscous": "friction", "motor_coulomb": "friction"}
 
 WEAKEST = 1e-10
 """Squared singular value of the fit, relative to the largest with columns scaled alike, below which a direction is left alone."""
+MOST_EXCHANGES = 30
+"""Rounds in which parameters that cannot be negative are set to zero or freed again."""
+NEARLY = 6.0
+"""Difference in score, as of a deviance, within which two combinations are about as likely (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995: not strong evidence)."""
 WORTH_SAYING = 0.05
 """Share of the error from which a cause is named."""
 OWN = 0.5
 """Two causes cannot be told apart where without either one the error grows by less than this part of that cause's share."""
 NOISE_FLOOR = 1e-9
 """Smallest RMS of a joint, as a fraction of its torque, that the fit distinguishes from none."""
+USUAL_GAIN = 0.1
+"""Standard deviation of torque gains from 1 that is believed before any measurement."""
+USUAL_TILT = np.deg2rad(1.0)
+"""Standard deviation of tilts of the mounting that is believed before any measurement [rad]."""
 POSSIBLE_REACH = 1.0
 """Farthest that the centre of a body carried at the flange may be from the last joint's frame [m]."""
 
@@ -61,7 +69,8 @@ class CauseModel:
     """Hold the fit of one combination of causes.
 
     `rms` (n,) is the error of each joint on the data judged by, `rms_fitted` on the data used; `values` are the parameters by name; `rank` how many of them
-    the data tell; `bic` the Bayesian information criterion with as many samples as are independent, who also set the `std_errors`.
+    the data tell; `bic` the Bayesian information criterion with as many samples as are independent, who also set the `std_errors`; `possible` is False where
+    the payload would be no body: without mass, or out of reach.
     """
 
     causes: Subset
@@ -70,8 +79,10 @@ class CauseModel:
     rank: int
     weighted_energy: float
     bic: float
+    score: float
     values: Array
     std_errors: Array
+    possible: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,12 +100,17 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CauseShare:
-    """What one cause explains of the squared CAD error of every joint: Shapley share, and the least and the most over all orders, each (n,)."""
+    """What one cause explains of the squared CAD error of every joint, each (n,) as a fraction of it.
+
+    `share` divides what the causes explain together, with the sizes found together; `refitted` is the Shapley value where every combination is
+    fitted anew, so that causes stand in for each other; `alone` is what the cause explains by itself, `last` what it adds to all others.
+    """
 
     cause: str
     share: Array
-    least: Array
-    most: Array
+    refitted: Array
+    alone: Array
+    last: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,8 +151,9 @@ class Attribution:
                 {
                     "cause": each.cause,
                     "share": each.share.tolist(),
-                    "least": each.least.tolist(),
-                    "most": each.most.tolist(),
+                    "refitted": each.refitted.tolist(),
+                    "alone": each.alone.tolist(),
+                    "last": each.last.tolist(),
                 }
                 for each in self.shares
             ],
@@ -190,6 +207,7 @@ class _Fits:
         links = [name for name, j in zip(base.names, base.columns, strict=True) if j < 10 * n]
         self.rigid = evidence.places(links)
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
+        self.non_negative: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self.names = (*evidence.names, *(f"gain {k + 1}" for k in range(n)), *(f"payload {i}" for i in range(10)))
         self.fitted, self.judged = ([self._widened(factor, x, K, k) for k, factor in enumerate(evidence.whole(factors))] for factors in (
             evidence.fitted, evidence.judged))  # fmt: skip
@@ -202,8 +220,11 @@ class _Fits:
         self.present = self.length > 1e-9 * self.length.max(initial=0.0)
         self.length = np.where(self.present, self.length, 1.0)
         scaled = stacked[:, :-1] / self.length
-        self.gram, self.right = scaled.T @ scaled, scaled.T @ stacked[:, -1]
         self.columns = self._columns()
+        self.belief = np.zeros(len(self.names))
+        self.belief[self.columns["gain"]], self.belief[self.columns["mounting"]] = 1.0 / USUAL_GAIN, 1.0 / USUAL_TILT
+        belief = self.belief * np.sqrt(evidence.n_fitted / self.independent) / self.length
+        self.gram, self.right = scaled.T @ scaled + np.diag(belief**2), scaled.T @ stacked[:, -1]
         self.causes = tuple(cause for cause in CAUSES if np.any(self.present[self.columns[cause]]))
         self._known: dict[Subset, CauseModel] = {}
 
@@ -225,21 +246,35 @@ class _Fits:
         found["mounting"] = [names.index(name) for name in TILTS]
         found["gain"] = [names.index(f"gain {k + 1}") for k in range(n)]
         found["payload"] = [names.index(f"payload {i}") for i in range(10)]
+        self.non_negative = np.zeros(len(names), dtype=bool)
+        for term in self.evidence.drive.terms:
+            if _OF_TERM.get(term.key) in ("friction", "armature"):
+                self.non_negative[[names.index(f"{letter}{k + 1}") for k in range(n) for letter in term.letters]] = True
         return {cause: np.array(sorted(places), dtype=np.int64) for cause, places in found.items()}
 
     def fit(self, causes: Subset) -> CauseModel:
         """Fit a combination."""
         if causes not in self._known:
-            chosen = np.concatenate([np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))])
-            chosen = chosen[self.present[chosen]]
+            places = np.concatenate([np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))])
+            places = places[self.present[places]]
             x, spread, rank = np.zeros(len(self.names)), np.zeros(len(self.names)), 0
-            if chosen.size:
-                eigenvalues, vectors = np.linalg.eigh(self.gram[np.ix_(chosen, chosen)])
-                kept = eigenvalues > WEAKEST * eigenvalues[-1]
-                rank = int(kept.sum())
+            free = np.ones(places.size, dtype=bool)
+            for _ in range(MOST_EXCHANGES):
+                some = places[free]
+                eigenvalues, vectors = np.linalg.eigh(self.gram[np.ix_(some, some)])
+                kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
                 V = vectors[:, kept]
-                x[chosen] = (V @ ((V.T @ self.right[chosen]) / eigenvalues[kept])) / self.length[chosen]
-                spread[chosen] = np.sqrt(np.sum(V**2 / eigenvalues[kept], axis=1)) / self.length[chosen]
+                y = V @ ((V.T @ self.right[some]) / eigenvalues[kept])
+                x[places], x[some], rank = 0.0, y / self.length[some], int(kept.sum())
+                pull = self.right[places] - self.gram[np.ix_(places, some)] @ y
+                out = free & self.non_negative[places] & (x[places] < 0)
+                back = ~free & (pull > WEAKEST * np.abs(self.right).max(initial=0.0))
+                if not (out | back).any():
+                    break
+                free ^= out | back
+            x = np.where(self.non_negative, np.maximum(x, 0.0), x)
+            if places.size:
+                spread[some] = np.sqrt(np.sum(V**2 / eigenvalues[kept], axis=1)) / self.length[some]
             self._known[causes] = self._judged(causes, x, spread, rank)
         return self._known[causes]
 
@@ -249,16 +284,24 @@ class _Fits:
         n_rows = self.independent * e.n_joints
         energy = float(np.sum((self.weights * np.maximum(rms_fitted, self.floor)) ** 2)) * self.independent
         noise = energy / max(n_rows - rank, 1.0) * e.n_fitted / self.independent
+        rms = _rms(self.judged, x, e.n_judged)
+        independent_judged = self.independent * e.n_judged / e.n_fitted
         return CauseModel(
             causes=causes,
-            rms=_rms(self.judged, x, e.n_judged),
+            rms=rms,
+            score=float(2.0 * independent_judged * np.sum(np.log(np.maximum(rms, self.floor))) + rank + np.sum((self.belief * x) ** 2)),
             rms_fitted=rms_fitted,
             rank=rank,
             weighted_energy=energy,
             bic=float(2.0 * self.independent * np.sum(np.log(np.maximum(rms_fitted, self.floor))) + rank * np.log(max(n_rows, 2.0))),
             values=x,
             std_errors=spread * np.sqrt(noise),
+            possible="payload" not in causes or "links" in causes or self._is_body(x[self.columns["payload"]]),
         )
+
+    @staticmethod
+    def _is_body(body: Array) -> bool:
+        return bool(body[9] > 0 and np.linalg.norm(body[6:9]) <= POSSIBLE_REACH * body[9])
 
     def steps(self) -> tuple[Step, ...]:
         """Return the nested models."""
@@ -276,12 +319,17 @@ class _Fits:
         return tuple(found)
 
     @cached_property
-    def chosen(self) -> CauseModel:
-        """The combination with the smallest BIC; a payload beside free links adds nothing, so they are not both chosen."""
+    def rivals(self) -> tuple[CauseModel, ...]:
+        """All combinations that could be, the best first: a payload is a body, and beside free links, to which it adds nothing, in none."""
         every = (frozenset(some) for size in range(len(self.causes) + 1) for some in combinations(self.causes, size))
-        return min(
-            (self.fit(some) for some in every if not {"payload", "links"} <= some), key=lambda fit: (round(fit.bic, 6), len(fit.causes))
-        )
+        fits = [self.fit(some) for some in every if not {"payload", "links"} <= some]
+        return tuple(sorted((fit for fit in fits if fit.possible), key=lambda fit: (round(fit.score, 6), len(fit.causes))))
+
+    @cached_property
+    def chosen(self) -> CauseModel:
+        """The combination with the fewest causes among those about as likely as the best."""
+        likely = [fit for fit in self.rivals if fit.score <= self.rivals[0].score + NEARLY]
+        return min(likely, key=lambda fit: len(fit.causes))
 
     @cached_property
     def possible_payload(self) -> tuple[CauseModel, float, float, Array]:
@@ -290,23 +338,34 @@ class _Fits:
         body, mass_error = fit.values[self.columns["payload"]], float(fit.std_errors[self.columns["payload"]][9])
         return fit, float(body[9]), mass_error, body[6:9] / body[9] if body[9] else np.full(3, np.inf)
 
+    @cached_property
     def weighed(self) -> tuple[str, ...]:
-        """Return the causes chosen, and a payload where it could be part of what is put down to the links: where such a body can be."""
+        """The causes chosen, and a payload where it could be part of what is put down to the links: where such a body can be."""
         causes = self.chosen.causes
         if "links" in causes and "payload" in self.causes:
-            fit, mass, _, centre = self.possible_payload
+            fit, *_ = self.possible_payload
             without = self.fit(causes - {"links"})
-            if mass > 0 and float(np.linalg.norm(centre)) <= POSSIBLE_REACH and fit.bic < without.bic:
+            if fit.possible and fit.score < without.score:
                 causes = causes | {"payload"}
         return tuple(cause for cause in CAUSES if cause in causes)
 
     def attribution(self) -> Attribution:
         e, result = self.evidence, self.result
-        weighed = self.weighed()
-        cad = self.fit(frozenset())
+        weighed = self.weighed
+        cad, whole = self.fit(frozenset()), self.chosen
         energy = np.maximum(cad.rms, np.finfo(float).tiny) ** 2
-        shares = _shapley(weighed, lambda some: 1.0 - self.fit(some).rms ** 2 / energy, e.n_joints)
-        whole = self.fit(frozenset(weighed))
+        refitted = shapley_values(weighed, lambda some: 1.0 - self.fit(some).rms ** 2 / energy)
+        parts = self._parts(weighed)
+        shares = tuple(
+            CauseShare(
+                cause=cause,
+                share=parts[cause] / energy,
+                refitted=refitted[cause],
+                alone=1.0 - self.fit(frozenset({cause})).rms ** 2 / energy,
+                last=(self.fit(frozenset(weighed) - {cause}).rms ** 2 - whole.rms**2) / energy,
+            )
+            for cause in weighed
+        )
         alike = self._alike(shares)
         values = {name: float(v) for name, v in zip(self.names, self.chosen.values, strict=True) if v}
         return Attribution(
@@ -326,6 +385,42 @@ class _Fits:
             sentences=tuple(self._sentence(k, shares, float(whole.rms[k] ** 2 / energy[k])) for k in range(e.n_joints)),
             values=values,
         )
+
+    def sizes(self, weighed: tuple[str, ...]) -> dict[str, Array]:
+        """Return the parameters of each cause weighed, (columns,); a general cause has what the special one that it contains leaves.
+
+        Richer friction is what remains of it beside the plain friction nearest to the whole, joint by joint; links what remains beside the payload.
+        """
+        inside = {cause: np.isin(np.arange(len(self.names)), self.columns[cause]) for cause in weighed}
+        found = {cause: np.where(inside[cause], self.chosen.values, 0.0) for cause in weighed}
+        if {"payload", "links"} <= set(weighed):
+            found["payload"] = np.where(inside["payload"], self.possible_payload[0].values, 0.0)
+            found["links"] = found["links"] - found["payload"]
+        if {"friction", "richer friction"} <= set(weighed):
+            for rows in self.fitted:
+                plain, rich = (
+                    np.flatnonzero(inside[cause] & (np.abs(rows[:, :-1]) > 0).any(axis=0)) for cause in ("friction", "richer friction")
+                )
+                if plain.size and rich.size:
+                    moved = np.linalg.lstsq(rows[:, plain], rows[:, rich] @ self.chosen.values[rich], rcond=None)[0]
+                    found["friction"][plain] += moved
+                    found["richer friction"][plain] -= moved
+        return found
+
+    def _parts(self, weighed: tuple[str, ...]) -> dict[str, Array]:
+        """Divide the drop of the mean squared error of every joint among causes of the sizes found together.
+
+        With the torques y_i of the causes, e = tau - tau_CAD and r = e - sum y, the Shapley value of the drop |e|^2 - |e - sum_S y|^2 is y_i . (e + r).
+        """
+        sizes = self.sizes(weighed)
+        found = {cause: np.zeros(self.evidence.n_joints) for cause in weighed}
+        for k, rows in enumerate(self.judged):
+            torque = {cause: rows[:, :-1] @ size for cause, size in sizes.items()}
+            e = rows[:, -1]
+            both = 2.0 * e - np.sum(list(torque.values()), axis=0) if torque else e
+            for cause, y in torque.items():
+                found[cause][k] = float(y @ both) / self.evidence.n_judged
+        return found
 
     def _alike(self, shares: Sequence[CauseShare]) -> tuple[tuple[str, str], ...]:
         """Pairs of which one does what the other would, seen over all joints, each joint's error in units of its noise."""
@@ -367,7 +462,8 @@ class _Fits:
             place = self.columns["mounting"]
             tilts = [plus_minus(*np.rad2deg([self.chosen.values[j], self.chosen.std_errors[j]]).tolist()) for j in place]
             turned = " and ".join(f"{tilt} about {_axis(axis)}" for tilt, axis in zip(tilts, self.evidence.tilt_axes, strict=True))
-            found.append(f"The root frame stands askew by {turned}, in degrees.")
+            sure = np.any(np.abs(self.chosen.values[place]) >= SIGNIFICANT_SIGMAS * self.chosen.std_errors[place])
+            found.append(f"The root frame {'stands' if sure else 'may stand'} askew by {turned}, in degrees.")
         if "gain" in weighed:
             told = [
                 (name, 100 * self.chosen.values[j], 100 * self.chosen.std_errors[j])
@@ -380,6 +476,11 @@ class _Fits:
                 f"This recording does not tell {CAUSES[one]} from {CAUSES[two]}: with either in the model the other adds little, and their shares are "
                 "divided between them for want of better."
             )
+        rival = next((fit for fit in self.rivals if self.chosen.causes - fit.causes and fit.score <= self.chosen.score + NEARLY), None)
+        if rival is not None:
+            instead = ", ".join(CAUSES[cause] for cause in CAUSES if cause in rival.causes - self.chosen.causes)
+            replaced = ", ".join(CAUSES[cause] for cause in CAUSES if cause in self.chosen.causes - rival.causes)
+            found.append(f"About as likely, for what this recording tells: {instead} in place of {replaced}.")
         missing = [CAUSES[cause] for cause in self.causes if cause not in weighed and not (cause == "payload" and "links" in weighed)]
         if missing:
             found.append(f"Not needed to explain this recording: {', '.join(missing)}.")
@@ -401,9 +502,11 @@ class _Fits:
         unit = torque_units(self.result.model)[k]
         speed = "rad/s" if unit == "N m" else "m/s"
 
+        size = self.sizes(self.weighed)[cause]
+
         def value(letter: str) -> float:
             name = f"{letter}{k + 1}"
-            return float(fit.values[names.index(name)]) if name in names else 0.0
+            return float(size[names.index(name)]) if name in names else 0.0
 
         if cause == "payload":
             body = f"{significant(self.possible_payload[1], 2)} kg at the flange"
@@ -426,23 +529,24 @@ def _rms(rows: Sequence[Array], x: Array, n: int) -> Array:
     return np.sqrt([float(error @ error) / n for error in errors])
 
 
-def _shapley(causes: tuple[str, ...], worth: Any, n_joints: int) -> tuple[CauseShare, ...]:
-    """Divide worth(all) - worth(none) over the feasible orders: those that take `BEFORE[c]` before c. `worth` answers (n,)."""
+def shapley_values(causes: tuple[str, ...], worth: Callable[[Subset], Array]) -> dict[str, Array]:
+    """Divide worth(all) - worth(none), each (n,), over the orders that take `BEFORE[c]`, where present, before c: the mean of what a cause adds.
+
+    >>> {cause: part.tolist() for cause, part in shapley_values(("payload", "links"), lambda some: np.array([float("links" in some) or 0.5 * len(some)])).items()}
+    {'payload': [0.5], 'links': [0.5]}
+    """
     ways_to, ways_from = _orders(causes)
-    total = ways_to[frozenset(causes)]
     values = {some: worth(some) for some in ways_to}
-    found = []
-    for cause in causes:
-        share, least, most = np.zeros(n_joints), np.full(n_joints, np.inf), np.full(n_joints, -np.inf)
-        for some in ways_to:
-            after = some | {cause}
-            if cause in some or after not in ways_to:
-                continue
-            gain = values[after] - values[some]
-            share += ways_to[some] * ways_from[after] / total * gain
-            least, most = np.minimum(least, gain), np.maximum(most, gain)
-        found.append(CauseShare(cause, share, least, most))
-    return tuple(found)
+    return {
+        cause: np.asarray(
+            sum(
+                ways_to[some] * ways_from[some | {cause}] / ways_to[frozenset(causes)] * (values[some | {cause}] - values[some])
+                for some in ways_to
+                if cause not in some and some | {cause} in ways_to
+            )
+        )
+        for cause in causes
+    }
 
 
 def _orders(causes: tuple[str, ...]) -> tuple[dict[Subset, int], dict[Subset, int]]:

@@ -3,26 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from dataclasses import fields as dataclass_fields
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
+from asbuilt.identification.cause_evidence import CauseEvidence
 from asbuilt.identification.metrics import TorqueMetrics
-from asbuilt.tables import SIGNIFICANT_SIGMAS, Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant, stacked
+from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant, stacked
 from asbuilt.validation.prediction import Validation, design_values, torque_units
+from asbuilt.validation.significance import CadTolerance, ChiSquare, benjamini_hochberg, chi_square, holm, two_sided_probability
+from asbuilt.validation.torque_cost import torque_cost
 
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
 
+Array = NDArray[np.float64]
 Verdict = Literal["differs", "agrees", "no CAD value", "not determined"]
+
+
+FALSE_DISCOVERY_RATE = 0.05
+"""Share of the parameters said to differ that may do so by chance."""
+MATTERS = 0.5
+"""Torque that a difference costs a joint, in multiples of the error left there as built, from which it matters: the error would grow by an eighth."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedParameter:
-    """One base parameter by design and as built; `sigmas` is their difference in standard errors, None where it has no meaning."""
+    """One base parameter by design and as built; `sigmas` is their difference in standard errors, None where it has no meaning.
+
+    `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque` is what the difference
+    costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up for; None without
+    evidence. `matters` says whether some joint would notice.
+    """
 
     id: int
     name: str
@@ -33,13 +50,34 @@ class ComparedParameter:
     std_error: float | None
     sigmas: float | None
     verdict: Verdict
+    p_value: float | None = None
+    false_discovery: float | None = None
+    holm: float | None = None
+    torque: tuple[float, ...] | None = None
+    torque_total: float | None = None
+    torque_own: float | None = None
+    matters: bool | None = None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """The 95 % interval of the value as built."""
+        return None if self.std_error is None else (self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain numbers and texts, ready for JSON."""
+        fields: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
+        return fields | {
+            "interval": None if self.interval is None else list(self.interval),
+            "torque": None if self.torque is None else list(self.torque),
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
     """Hold CAD against as built: parameters as in Table 2 of the 2015 paper, torque errors as in its Table 3.
 
-    `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by.
+    `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by. `chi_square` tests all parameters with a CAD value at
+    once, `chi_square_tolerance` the same with the `tolerance` that CAD claims. `level` is the false discovery rate at which a parameter differs.
     """
 
     robot: str
@@ -48,7 +86,11 @@ class Comparison:
     units: tuple[str, ...]
     parameters: tuple[ComparedParameter, ...]
     torque: tuple[tuple[TorqueMetrics | None, TorqueMetrics], ...]
-    threshold: float = SIGNIFICANT_SIGMAS
+    level: float = FALSE_DISCOVERY_RATE
+    chi_square: ChiSquare | None = None
+    chi_square_tolerance: ChiSquare | None = None
+    tolerance: CadTolerance | None = None
+    judged_by: str = ""
 
     @property
     def n_differing(self) -> int:
@@ -60,9 +102,24 @@ class Comparison:
         """Number of parameters with a CAD value and a standard error."""
         return sum(parameter.verdict in ("differs", "agrees") for parameter in self.parameters)
 
+    @property
+    def n_mattering(self) -> int | None:
+        """Number of parameters that differ and matter; None where the torque is unknown."""
+        known = [parameter for parameter in self.parameters if parameter.matters is not None]
+        return sum(bool(parameter.matters) and parameter.verdict == "differs" for parameter in known) if known else None
+
+    @property
+    def ranked(self) -> tuple[ComparedParameter, ...]:
+        """The parameters, those that cost the most torque first; by id where that is unknown."""
+        if all(parameter.torque_total is None for parameter in self.parameters):
+            return self.parameters
+        return tuple(sorted(self.parameters, key=lambda parameter: (-(parameter.torque_total or 0.0), parameter.id)))
+
     def verdict(self) -> str:
         """Return the outcome in a sentence or two."""
-        text = f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ by {self.threshold:g} standard errors or more."
+        text = f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ ({self.rule()})."
+        if self.n_mattering is not None:
+            text = f"{text[:-1]}; {self.n_mattering} of them matter to the torque."
         if not self.torque:
             return text
         cad, built = self.torque[0]
@@ -70,9 +127,26 @@ class Comparison:
             return f"{text} Torque error as built {share(built.relative_error)} on {recording_name(built.source)}."
         return f"{text} Torque error on {recording_name(built.source)}: CAD {share(cad.relative_error)}, as built {share(built.relative_error)}."
 
+    def rule(self) -> str:
+        """Return the rule by which parameters are said to differ."""
+        return f"false discovery rate {share(self.level, 0)}"
+
+    def tests(self) -> tuple[str, ...]:
+        """Return the tests of all parameters at once, in sentences."""
+        found = []
+        if self.chi_square is not None and self.chi_square.degrees:
+            found.append(f"CAD as a whole against the data: {_chi_square(self.chi_square)}.")
+        if self.chi_square_tolerance is not None and self.tolerance is not None:
+            claimed = f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of the centre, {share(self.tolerance.inertia, 0)} of inertia"
+            outcome = (
+                "CAD is within its tolerances" if self.chi_square_tolerance.probability > self.level else "CAD is beyond its tolerances"
+            )
+            found.append(f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)}; {outcome}.")
+        return tuple(found)
+
     def parameter_table(self) -> Table:
-        """Return Table 2: id, expression, CAD, as built, standard error, difference in standard errors."""
-        return parameter_table(self.parameters, threshold=self.threshold)
+        """Return Table 2, what matters first: id, expression, CAD, as built, standard error, difference in standard errors, torque."""
+        return parameter_table(self.ranked, level=self.level, units=self.units)
 
     def torque_table(self) -> Table:
         """Return Table 3: RMS torque error of each joint, CAD and as built, for each recording."""
@@ -89,7 +163,7 @@ class Comparison:
 
     def as_text(self) -> str:
         """Return verdict and both tables for a terminal."""
-        head = f"{self.robot}: as built against {self.cad_source}\n{self.verdict()}\n\n"
+        head = "\n".join([f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]) + "\n\n"
         return head + stacked([self.parameter_table(), *([self.torque_table()] if self.torque else [])])
 
     def as_csv(self) -> str:
@@ -102,24 +176,16 @@ class Comparison:
             "robot": self.robot,
             "cad": self.cad_source,
             "joints": list(self.joint_names),
-            "threshold_sigmas": self.threshold,
+            "false_discovery_rate": self.level,
             "n_compared": self.n_compared,
             "n_differing": self.n_differing,
+            "n_mattering": self.n_mattering,
             "verdict": self.verdict(),
-            "parameters": [
-                {
-                    "id": parameter.id,
-                    "name": parameter.name,
-                    "expression": parameter.expression,
-                    "unit": parameter.unit,
-                    "cad": parameter.cad,
-                    "estimate": parameter.estimate,
-                    "std_error": parameter.std_error,
-                    "sigmas": parameter.sigmas,
-                    "verdict": parameter.verdict,
-                }
-                for parameter in self.parameters
-            ],
+            "judged_by": self.judged_by,
+            "chi_square": None if self.chi_square is None else asdict(self.chi_square),
+            "chi_square_tolerance": None if self.chi_square_tolerance is None else asdict(self.chi_square_tolerance),
+            "tolerance": None if self.tolerance is None else asdict(self.tolerance),
+            "parameters": [parameter.as_dict() for parameter in self.ranked],
             "torque": [{"cad": None if cad is None else cad.as_dict(), "as_built": built.as_dict()} for cad, built in self.torque],
         }
 
@@ -129,41 +195,80 @@ def compare(
     cad: RobotModel | None = None,
     validation: Validation | Sequence[Validation] | None = None,
     *,
-    threshold: float = SIGNIFICANT_SIGMAS,
+    level: float = FALSE_DISCOVERY_RATE,
+    tolerance: CadTolerance | None = None,
 ) -> Comparison:
     """Compare a result with the description it started from, or with `cad`, another description of the same geometry.
 
-    `validation` gives the torque errors to put side by side (made with the same `cad`); without it the result's own metrics serve.
-    A parameter differs where CAD and estimate are `threshold` standard errors apart or more.
+    `validation` gives the torque errors to put side by side (made with the same `cad`); without it the result's own metrics serve, or for another
+    `cad` those of the evidence that the result carries. A parameter differs where its false discovery rate is at most `level`. `tolerance` is what CAD is
+    believed to know.
     """
     values = result.cad_values if cad is None else design_values(result, cad)
-    compared = []
-    for parameter, by_design in zip(result.parameters, values.tolist(), strict=True):
+    determined = np.array([p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters])
+    tested = determined & np.isfinite(values)
+    difference = np.where(tested, result.estimates - values, np.nan)
+    sigmas = difference[tested] / result.std_errors[tested]
+    p_values = two_sided_probability(sigmas)
+    discovery, strict = benjamini_hochberg(p_values), holm(p_values)
+    cost = None if result.evidence is None else torque_cost(result.evidence, result.base, result.estimates - values)
+    left = None if result.evidence is None else _left_as_built(result, result.evidence)
+    compared, place = [], 0
+    for j, (parameter, by_design) in enumerate(zip(result.parameters, values.tolist(), strict=True)):
         known = by_design if np.isfinite(by_design) else None
-        error = parameter.std_error if np.isfinite(parameter.std_error) and parameter.std_error > 0 else None
-        sigmas = None if known is None or error is None or not parameter.determined else (parameter.estimate - known) / error
-        verdict: Verdict = "differs" if sigmas is not None and abs(sigmas) >= threshold else "agrees"
-        if sigmas is None:
-            verdict = "not determined" if not parameter.determined or error is None else "no CAD value"
-        compared.append(
-            ComparedParameter(
-                parameter.id, parameter.name, parameter.expression, parameter.unit, known, parameter.estimate, error, sigmas, verdict
-            )
+        found = ComparedParameter(
+            id=parameter.id,
+            name=parameter.name,
+            expression=parameter.expression,
+            unit=parameter.unit,
+            cad=known,
+            estimate=parameter.estimate,
+            std_error=parameter.std_error if np.isfinite(parameter.std_error) and parameter.std_error > 0 else None,
+            sigmas=None,
+            verdict="no CAD value" if determined[j] else "not determined",
         )
+        if tested[j]:
+            found = replace(
+                found,
+                sigmas=float(sigmas[place]),
+                verdict="differs" if discovery[place] <= level else "agrees",
+                p_value=float(p_values[place]),
+                false_discovery=float(discovery[place]),
+                holm=float(strict[place]),
+            )
+            place += 1
+        if cost is not None and left is not None and known is not None:
+            found = replace(
+                found,
+                torque=tuple(cost.torque[j].tolist()),
+                torque_total=float(cost.total[j]),
+                torque_own=float(cost.own[j]),
+                matters=bool(np.any(cost.torque[j] >= MATTERS * left)),
+            )
+        compared.append(found)
+    covariance = result.covariance[np.ix_(tested, tested)]
+    claimed = None if tolerance is None else covariance + tolerance.covariance(cad or result.model, result.base)[np.ix_(tested, tested)]
     return Comparison(
         robot=result.robot,
         cad_source="CAD" if cad is None else cad.name,
         joint_names=tuple(result.joint_names),
         units=torque_units(result.model),
         parameters=tuple(compared),
-        torque=_paired(result, cad, validation),
-        threshold=threshold,
+        torque=_paired(result, cad, values, validation),
+        level=level,
+        chi_square=chi_square(difference[tested], covariance) if tested.any() else None,
+        chi_square_tolerance=None if claimed is None else chi_square(difference[tested], claimed),
+        tolerance=tolerance,
+        judged_by="" if result.evidence is None else result.evidence.judged_by,
     )
 
 
-def parameter_table(parameters: Sequence[ComparedParameter], *, threshold: float = SIGNIFICANT_SIGMAS, width: int | None = 44) -> Table:
+def parameter_table(
+    parameters: Sequence[ComparedParameter], *, level: float = FALSE_DISCOVERY_RATE, units: Sequence[str] = (), width: int | None = 40
+) -> Table:
     """Return the table of compared parameters; text cuts expressions at `width` characters, HTML and CSV have them whole."""
-    heads = (
+    with_torque = any(parameter.torque_total is not None for parameter in parameters)
+    heads = [
         Column("id", align="right"),
         Column("parameter", width=width),
         Column("unit"),
@@ -172,29 +277,83 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, threshold: float
         Column("std err", align="decimal"),
         Column("%", align="decimal"),
         Column("CAD vs built", align="right"),
-    )
+    ]
+    if with_torque:
+        unit = "N m" if set(units) <= {"N m"} else "N m, N"
+        heads += [Column("torque", unit, "decimal"), Column("its own", align="right"), Column("felt at"), Column("matters")]
     rows = []
     for parameter in parameters:
         shown, error = rounded(parameter.estimate, parameter.std_error)
         cad = None if parameter.cad is None else Shown(parameter.cad, beside(parameter.cad, parameter.std_error))
-        outcome = deviation(parameter.sigmas, threshold) if parameter.verdict in ("differs", "agrees") else parameter.verdict
+        outcome = _outcome(parameter)
         relative = None
         if parameter.std_error is not None and parameter.estimate:
             relative = 100.0 * abs(parameter.std_error / parameter.estimate)
-        rows.append(
-            (
-                parameter.id,
-                parameter.expression,
-                parameter.unit,
-                cad,
-                Shown(parameter.estimate, shown),
-                Shown(parameter.std_error, error),
-                Shown(relative, percent(parameter.estimate, parameter.std_error)),
-                Shown(parameter.sigmas, outcome) if parameter.sigmas is not None else outcome,
-            )
+        row: list[Cell] = [
+            parameter.id,
+            parameter.expression,
+            parameter.unit,
+            cad,
+            Shown(parameter.estimate, shown),
+            Shown(parameter.std_error, error),
+            Shown(relative, percent(parameter.estimate, parameter.std_error)),
+            Shown(parameter.sigmas, outcome) if parameter.sigmas is not None else outcome,
+        ]
+        if with_torque:
+            row += _torque_cells(parameter)
+        rows.append(tuple(row))
+    notes = [
+        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini and Hochberg); standard errors allow for correlated "
+        "torque errors."
+    ]
+    if with_torque:
+        notes.append(
+            "torque: RMS over all joints that the difference costs on the motion judged by; its own: the part of it that no other parameter could make "
+            f"up for; felt at: the joint that notices most. A difference matters where it costs a joint {share(MATTERS, 0)} or more of the error left as built."
         )
-    note = f"DIFFERS: CAD and as built are {threshold:g} standard errors apart or more; standard errors allow for correlated torque errors."
-    return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
+    return Table(tuple(heads), tuple(rows), title="Base parameters", notes=tuple(notes))
+
+
+def _torque_cells(parameter: ComparedParameter) -> list[Cell]:
+    if parameter.torque is None or parameter.torque_total is None or parameter.torque_own is None:
+        return [None, None, "", ""]
+    own = parameter.torque_own / parameter.torque_total if parameter.torque_total else None
+    felt = f"{1 + int(np.argmax(parameter.torque))}" if parameter.torque_total else ""
+    return [
+        Shown(parameter.torque_total, significant(parameter.torque_total)),
+        Shown(own, share(own, 0)),
+        felt,
+        "yes" if parameter.matters else "no",
+    ]
+
+
+def _outcome(parameter: ComparedParameter) -> str:
+    if parameter.verdict == "differs":
+        return "DIFFERS"
+    return deviation(parameter.sigmas, np.inf) if parameter.verdict == "agrees" else parameter.verdict
+
+
+def _chi_square(test: ChiSquare) -> str:
+    return f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p {_probability(test.probability)}"
+
+
+def _probability(p: float) -> str:
+    return "below 1e-300" if p < 1e-300 else f"{p:.2g}"
+
+
+def _left_as_built(result: IdentificationResult, evidence: CauseEvidence) -> Array:
+    """Error of every joint as built on the motion judged by, (n,)."""
+    return _rms_of(result, evidence, result.estimates)
+
+
+def _rms_of(result: IdentificationResult, evidence: CauseEvidence, beta: Array) -> Array:
+    places = evidence.places(result.base.names)
+    return np.array(
+        [
+            np.linalg.norm(factor[:, -1] - factor[:, places] @ beta) / np.sqrt(evidence.n_judged)
+            for factor in evidence.whole(evidence.judged)
+        ]
+    )
 
 
 def recording_name(source: str) -> str:
@@ -207,12 +366,35 @@ def recording_name(source: str) -> str:
 
 
 def _paired(
-    result: IdentificationResult, cad: RobotModel | None, validation: Validation | Sequence[Validation] | None
+    result: IdentificationResult, cad: RobotModel | None, values: Array, validation: Validation | Sequence[Validation] | None
 ) -> tuple[tuple[TorqueMetrics | None, TorqueMetrics], ...]:
     if validation is not None:
         several = [validation] if isinstance(validation, Validation) else list(validation)
         return tuple((item.metrics_cad, item.metrics_as_built) for item in several)
-    if cad is not None:
-        return tuple((None, metrics) for metrics in (result.validation or (result.train,)))
     measured = result.validation or (result.train,)
-    return tuple((result.cad if metrics.source == result.cad.source else None, metrics) for metrics in measured)
+    if cad is None:
+        return tuple((result.cad if metrics.source == result.cad.source else None, metrics) for metrics in measured)
+    if result.evidence is None or not result.validation:
+        return tuple((None, metrics) for metrics in measured)
+    return (
+        (_evident_metrics(result, result.evidence, np.nan_to_num(values, nan=0.0), measured[0]), measured[0]),
+        *((None, m) for m in measured[1:]),
+    )
+
+
+def _evident_metrics(result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics) -> TorqueMetrics:
+    """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell them."""
+    rms = _rms_of(result, evidence, beta)
+    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(evidence.n_judged)
+    unknown = np.full(len(rms), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return TorqueMetrics(
+            source=like.source,
+            joint_names=like.joint_names,
+            n_samples=evidence.n_judged,
+            rms=rms,
+            max_abs=unknown,
+            r_squared=unknown,
+            relative_error=float(np.linalg.norm(rms) / np.linalg.norm(torque)),
+            relative_error_per_joint=rms / torque,
+        )

@@ -165,8 +165,8 @@ def _determination(result: IdentificationResult) -> Finding:
 def _difference(comparison: Comparison) -> Finding:
     figure = f"{comparison.n_differing} of {comparison.n_compared}"
     sentence = (
-        f"{comparison.n_differing} of the {comparison.n_compared} parameters that have a design value and are determined lie {comparison.threshold:g} "
-        "standard errors or more from it."
+        f"{comparison.n_differing} of the {comparison.n_compared} parameters that have a design value and are determined differ from it "
+        f"({comparison.rule()})."
     )
     return Finding("neutral", figure, "parameters differ from the design", sentence)
 
@@ -195,7 +195,13 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
     by_design = "-" if parameter.cad is None else beside(parameter.cad, parameter.std_error)
     at = 80.0 * parameter.estimate / scale
     reach = 80.0 * half / scale
-    outcome = deviation(parameter.sigmas) if parameter.verdict in ("differs", "agrees") else parameter.verdict
+    outcome = (
+        "DIFFERS"
+        if parameter.verdict == "differs"
+        else deviation(parameter.sigmas, math.inf)
+        if parameter.verdict == "agrees"
+        else parameter.verdict
+    )
     return {
         "id": parameter.id,
         "name": parameter.name,
