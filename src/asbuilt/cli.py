@@ -416,6 +416,34 @@ def gains(
     _answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
 
 
+@app.command()
+def channels(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")],
+    motor: Annotated[list[Path], typer.Option("--motor", metavar="LOG", help="the same with motor torques, in the same order")],
+    motor_gain: Annotated[
+        str | None, typer.Option("--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors")
+    ] = None,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    sheet: Sheet = None,
+    motor_sheet: Annotated[Path | None, typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs")] = None,
+    cutoff: Cutoff = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
+    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.identification.two_channels import identify_two_channels
+    from asbuilt.writers.drive_tables import channels_document, channels_text
+
+    model = _load(robot)
+    sensors = _read(model, log, rate, flip_torque, None, "sensor", sheet)
+    motors = _read(model, motor, rate, flip_torque, motor_gain, "motor", motor_sheet or sheet)
+    chain = _chain("default", cutoff, None).resolved(*sensors)
+    found = identify_two_channels(model, *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)))
+    _answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
+
+
 def _centre(text: str) -> list[float]:
     try:
         values = [float(part) for part in text.split(",")]
@@ -454,14 +482,19 @@ def excite(
     time_limit: Annotated[float, typer.Option("--time-limit", metavar="S", help="end the search after this time")] = 20.0,
     seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")] = 1000.0,
+    program: Annotated[
+        list[str] | None, typer.Option("--program", metavar="FORMAT", help="program for a controller beside it: see `asbuilt program`")
+    ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="motion file to write")] = Path("motion.csv"),
     as_json: AsJson = False,
 ) -> None:
     """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.excitation.design import DesignOptions, design_motion
+    from asbuilt.excitation.programs.registry import make_program, program_format
     from asbuilt.identification.known_information import known_information
     from asbuilt.writers.design_tables import excite_document, excite_text, write_design
+    from asbuilt.writers.program_files import write_program
 
     model, drives, prior = _load(robot), DriveSet.parse(drive or "none"), None
     sigma = _numbers("--noise", noise) or (1.0,)
@@ -469,6 +502,8 @@ def excite(
         known = _result(given)
         model, drives, prior = known.model, known.base.drive, known_information(known)
         sigma = _numbers("--noise", noise) or tuple(known.sigma.tolist())
+    for form in program or []:
+        program_format(form, model)
     options = DesignOptions(
         parametrisation=parametrisation,
         size=harmonics,
@@ -493,7 +528,32 @@ def excite(
             progress=lambda p: report(f"search: best log det {p.best:.2f}" if p.finished else "search", p.finished / p.planned),
         )
         files = write_design(out, design, rate)
+        for form in program or []:
+            written = write_program(out.with_name(f"{out.stem}_{form}"), make_program(model, design.motion, form, name=out.stem))
+            files |= {f"{form}_{role}": path for role, path in written.items()}
     _answer(as_json, lambda: excite_document(design, files), lambda: excite_text(design) + _listed(files))
+
+
+@app.command()
+def program(
+    robot: Robot,
+    motion: Annotated[Path, typer.Argument(metavar="MOTION", help="motion CSV (t, q_*, ...), as `asbuilt excite` writes it")],
+    form: Annotated[str, typer.Option("--format", metavar="FORMAT", help="sunrise, fri, ros2, urscript, franka or csv")],
+    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="rate of points or recording (default: what suits)")] = None,
+    name: Annotated[str | None, typer.Option("--name", help="name of the motion and its files (default: the file's)")] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write")] = Path("program"),
+    as_json: AsJson = False,
+) -> None:
+    """Write a program that makes a real controller run a motion and record it, slow dry run first."""
+    from asbuilt.excitation.motion_csv import read_motion
+    from asbuilt.excitation.programs.registry import program_format, program_request
+    from asbuilt.writers.program_files import program_document, program_text, write_program
+
+    model = _load(robot)
+    chosen = program_format(form, model)
+    request = program_request(model, read_motion(motion, model), form, name=name or motion.stem, rate=rate)
+    files = write_program(out, chosen.files(request))
+    _answer(as_json, lambda: program_document(request, form, files), lambda: program_text(request, form) + _listed(files))
 
 
 @app.command()

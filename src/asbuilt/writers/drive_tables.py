@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from asbuilt.dynamics.drives.selection import available_terms
+from asbuilt.identification.motor_side import MotorSideParameter
 from asbuilt.identification.torque_gains import TorqueGains
+from asbuilt.identification.two_channels import TwoChannelEstimate
 from asbuilt.tables import Column, Table, plus_minus
 
 USE = """\
@@ -73,3 +76,45 @@ def gains_text(found: TorqueGains) -> str:
     notes = [f"[{number}] {sentence[0].upper()}{sentence[1:]}." for number, sentence in enumerate(found.sentences(), start=1)]
     option = "--gain " + ",".join(f"{gain:.4g}" for gain in found.gains)
     return "\n".join([Table(columns, tuple(rows)).as_text().rstrip(), *notes, f"Use them with {option}"])
+
+
+def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
+    """Return an estimate from sensors and motors together as plain data."""
+    return {
+        "robot": found.robot,
+        "joints": list(found.joint_names),
+        "parameters": [
+            {"name": name, "unit": unit, "estimate": float(value), "std_error": float(error)}
+            for name, unit, value, error in zip(found.names, found.units, found.values, found.std_errors, strict=True)
+        ],
+        "rms_sensor": found.rms_sensor.tolist(),
+        "rms_motor": found.rms_motor.tolist(),
+        "undetermined": list(found.estimate.undetermined),
+    }
+
+
+def channels_text(found: TwoChannelEstimate) -> str:
+    """Return an estimate from sensors and motors together as tables."""
+    rows = [
+        (name, unit, plus_minus(float(value), float(error)))
+        for name, unit, value, error in zip(found.names, found.units, found.values, found.std_errors, strict=True)
+    ]
+    errors = tuple(zip(found.joint_names, found.rms_sensor.tolist(), found.rms_motor.tolist(), strict=True))
+    tables = (
+        Table((Column("parameter"), Column("unit"), Column("value")), tuple(rows)),
+        Table((Column("joint"), Column("RMS sensor", "N m", "decimal", ".3g"), Column("RMS motor", "N m", "decimal", ".3g")), errors),
+    )
+    return "\n".join(table.as_text() for table in tables)
+
+
+def motor_side_table(parameters: Sequence[MotorSideParameter]) -> Table:
+    """List drive parameters at the joint and at the motor's shaft."""
+    rows = [(each.name, each.unit, each.gear_ratio, each.joint_side, plus_minus(each.motor_side, each.std_error)) for each in parameters]
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        Column("gear ratio", align="right"),
+        Column("at the joint", align="decimal", style=".4g"),
+        Column("at the motor"),
+    )
+    return Table(columns, tuple(rows))

@@ -1,0 +1,159 @@
+"""Joint torque sensors and motors recorded together: links seen by both, rotors and gears by the motors alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.identifiability import StandardParameter
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import ResultError, UsageError
+from asbuilt.identification.least_squares import Estimate, fit_least_squares
+from asbuilt.identification.rows import stretches
+from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.triangular import GrowingFactor
+from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.samples import Samples
+
+Array = NDArray[np.float64]
+
+LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
+MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwoChannelEstimate:
+    """Hold what sensors and motors say together of a robot with n joints: p base parameters of links and link-side drives, then those of the motor side.
+
+    `names`, `units`, `values`, `std_errors` are theirs; `rms_sensor` and `rms_motor` (n,) the torque errors of the two channels.
+    """
+
+    robot: str
+    joint_names: tuple[str, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    std_errors: Array
+    rms_sensor: Array
+    rms_motor: Array
+    estimate: Estimate
+    uncertainty: Uncertainty
+    information: SquareRootInformation
+
+    def value(self, name: str) -> float:
+        """Return the value of one parameter by name; raises ResultError where there is none."""
+        if name not in self.names:
+            raise ResultError(f"there is no parameter {name!r}; there are {', '.join(self.names)}")
+        return float(self.values[self.names.index(name)])
+
+
+def identify_two_channels(
+    model: RobotModel,
+    sensor: Samples | Sequence[Samples],
+    motor: Samples | Sequence[Samples],
+    *,
+    link_side: DriveSet = LINK_SIDE,
+    motor_side: DriveSet = MOTOR_SIDE,
+) -> TwoChannelEstimate:
+    """Identify links, link-side friction and motor side from torques on both sides of the gears, each joint and channel with a weight of its own.
+
+    `tau_sensor = Y beta + link side`, `tau_motor = tau_sensor + motor side`: bearings and links act on both, `armature`, gear friction and motor offset on
+    the motor's torque alone. Their difference tells the motor side apart whatever its terms, so it adds its full number of parameters, named with an m
+    (`Iam1`, `Fvm1`). Samples come in pairs at the same instants.
+
+    Raises
+    ------
+    UsageError
+        If the two channels are not of the same instants, or a term needs what there is not.
+    """
+    sensors, motors = (list(each) if isinstance(each, Sequence) else [each] for each in (sensor, motor))
+    if len(sensors) != len(motors) or not sensors:
+        raise UsageError(f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)} of motors")
+    for one, other in zip(sensors, motors, strict=True):
+        if one.t.shape != other.t.shape or np.abs(one.t - other.t).max() > 1e-9 or one.segments != other.segments:
+            raise UsageError(f"{one.source} and {other.source} are not of the same instants; prepare both with the same signal chain")
+    if link_side.needs_load or motor_side.needs_load:
+        raise UsageError("two channels are identified with friction that does not depend on load")
+    both = _both_sides(model, find_base_parameters(model, link_side), motor_side)
+    information = _joined(model, both, link_side, motor_side, sensors, motors)
+    estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
+    uncertainty = block_uncertainty(information, estimate)
+    rms = np.sqrt(information.residual_energy(estimate.beta) / information.n_samples)
+    n = model.n_joints
+    return TwoChannelEstimate(
+        robot=model.name,
+        joint_names=model.joint_names,
+        names=both.names,
+        units=both.units,
+        values=estimate.beta,
+        std_errors=uncertainty.std_errors,
+        rms_sensor=rms[:n],
+        rms_motor=rms[n:],
+        estimate=estimate,
+        uncertainty=uncertainty,
+        information=information,
+    )
+
+
+def _both_sides(model: RobotModel, base: BaseParameters, motor_side: DriveSet) -> BaseParameters:
+    """Return the base parameters with those of the motor side behind them, each independent of all others."""
+    numbers = range(1, model.n_joints + 1)
+    letters = [letter if letter.endswith("m") else f"{letter}m" for letter in motor_side.letters]
+    names = tuple(f"{letter}{number}" for number in numbers for letter in letters)
+    units = tuple(unit for joint in model.joints for unit in motor_side.units(joint.kind))
+    first, p, m = base.n_standard, base.n_base, len(names)
+    regrouping = np.zeros((p + m, first + m))
+    regrouping[:p, :first], regrouping[p:, first:] = base.regrouping, np.eye(m)
+    why = "the difference between motor and sensor torque holds the motor side alone"
+    return replace(
+        base,
+        standard_names=base.standard_names + names,
+        standard_units=base.standard_units + units,
+        columns=np.concatenate([base.columns, np.arange(first, first + m)]),
+        regrouping=regrouping,
+        expressions=base.expressions + names,
+        symbolic=base.symbolic + names,
+        standard=base.standard
+        + tuple(StandardParameter(first + j + 1, name, "identifiable", (first + j + 1,), f"{name}: {why}") for j, name in enumerate(names)),
+    )
+
+
+def _joined(
+    model: RobotModel,
+    both: BaseParameters,
+    link_side: DriveSet,
+    motor_side: DriveSet,
+    sensors: Sequence[Samples],
+    motors: Sequence[Samples],
+) -> SquareRootInformation:
+    n, per = model.n_joints, motor_side.columns_per_joint
+    p = both.n_base - n * per
+    links = RegressorPlan.of(model, link_side, both.columns[:p], spare_rows=1)
+    drives = RegressorPlan.of(model, motor_side, np.arange(10 * n, (10 + per) * n), spare_rows=1)
+    support = (*links.support, *(np.concatenate([own, p + extra]) for own, extra in zip(links.support, drives.support, strict=True)))
+    factors: list[list[Array]] = [[] for _ in support]
+    sums, times = [], []
+    for seen, driven in zip(stretches(model, sensors), stretches(model, motors), strict=True):
+        growing = [GrowingFactor(len(columns) + 1) for columns in support]
+        total = np.zeros(2 * n)
+        for behind, links_again, ahead in zip(seen.pieces(links), driven.pieces(links), driven.pieces(drives), strict=True):
+            for k in range(n):
+                growing[k].append(behind[k])
+                growing[n + k].append(np.vstack([links_again[k][:-1], ahead[k]]))
+                total[k] += behind[k][-1].sum()
+                total[n + k] += ahead[k][-1].sum()
+        for kept, grown in zip(factors, growing, strict=True):
+            kept.append(grown.factor())
+        sums.append(total)
+        times.append(seen.time)
+    names = (*(f"{name} sensor" for name in model.joint_names), *(f"{name} motor" for name in model.joint_names))
+    return SquareRootInformation(both, names, support, tuple(np.array(each) for each in factors), np.array(sums), tuple(times))
