@@ -33,8 +33,10 @@ TOLD = 30.0
 few for correlated ones); elsewhere it keeps its default."""
 SLOWEST_SHARE = 0.03
 """A speed is looked for above the slowest samples of a joint, this share of those that move."""
-CYCLES = 2
-"""Rounds over the shapes, where there are several."""
+CYCLES = 10
+"""Most rounds over the shapes, where there are several,"""
+SETTLED = 0.01
+"""which end when no shape moves by more than this fraction."""
 SAME_COLUMN = 1e-8
 """What is left of a column beside all others, relative to its size, below which it is one of their sums."""
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
@@ -86,11 +88,17 @@ def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -
     chosen = _thinned(model, samples)
     with one_blas_thread():
         for _ in range(CYCLES if len(free) > 1 else 1):
+            before = {place: np.array(each.values) for place, each in found.items()}
             for key, shape in free:
                 term = next(term for term in current.terms if term.key == key)
                 fitted = _fit_one(model, current.without(key), term, shape, chosen)
                 found[key, shape.name] = fitted
                 current = current.with_term(term.with_shapes({shape.name: fitted.values}))
+            if all(
+                place in before and np.all(np.abs(before[place] - each.values) <= SETTLED * np.abs(each.values))
+                for place, each in found.items()
+            ):
+                break
     return ShapeFit(current, tuple(found.values()))
 
 

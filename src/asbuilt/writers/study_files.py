@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from asbuilt.errors import AsbuiltError
+from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.study import Study
+from asbuilt.writers.drive_tables import motor_side_table
 from asbuilt.writers.export import urdf_to_edit
 from asbuilt.writers.figures import save_figure, torque_figure
 from asbuilt.writers.files import atomic_write
@@ -22,7 +24,10 @@ from asbuilt.writers.urdf import write_urdf
 
 def study_text(study: Study) -> str:
     """Return what `asbuilt identify` prints: the summary, torque errors of CAD and as built, and the verdict."""
-    return "\n".join([study.result.summary().as_text(), stacked([study.comparison.torque_table()]), study.comparison.verdict()])
+    parts = [study.result.summary().as_text()]
+    if gear_ratios(study.result.model):
+        parts.append("Drives at the motor\n" + motor_side_table(motor_side_parameters(study.result)).as_text())
+    return "\n".join([*parts, stacked([study.comparison.torque_table()]), study.comparison.verdict()])
 
 
 def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> dict[str, Path]:

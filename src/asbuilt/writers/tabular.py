@@ -17,6 +17,7 @@ from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.experiment.checks import RecordingCheck
 from asbuilt.identification.metrics import TorqueMetrics
+from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Column, Table
 from asbuilt.validation.prediction import Validation
@@ -72,6 +73,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
             }
             for parameter in result.parameters
         ],
+        "motor_side": [asdict(each) for each in motor_side_parameters(result)] if gear_ratios(result.model) else [],
         "train": result.train.as_dict(),
         "validation": [metrics.as_dict() for metrics in result.validation],
         "cad": result.cad.as_dict(),
