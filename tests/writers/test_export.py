@@ -11,7 +11,7 @@ from reload_oracle import as_if_identified, mujoco_torques, pinocchio_torques
 from asbuilt.cli import main
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
@@ -173,6 +173,14 @@ def test_drive_terms_without_a_place_are_said(tmp_path: Path) -> None:
     for kind in ("urdf", "mjcf", "toml"):
         assert "drive terms cubic have no place" in exported.notes[kind][-1]
     assert "c" not in exported.notes
+
+
+def test_drive_values_that_were_not_identified_are_said(tmp_path: Path) -> None:
+    model = bundled_robot("two-link")
+    described = replace(model, joints=tuple(replace(joint, drive=DriveValues(viscous=10.0, coulomb=0.0)) for joint in model.joints))
+    exported = export_result(result_of(described, as_if_identified(model, 2), drive="coulomb"), mjcf=tmp_path / "robot.xml")
+    assert exported.notes["mjcf"] == ("not identified, and as described: viscous of the drives",)
+    assert [joint.drive.viscous for joint in load_robot(tmp_path / "robot.xml").joints] == [10.0, 10.0]
 
 
 def test_a_study_leaves_the_edited_urdf_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -82,7 +82,7 @@ def export_result(
     refuse_impossible(model, "write the nearest possible robot (--nearest)")
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
-    carried = _left_out(result.base.drive)
+    carried = (*_left_out(result.base.drive), *_kept(result))
     if c is not None:
         files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
     if urdf is not None:
@@ -117,3 +117,13 @@ def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | 
 def _left_out(drive: DriveSet) -> tuple[str, ...]:
     lost = [key for key in drive.keys if key not in DriveValues.__dataclass_fields__]
     return (f"the identified drive terms {', '.join(lost)} have no place in this file and are left out",) if lost else ()
+
+
+def _kept(result: IdentificationResult) -> tuple[str, ...]:
+    """Return a note where drive values of the description stay in the file without having been identified."""
+    stated = [
+        key
+        for key in ("armature", "viscous", "coulomb", "offset")
+        if key not in result.base.drive.keys and any(getattr(joint.drive, key) for joint in result.model.joints)
+    ]
+    return (f"not identified, and as described: {', '.join(stated)} of the drives",) if stated else ()

@@ -43,7 +43,7 @@ def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
     if not offsets:
         return ()
     return (
-        f"MJCF has no place for the offset of the drives, add it to the torque that MuJoCo finds ([N m; N where it slides]: {', '.join(offsets)})",
+        f"MJCF has no place for the offset of the drives, add it to the torque that MuJoCo finds (Fo [N m, or N where it slides]: {', '.join(offsets)})",
     )
 
 

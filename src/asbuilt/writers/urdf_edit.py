@@ -96,13 +96,11 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
 def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
     """Return a note for each thing of the model that changes torques and for which URDF has no place."""
     notes = []
-    for key, letter, unit in (("armature", "Ia", "kg m^2"), ("offset", "Fo", "N m")):
+    for key, letter, unit in (("armature", "Ia", "kg m^2, or kg where it slides"), ("offset", "Fo", "N m, or N where it slides")):
         values = {joint.name: getattr(joint.drive, key) for joint in model.joints if getattr(joint.drive, key)}
         if values:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
-            notes.append(
-                f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}; kg and N where it slides]: {said})"
-            )
+            notes.append(f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}]: {said})")
     if not np.array_equal(model.gravity, [0.0, 0.0, -9.81]):
         notes.append(f"URDF has no place for gravity; the model has {model.gravity.tolist()} m/s^2 in the root frame")
     return tuple(notes)
