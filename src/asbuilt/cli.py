@@ -318,16 +318,54 @@ def validate(
 def compare(
     result: Result,
     cad: Annotated[str | None, typer.Option("--cad", metavar="ROBOT", help="another description of the same robot to compare with")] = None,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option("--cad-tolerance", metavar="5%", help="how well CAD knows masses, centres and inertias: one fraction or three"),
+    ] = None,
+    other: Annotated[
+        Path | None, typer.Option("--with", metavar="RESULT2", help="a later result of the same robot: what changed since RESULT")
+    ] = None,
+    controller: Annotated[
+        Path | None, typer.Option("--controller", metavar="LOG", help="a recording with tau_ext: compare with the controller's own model")
+    ] = None,
+    holdout: Annotated[str, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by")] = "blocks:5s:3",
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    sheet: Sheet = None,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare CAD with the robot as built, parameter by parameter."""
+    """Compare CAD with the robot as built: what differs, what that costs in torque, which causes explain it; or two results of one robot."""
+    from asbuilt.identification.determination import determination
+    from asbuilt.validation.attribution import attribute
     from asbuilt.validation.comparison import compare as compare_with
-    from asbuilt.writers.files import atomic_write
+    from asbuilt.validation.controller_model import compare_with_controller
+    from asbuilt.validation.drift import compare_results
+    from asbuilt.validation.significance import CadTolerance
+    from asbuilt.writers.compare_files import CadVerdict, with_files, write_comparison, write_drift
 
-    comparison = compare_with(_result(result), cad=None if cad is None else _load(cad))
-    files = {"comparison": atomic_write(out / "comparison.csv", comparison.parameter_table().as_csv())} if out is not None else {}
-    _answer(as_json, lambda: {**comparison.as_document(), "files": _texts(files)}, lambda: comparison.as_text() + _listed(files))
+    identified, files = _result(result), {}
+    if sum(choice is not None for choice in (cad, other, controller)) > 1:
+        raise UsageError("--cad, --with and --controller are three different comparisons; give one of them")
+    if other is not None:
+        drift = compare_results(identified, _result(other), labels=(str(result), str(other)))
+        files = write_drift(out, drift) if out is not None else {}
+        _answer(as_json, lambda: with_files(drift.as_document(), files), lambda: drift.as_text() + _listed(files))
+        return
+    if controller is not None:
+        recording = _read(identified.model, [controller], rate, flip_torque, None, None, sheet)[0]
+        beside = compare_with_controller(identified, recording, holdout=holdout)
+        files = write_drift(out, beside.difference) if out is not None else {}
+        _answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + _listed(files))
+        return
+    design = None if cad is None else _load(cad)
+    verdict = CadVerdict(
+        compare_with(identified, design, tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance)),
+        attribute(identified, design) if identified.evidence is not None else None,
+        determination(identified),
+    )
+    files = write_comparison(out, identified, verdict) if out is not None else {}
+    _answer(as_json, lambda: with_files(verdict.as_document(), files), lambda: verdict.as_text() + _listed(files))
 
 
 @app.command()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from asbuilt.excitation.programs.request import ProgramFile
+from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramRequest
 from asbuilt.writers.files import atomic_write
 
 
@@ -19,3 +20,29 @@ def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) 
             path.chmod(path.stat().st_mode | 0o111)
         written[file.role] = path
     return written
+
+
+def program_document(request: ProgramRequest, form: str, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return what `asbuilt program --json` prints."""
+    return {
+        "robot": request.model.name,
+        "format": form,
+        "motion": request.name,
+        "duration": request.motion.duration,
+        "dry_run_duration": DRY_RUN_SLOWDOWN * request.motion.duration,
+        "rate": request.rate,
+        "start": request.motion.start.tolist(),
+        "worst_margin": request.report.worst_margin,
+        "files": {role: str(path) for role, path in files.items()},
+    }
+
+
+def program_text(request: ProgramRequest, form: str) -> str:
+    """Return what `asbuilt program` prints."""
+    return "\n".join(
+        (
+            f"{form} program of {request.name} for {request.model.name}: {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s",
+            str(request.report),
+            "NOT checked: collisions, and the way to the start pose. Run the dry run first; the header of the program says how.",
+        )
+    )

@@ -19,6 +19,30 @@ PROGRAM_FORMATS: dict[str, ProgramFormat] = {
 """Every format by its key."""
 
 
+def program_format(key: str, model: RobotModel | None = None) -> ProgramFormat:
+    """Return the format of this name; with a `model`, make sure that the format can move it.
+
+    Raises
+    ------
+    UsageError
+        If there is no such format.
+    MotionError
+        If it cannot move the robot.
+    """
+    if key not in PROGRAM_FORMATS:
+        raise UsageError(f"unknown program format {key!r}; available: {', '.join(PROGRAM_FORMATS)}")
+    chosen = PROGRAM_FORMATS[key]
+    if model is not None:
+        chosen.check_joints(model)
+    return chosen
+
+
+def program_request(model: RobotModel, motion: Motion, form: str, *, name: str = "excitation", rate: float | None = None) -> ProgramRequest:
+    """Return the checked request for a program of this format; `rate` [Hz] is by default what suits the format. Raises as `make_program` does."""
+    chosen = program_format(form, model)
+    return ProgramRequest(model, motion, name, chosen.default_rate if rate is None else float(rate))
+
+
 def make_program(
     model: RobotModel, motion: Motion, form: str, *, name: str = "excitation", rate: float | None = None
 ) -> tuple[ProgramFile, ...]:
@@ -41,8 +65,4 @@ def make_program(
     >>> [file.name for file in make_program(robot, random_fourier(robot, rng=1, duration=4.0), "ros2", name="run 1")]
     ['run_1_run.py', 'run_1.yaml', 'run_1_dry_run.yaml', 'run_1_bag.toml']
     """
-    if form not in PROGRAM_FORMATS:
-        raise UsageError(f"unknown program format {form!r}; available: {', '.join(PROGRAM_FORMATS)}")
-    chosen = PROGRAM_FORMATS[form]
-    chosen.check_joints(model)
-    return chosen.files(ProgramRequest(model, motion, name, chosen.default_rate if rate is None else float(rate)))
+    return program_format(form).files(program_request(model, motion, form, name=name, rate=rate))
