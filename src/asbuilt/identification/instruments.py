@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.blas import one_blas_thread
-from asbuilt.dynamics.newton_euler import coriolis_torque, mass_matrix
+from asbuilt.dynamics.newton_euler import mass_matrix
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.least_squares import Estimate, estimate_wls, fit_least_squares, solve_factor
 from asbuilt.identification.rows import RowBlock, Rows
@@ -26,10 +26,14 @@ Array = NDArray[np.float64]
 
 BANDWIDTHS = 3.0
 """Bandwidth of the simulated controller, in bandwidths of the motion's velocity."""
+LOWEST = 2.0
+"""Lowest bandwidth of the controller [Hz]."""
 STEP = 0.05
 """Largest simulation step, in units of 1 / the controller's angular frequency."""
 LED_IN = 1.0
 """Time [s] that each stretch is simulated before it counts."""
+LEAST_INERTIA = 0.01
+"""Smallest inertia of a combination of joints, in mean inertias, of a mass matrix that is taken for positive definite."""
 STRETCHES = 64
 """Stretches of a recording that are simulated side by side."""
 MOST_ITERATIONS = 4
@@ -43,21 +47,21 @@ def estimate_iv(evidence: Evidence, bandwidth: float | None = None) -> Estimate:
     Noise in the recorded motion makes W err and biases least squares toward zero; Z errs independently of it, so that the estimate is consistent
     (IDIM-IV: Janot, Vandanjon & Gautier, IEEE Trans. Control Systems Technology 22, 2014). There the simulation follows the commanded motion under the
     robot's own controller. Recordings hold neither, so here the identified model follows the recorded positions q under a joint controller with
-    compensated gravity and drives, `M(q_s) qdd_s + C(q_s, qd_s) qd_s = J (w^2 (q - q_s) - 2 w qd_s)`, J the mean inertia of each joint, which
-    passes the motion but little of the noise beyond w = 2 pi `bandwidth` [Hz]. Noise below it stays in Z: of the bias that part remains. Simulated and
+    compensated gravity, Coriolis torques and drives, `M(q_s) qdd_s = J (w^2 (q - q_s) + 2 w (qd - qd_s))`, J the mean inertia of each joint, which passes
+    the motion but little of the noise beyond w = 2 pi `bandwidth` [Hz]. Noise below it stays in Z: of the bias that part remains. Simulated and
     estimated in turn until the estimate rests.
     """
     information, base = evidence.information, evidence.base
     start = estimate_wls(evidence)
     estimate, moves, iterations = start, np.inf, 0
-    hertz = bandwidth if bandwidth is not None else BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches)
+    hertz = bandwidth if bandwidth is not None else max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches))
     while moves > CONVERGENCE and iterations < MOST_ITERATIONS:
         simulated = [follow(evidence.model, base, estimate.beta, samples, hertz) for samples in evidence.batches]
         renewed = _instrumented(evidence, start, Rows(evidence.model, base, simulated, evidence.block_seconds))
         moves = float(np.max(np.abs(renewed.beta - estimate.beta) / np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)))
         estimate, iterations = renewed, iterations + 1
-    told = start.std_errors > 0
-    shift = np.where(told, np.abs(estimate.beta - start.beta) / np.where(told, start.std_errors, 1.0), 0.0)
+    told = estimate.std_errors > 0
+    shift = np.where(told, np.abs(estimate.beta - start.beta) / np.where(told, estimate.std_errors, 1.0), 0.0)
     largest = int(np.argmax(shift))
     note = (
         f"Instruments from {iterations} simulations that follow the recorded positions up to {hertz:.3g} Hz; against wls {base.names[largest]} moved most, "
@@ -72,17 +76,11 @@ def estimate_iv(evidence: Evidence, bandwidth: float | None = None) -> Estimate:
 def follow(model: RobotModel, base: BaseParameters, beta: Array, samples: Samples, bandwidth: float) -> Samples:
     """Return the samples with the motion of a simulated robot with these base parameters that follows their positions; torques stay.
 
-    Linearly implicit Euler steps, many stretches side by side, each led in by a second. Where beta gives no positive definite mass matrix
-    it is mended: no joint combination gets less than a hundredth of the mean inertia J.
+    Linearly implicit Euler steps, many stretches side by side, each led in by a second. Where the mass matrix of beta is not positive
+    definite that of the design is taken, and unit inertias where that is not either.
     """
-    chi = np.zeros(base.n_standard)
-    chi[base.columns] = beta
-    links = chi[: 10 * model.n_joints]
-    drives = dict(zip(base.standard_names, chi, strict=True))
-    armature = np.array([drives.get(f"Ia{k + 1}", 0.0) for k in range(model.n_joints)])
+    links, armature, inertia = _inertia(model, base, beta, samples.q[:: max(1, samples.n_samples // 200)])
     w = 2.0 * np.pi * bandwidth
-    chosen = samples.q[:: max(1, samples.n_samples // 200)]
-    inertia = np.maximum(np.diagonal(mass_matrix(model, chosen, parameters=links), axis1=1, axis2=2).mean(axis=0) + armature, 1e-6)
     substeps = max(1, int(np.ceil(w / samples.rate / STEP)))
     h = 1.0 / (samples.rate * substeps)
     q, qd, qdd = (np.array(x) for x in (samples.q, samples.qd, samples.qdd))
@@ -98,10 +96,8 @@ def follow(model: RobotModel, base: BaseParameters, beta: Array, samples: Sample
         for part in range(substeps if step else 1):
             target = samples.q[before] + (samples.q[index] - samples.q[before]) * ((part + 1) / substeps)
             mass = mass_matrix(model, state, parameters=links) + armature * identity
-            scaled, axes = np.linalg.eigh(mass / np.sqrt(inertia)[:, None] / np.sqrt(inertia))
-            mass = (axes * np.maximum(scaled, 0.01)[:, None, :]) @ axes.swapaxes(1, 2) * np.sqrt(inertia)[:, None] * np.sqrt(inertia)
-            force = inertia * (w**2 * (target - state - (h * rate if step else 0.0)) - 2.0 * w * rate)
-            force = force - coriolis_torque(model, state, rate, parameters=links)
+            wanted = samples.qd[before] + (samples.qd[index] - samples.qd[before]) * ((part + 1) / substeps)
+            force = inertia * (w**2 * (target - state - (h * rate if step else 0.0)) + 2.0 * w * (wanted - rate))
             lhs = mass + (2.0 * w * h + (w * h) ** 2) * inertia * identity
             acceleration = np.linalg.solve(lhs, force[:, :, None])[:, :, 0]
             if step:
@@ -111,8 +107,22 @@ def follow(model: RobotModel, base: BaseParameters, beta: Array, samples: Sample
     return replace(samples, q=q, qd=qd, qdd=qdd)
 
 
+def _inertia(model: RobotModel, base: BaseParameters, beta: Array, postures: Array) -> tuple[Array, Array, Array]:
+    """Return the inertial parameters and armatures that move, and the mean inertia of each joint."""
+    chi = np.zeros(base.n_standard)
+    chi[base.columns] = beta
+    found = dict(zip(base.standard_names, chi, strict=True))
+    armature = np.array([found.get(f"Ia{k + 1}", 0.0) for k in range(model.n_joints)])
+    for links, rotors in ((chi[: 10 * model.n_joints], armature), (model.parameters, np.maximum(armature, 0.0))):
+        mass = mass_matrix(model, postures, parameters=links) + rotors * np.eye(model.n_joints)
+        inertia = np.diagonal(mass, axis1=1, axis2=2).mean(axis=0)
+        if inertia.min() > 0 and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min() > LEAST_INERTIA:
+            return links, rotors, inertia
+    return np.zeros(10 * model.n_joints), np.ones(model.n_joints), np.ones(model.n_joints)
+
+
 def _stretches(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """First sample, length and lead-in of each stretch, no stretch across a gap."""
+    """Return first sample, length and lead-in of each stretch, no stretch across a gap."""
     longest = max(1, -(-samples.n_samples // STRETCHES))
     first, length, lead = [], [], []
     for start, stop in samples.segments:
@@ -124,7 +134,7 @@ def _stretches(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], 
 
 
 def _bandwidth(samples: Samples) -> float:
-    """Frequency [Hz] below which 95 % of the velocity's power lies, from the longest segment."""
+    """Return the frequency [Hz] below which 95 % of the velocity's power lies, from the longest segment."""
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
     power = np.sum(np.abs(np.fft.rfft(velocity / np.maximum(velocity.std(axis=0), 1e-9), axis=0)) ** 2, axis=1)

@@ -41,6 +41,13 @@ methods: dict[str, Method] = {
     for method in (
         Method("ols", "ordinary least squares", "every torque counts alike", "information", "least_squares:estimate_ols"),
         Method("wls", "weighted least squares", "a weight per joint, from its own noise", "information", "least_squares:estimate_wls"),
+        Method(
+            "auto",
+            "picked automatically",
+            "wls, huber, ridge, consistent or entropic, by rules that the summary states",
+            "samples",
+            "auto:estimate_auto",
+        ),
         Method("ridge", "ridge toward CAD", "drawn toward CAD as far as held-out blocks ask for", "information", "ridge:estimate_ridge"),
         Method("huber", "Huber's robust fit", "outliers pull with bounded force", "samples", "robust:estimate_huber"),
         Method(

@@ -56,7 +56,7 @@ def estimate_huber(evidence: Evidence, threshold: float = 1.345) -> Estimate:
     """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss, by iteratively reweighted least squares.
 
     sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least squares on pseudo-values
-    `W beta + sigma rho'(r) / mean(rho'')`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7.
+    `W beta + sigma rho'(r) / mean(rho'')` with weights `sqrt(mean(rho'')) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7.
     """
     return _robust(evidence, "huber", huber_loss(threshold), estimate_wls(evidence))
 
@@ -104,7 +104,7 @@ def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: A
                 yield RowBlock(tuple(made), block.time, block.seconds)
 
         solved = reduce_rows(evidence.base, information.joint_names, rows.support, pseudo())
-    fitted = fit_least_squares(solved, weights=1.0 / sigma, prior=evidence.prior, unexcited=evidence.unexcited)
+    fitted = fit_least_squares(solved, weights=np.sqrt(slope) / sigma, prior=evidence.prior, unexcited=evidence.unexcited)
     outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
     worst = int(np.argmax(outlying))
     note = (
@@ -116,6 +116,13 @@ def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: A
     return fitted.renewed(
         name, solved, fitted.solution, sigma=sigma, iterations=iterations, converged=converged, own_information=solved, notes=(note,)
     )
+
+
+def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
+    """Return the share of torques beyond 4 robust standard deviations, and the largest residual variance of a joint in robust variances."""
+    standard = [np.concatenate(e) / s for e, s in zip(_residuals(evidence.rows, robust.beta), robust.sigma, strict=True)]
+    share = float(np.mean([np.mean(np.abs(r) > OUTLYING) for r in standard]))
+    return share, max(float(np.mean(r**2)) for r in standard)
 
 
 def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:

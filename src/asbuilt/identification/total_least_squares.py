@@ -13,6 +13,8 @@ from asbuilt.identification.triangular import triangular_factor
 
 Array = NDArray[np.float64]
 
+LARGEST_SHARE = 0.9
+"""Smallest singular value with the torque, in that without it, from which the solution is refused: 1 would be no solution at all."""
 EXACT_TERMS = ("Fo",)
 """Letters of the drive terms whose columns are constants, known without error."""
 
@@ -46,10 +48,10 @@ def estimate_total(evidence: Evidence) -> Estimate:
         smallest = float(
             np.linalg.svd(np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)]), compute_uv=False)[-1]
         )
-        if len(s) and smallest >= (1.0 - 1e-9) * s[-1]:
+        if len(s) and smallest > LARGEST_SHARE * s[-1]:
             raise IdentifiabilityError(
-                f"total least squares has no solution: the torque errors ({smallest:.3g} of the torque) are as large as the part of the torque that the weakest "
-                f"combination of parameters of {base.robot} moves ({s[-1]:.3g}); use wls, or a richer motion"
+                f"total least squares has no trustworthy solution: the errors ({smallest:.3g} of the torque) are as large as what the weakest "
+                f"combination of parameters of {base.robot} adds ({s[-1]:.3g} of its columns); use wls, or a richer motion"
             )
         y = np.zeros(base.n_base)
         y[first:] = v @ (s * z / (s**2 - smallest**2))
