@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,8 +33,18 @@ NODES_PER_WAVE = 40
 LEAST_NODES = 128
 SEARCH_BARRIER = (20.0, 3e-3)
 FINAL_BARRIER = (3e-3, 3e-5)
-POLISHED = 3
+HOP_BARRIER = (0.3, 3e-3)
+POLISHED = 4
 """How many of the best local optima are refined on the dense grid."""
+
+GENERATION = 8
+"""Disturbed motions searched from at a time: all of a generation have the same parents, whatever the number of cores."""
+
+PARENTS = 3
+HOPS_PER_START = 8
+IDLE_GENERATIONS = 8
+LEAST_GAIN = 0.02
+DISTURBANCE = (0.1, 0.5)
 
 REPAIRS = 12
 CHECK_RATE = 1000.0
@@ -211,7 +222,7 @@ def design_motion(
     bound, family_bound = design_bounds(model, information, wanted) if with_bound else (None, None)
     deadline = Deadline(wanted.time_limit)
     search = _Search(model, objective, wanted, tuple(constraints), deadline)
-    candidates = search_all([search.from_seed(k) for k in range(wanted.starts)], deadline, threads=threads, progress=progress)
+    candidates = search.run(threads, progress)
     if not candidates:
         raise search.failure()
     final = Deadline(max(wanted.time_limit - deadline.elapsed, 0.25 * wanted.time_limit))
@@ -340,6 +351,52 @@ class _Search:
 
     def _program(self, n_nodes: int, tightening: float) -> DesignProgram:
         return DesignProgram(self._objective, self.family, self._bounds, n_nodes, self._constraints, tightening)
+
+    def run(self, threads: int | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
+        """Return the candidates, best first: searches from random starts, then from disturbed versions of the best so far.
+
+        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time, until some generations bring nothing.
+        """
+        starts = self._options.starts
+        planned = starts + GENERATION * math.ceil(HOPS_PER_START * starts / GENERATION)
+
+        def told(state: SearchProgress, before: int, best: float) -> None:
+            if progress is not None:
+                progress(SearchProgress(state.seconds, before + state.finished, planned, max(best, state.best)))
+
+        found = search_all(
+            [self.from_seed(k) for k in range(starts)], self._deadline, threads=threads, progress=lambda state: told(state, 0, -np.inf)
+        )
+        idle, done = 0, starts
+        while found and done < planned and idle < IDLE_GENERATIONS and not self._deadline():
+            best = found[0].value
+            parents = found[:PARENTS]
+            hops = [self.from_parent(done + k, parents[k % len(parents)]) for k in range(GENERATION)]
+            before = done
+            born = search_all(hops, self._deadline, threads=threads, progress=lambda state, b=before, v=best: told(state, b, v))
+            found = sorted([*found, *born], key=lambda candidate: (-candidate.value, candidate.number))
+            idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
+            done += GENERATION
+        return found
+
+    def from_parent(self, number: int, parent: Candidate) -> Callable[[], Candidate]:
+        """Return the search number `number`, which begins between a parent and a random start."""
+
+        def search() -> Candidate:
+            rng = np.random.default_rng([self._options.seed, number])
+            for _ in range(10):
+                other = self._start(rng)
+                if other is None:
+                    break
+                part = rng.uniform(*DISTURBANCE)
+                start = self._inside(self._coarse, (1 - part) * parent.coefficients + part * other)
+                if start is not None:
+                    optimum = solve(self._coarse, start, barrier=HOP_BARRIER, cancelled=self._deadline)
+                    if optimum is not None:
+                        return Candidate(number, optimum.coefficients, optimum.value)
+            return Candidate(number, np.zeros((0, 0)), -np.inf)
+
+        return search
 
     def from_seed(self, number: int) -> Callable[[], Candidate]:
         """Return the search number `number`."""
