@@ -94,7 +94,7 @@ def share(fraction: float | None, digits: int = 1) -> str:
     >>> share(0.0187)
     '1.9 %'
     """
-    return MISSING if fraction is None or not math.isfinite(fraction) else f"{100.0 * fraction:.{digits}f} %"
+    return MISSING if fraction is None or not math.isfinite(fraction) else f"{_signless(100.0 * fraction, digits)} %"
 
 
 def beside(value: float, error: float | None) -> str:

@@ -17,7 +17,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import ResultError
 from asbuilt.identification.cause_evidence import TILTS, CauseEvidence
 from asbuilt.identification.triangular import triangular_factor
-from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
+from asbuilt.tables import SIGNIFICANT_SIGMAS, Cell, Column, Shown, Table, plus_minus, significant, stacked
 from asbuilt.tables import share as percentage
 from asbuilt.validation.prediction import design_values, torque_units
 
@@ -138,6 +138,61 @@ class Attribution:
     findings: tuple[str, ...]
     sentences: tuple[str, ...]
     values: dict[str, float]
+
+    def share_table(self) -> Table:
+        """Return the share of every cause in the squared CAD error of every joint, in percent, what is left, and the errors themselves."""
+        heads = [Column("cause"), *(Column(name, align="right", width=16) for name in self.joint_names)]
+        rows: list[tuple[Cell, ...]] = [
+            (CAUSES[each.cause], *(Shown(float(part), percentage(float(part), 0)) for part in each.share)) for each in self.shares
+        ]
+        rows.append(("unexplained", *(Shown(float(part), percentage(float(part), 0)) for part in self.unexplained)))
+        for what, errors in (("RMS error of CAD", self.rms_cad), ("RMS error explained", self.rms_chosen)):
+            rows.append(
+                (
+                    what,
+                    *(Shown(float(error), f"{significant(float(error))} {unit}") for error, unit in zip(errors, self.units, strict=True)),
+                )
+            )
+        return Table(
+            tuple(heads),
+            tuple(rows),
+            title="What the error of CAD is made of, shares of its square",
+            notes=(f"Judged on {self.judged_by}.",),
+        )
+
+    def step_table(self) -> Table:
+        """Return the nested models: RMS error of every joint on held-out data, parameters told, F-test of each step, BIC."""
+        heads = [
+            Column("model"),
+            *(Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)),
+        ]
+        heads += [
+            Column("parameters", align="right"),
+            Column("F", align="decimal"),
+            Column("p", align="right"),
+            Column("BIC", align="right"),
+        ]
+        rows: list[tuple[Cell, ...]] = []
+        for number, step in enumerate(self.steps):
+            errors = [Shown(float(error), significant(float(error))) for error in step.rms]
+            tested = np.isfinite(step.f)
+            rows.append(
+                (
+                    "CAD" if number == 0 else f"+ {CAUSES[step.cause]}",
+                    *errors,
+                    step.parameters,
+                    Shown(step.f, significant(step.f)) if tested else None,
+                    Shown(step.probability, f"{step.probability:.1g}") if tested else None,
+                    Shown(step.bic, f"{step.bic:.0f}"),
+                )
+            )
+        note = "F: what the step explains against what is left, with as many samples as are independent; errors are those on data held out and may rise."
+        return Table(tuple(heads), tuple(rows), title="Nested models, held-out RMS error", notes=(note,))
+
+    def as_text(self) -> str:
+        """Return sentences and both tables for a terminal."""
+        said = ["Why CAD is off:", *(f"  {line}" for line in self.sentences), *(f"  {line}" for line in self.findings)]
+        return "\n".join(said) + "\n\n" + stacked([self.share_table(), self.step_table()])
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists, ready for JSON."""

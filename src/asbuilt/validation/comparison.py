@@ -212,7 +212,7 @@ def compare(
     p_values = two_sided_probability(sigmas)
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
     cost = None if result.evidence is None else torque_cost(result.evidence, result.base, result.estimates - values)
-    left = None if result.evidence is None else _left_as_built(result, result.evidence)
+    left = None if result.evidence is None else result.evidence.error_of(result.base.names, result.estimates)
     compared, place = [], 0
     for j, (parameter, by_design) in enumerate(zip(result.parameters, values.tolist(), strict=True)):
         known = by_design if np.isfinite(by_design) else None
@@ -341,21 +341,6 @@ def _probability(p: float) -> str:
     return "below 1e-300" if p < 1e-300 else f"{p:.2g}"
 
 
-def _left_as_built(result: IdentificationResult, evidence: CauseEvidence) -> Array:
-    """Error of every joint as built on the motion judged by, (n,)."""
-    return _rms_of(result, evidence, result.estimates)
-
-
-def _rms_of(result: IdentificationResult, evidence: CauseEvidence, beta: Array) -> Array:
-    places = evidence.places(result.base.names)
-    return np.array(
-        [
-            np.linalg.norm(factor[:, -1] - factor[:, places] @ beta) / np.sqrt(evidence.n_judged)
-            for factor in evidence.whole(evidence.judged)
-        ]
-    )
-
-
 def recording_name(source: str) -> str:
     """Return the source of a recording without the folders of its files.
 
@@ -384,7 +369,7 @@ def _paired(
 
 def _evident_metrics(result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics) -> TorqueMetrics:
     """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell them."""
-    rms = _rms_of(result, evidence, beta)
+    rms = evidence.error_of(result.base.names, beta)
     torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(evidence.n_judged)
     unknown = np.full(len(rms), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

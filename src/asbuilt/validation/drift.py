@@ -1,0 +1,223 @@
+"""Two results of one robot held against each other: two dates, two tools, the maker's model and the robot."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.errors import ResultError
+from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, rounded, significant
+from asbuilt.tables import share as percentage
+from asbuilt.validation.comparison import FALSE_DISCOVERY_RATE, MATTERS, recording_name
+from asbuilt.validation.prediction import design_values, torque_units
+from asbuilt.validation.significance import ChiSquare, benjamini_hochberg, chi_square, holm, two_sided_probability
+from asbuilt.validation.torque_cost import torque_cost
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result import IdentificationResult
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """One base parameter in two results: values, errors, their difference in its standard errors, tests, and the RMS torque it makes (None without evidence)."""
+
+    id: int
+    name: str
+    expression: str
+    unit: str
+    before: float
+    before_error: float
+    after: float
+    after_error: float
+    sigmas: float | None
+    p_value: float | None
+    false_discovery: float | None
+    holm: float | None
+    torque_total: float | None
+    felt_at: int | None
+    changed: bool
+    matters: bool | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """Hold what changed from one result to another of the same robot; `sentences` say it joint by joint where friction did."""
+
+    robot: str
+    before: str
+    after: str
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[ParameterChange, ...]
+    chi_square: ChiSquare
+    level: float
+    sentences: tuple[str, ...]
+
+    @property
+    def n_changed(self) -> int:
+        """Number of parameters that changed beyond doubt."""
+        return sum(parameter.changed for parameter in self.parameters)
+
+    @property
+    def ranked(self) -> tuple[ParameterChange, ...]:
+        """The parameters, those whose change makes the most torque first."""
+        return tuple(sorted(self.parameters, key=lambda change: (-(change.torque_total or 0.0), change.id)))
+
+    def verdict(self) -> str:
+        """Return the outcome in a sentence."""
+        compared = sum(parameter.sigmas is not None for parameter in self.parameters)
+        together = f"all at once: chi-square {significant(self.chi_square.statistic)} with {self.chi_square.degrees} degrees of freedom, p {self.chi_square.probability:.2g}"
+        return f"{self.n_changed} of {compared} parameters changed (false discovery rate {percentage(self.level, 0)}); {together}."
+
+    def table(self) -> Table:
+        """Return the parameters of both, what changed most in torque first."""
+        heads = (
+            Column("id", align="right"),
+            Column("parameter", width=40),
+            Column("unit"),
+            Column("before", align="decimal"),
+            Column("after", align="decimal"),
+            Column("std err", align="decimal"),
+            Column("change", align="right"),
+            Column("torque", align="decimal"),
+            Column("felt at", align="right"),
+            Column("matters"),
+        )
+        rows: list[tuple[Cell, ...]] = []
+        for each in self.ranked:
+            error = float(np.hypot(each.before_error, each.after_error))
+            outcome = "CHANGED" if each.changed else "not determined" if each.sigmas is None else deviation(each.sigmas, np.inf)
+            rows.append(
+                (
+                    each.id,
+                    each.expression,
+                    each.unit,
+                    Shown(each.before, beside(each.before, error)),
+                    Shown(each.after, rounded(each.after, error)[0]),
+                    Shown(error, rounded(each.after, error)[1]),
+                    Shown(each.sigmas, outcome) if each.sigmas is not None else outcome,
+                    Shown(each.torque_total, significant(each.torque_total)),
+                    each.felt_at if each.felt_at is not None else "",
+                    "" if each.matters is None else "yes" if each.matters else "no",
+                )
+            )
+        note = "std err: of the difference, both errors together; torque: RMS over all joints that the change makes on the motion the later result was judged by."
+        return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
+
+    def as_text(self) -> str:
+        """Return verdict, sentences and table for a terminal."""
+        head = [f"{self.robot}: {self.after} against {self.before}", self.verdict(), *self.sentences]
+        return "\n".join(head) + "\n\n" + self.table().as_text()
+
+    def as_document(self) -> dict[str, Any]:
+        """Return plain numbers, lists and None, ready for JSON."""
+        return {
+            "robot": self.robot,
+            "before": self.before,
+            "after": self.after,
+            "joints": list(self.joint_names),
+            "false_discovery_rate": self.level,
+            "n_changed": self.n_changed,
+            "chi_square": asdict(self.chi_square),
+            "verdict": self.verdict(),
+            "sentences": list(self.sentences),
+            "parameters": [asdict(change) for change in self.ranked],
+        }
+
+
+def compare_results(
+    before: IdentificationResult,
+    after: IdentificationResult,
+    *,
+    labels: tuple[str, str] | None = None,
+    level: float = FALSE_DISCOVERY_RATE,
+) -> Drift:
+    """Compare two results of one robot parameter by parameter, each with its own covariance, taken as independent.
+
+    Drive terms that only one of them has are left out. Raises ResultError where the robots differ in joints or geometry.
+    """
+    design_values(before, after.model)
+    names = [name for name in before.base.names if name in after.base.names]
+    one, two = ([result.base.names.index(name) for name in names] for result in (before, after))
+    for i, j in zip(one, two, strict=True):
+        if before.base.expressions[i] != after.base.expressions[j]:
+            raise ResultError(
+                f"{before.base.names[i]} stands for {before.base.expressions[i]} in one result and for {after.base.expressions[j]} in the other; "
+                "identify both with the same drive terms"
+            )
+    difference = after.estimates[two] - before.estimates[one]
+    covariance = before.covariance[np.ix_(one, one)] + after.covariance[np.ix_(two, two)]
+    error = np.sqrt(np.diag(covariance))
+    tested = np.array([before.parameters[i].determined and after.parameters[j].determined for i, j in zip(one, two, strict=True)]) & (
+        error > 0
+    )
+    sigmas = difference[tested] / error[tested]
+    p_values = two_sided_probability(sigmas)
+    tests = np.full((4, len(names)), np.nan)
+    tests[:, tested] = sigmas, p_values, benjamini_hochberg(p_values), holm(p_values)
+    torque = left = None
+    if after.evidence is not None:
+        whole = np.zeros(after.n_base)
+        whole[two] = difference
+        torque = torque_cost(after.evidence, after.base, whole).torque[two]
+        left = after.evidence.error_of(after.base.names, after.estimates)
+    changes = tuple(
+        ParameterChange(
+            id=int(after.base.ids[j]),
+            name=name,
+            expression=after.base.expressions[j],
+            unit=after.base.units[j],
+            before=float(before.estimates[i]),
+            before_error=float(before.std_errors[i]),
+            after=float(after.estimates[j]),
+            after_error=float(after.std_errors[j]),
+            sigmas=_number(tests[0, place]),
+            p_value=_number(tests[1, place]),
+            false_discovery=_number(tests[2, place]),
+            holm=_number(tests[3, place]),
+            torque_total=None if torque is None else float(np.linalg.norm(torque[place])),
+            felt_at=None if torque is None or not torque[place].any() else 1 + int(np.argmax(torque[place])),
+            changed=bool(tests[2, place] <= level),
+            matters=None if torque is None or left is None else bool(np.any(torque[place] >= MATTERS * left)),
+        )
+        for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
+    )
+    said = labels or tuple(", ".join(recording_name(source) for source in result.sources) for result in (before, after))
+    return Drift(
+        robot=after.robot,
+        before=said[0],
+        after=said[1],
+        joint_names=after.joint_names,
+        units=torque_units(after.model),
+        parameters=changes,
+        chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
+        level=level,
+        sentences=_friction(after, changes),
+    )
+
+
+def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]) -> tuple[str, ...]:
+    """Say of every joint how its drive terms changed."""
+    by_name = {change.name: change for change in changes}
+    words = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
+    found = []
+    for k, joint in enumerate(result.joint_names):
+        parts = []
+        for letter, what in words.items():
+            change = by_name.get(f"{letter}{k + 1}")
+            if change is None or not change.changed:
+                continue
+            relative = f" ({100 * (change.after / change.before - 1):+.0f} %)" if change.before > 3 * change.before_error else ""
+            parts.append(f"{what} {significant(change.before)} to {significant(change.after)} {change.unit}{relative}")
+        if parts:
+            found.append(f"{joint}: {', '.join(parts)}.")
+    return tuple(found) or ("No drive term changed beyond doubt.",)
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,72 @@
+"""One self-contained HTML page that holds CAD against the robot as built: where it differs, what that costs, why, and what the recording can tell."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import TYPE_CHECKING
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from asbuilt.identification.determination import Determination
+from asbuilt.tables import share
+from asbuilt.validation.attribution import Attribution
+from asbuilt.validation.comparison import Comparison, parameter_table
+from asbuilt.writers.cause_figures import attribution_figure, difference_figure
+from asbuilt.writers.figures import _styled
+from asbuilt.writers.report import CITATION, Finding, _environment, _resource, _version
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result import IdentificationResult
+
+
+def comparison_html(
+    result: IdentificationResult, comparison: Comparison, attribution: Attribution | None, determination: Determination
+) -> str:
+    """Return the page as text; it asks the network for nothing, and every name in it is escaped."""
+    page = _environment().get_template("comparison.html.j2")
+    return page.render(
+        title=f"{result.robot}: CAD against as built",
+        robot=result.robot,
+        cad=comparison.cad_source,
+        sources=", ".join(result.sources),
+        findings=_findings(comparison, attribution, determination),
+        tests=comparison.tests(),
+        comparison=comparison,
+        attribution=attribution,
+        determination=determination,
+        torque_table=Markup(comparison.torque_table().as_html("torque-table")) if comparison.torque else "",
+        share_table="" if attribution is None else Markup(attribution.share_table().as_html("shares")),
+        step_table="" if attribution is None else Markup(attribution.step_table().as_html("steps")),
+        parameter_table=Markup(
+            parameter_table(comparison.ranked, level=comparison.level, units=comparison.units, width=None).as_html("parameters-by-torque")
+        ),
+        attribution_image="" if attribution is None else _image(attribution_figure(attribution)),
+        difference_image="" if attribution is None else _image(difference_figure(comparison)),
+        citation=CITATION,
+        version=_version(),
+        style=Markup(_resource("report.css")),
+    )
+
+
+def _findings(comparison: Comparison, attribution: Attribution | None, determination: Determination) -> list[Finding]:
+    found = [Finding("neutral", f"{comparison.n_differing} of {comparison.n_compared}", "parameters differ from CAD", comparison.verdict())]
+    if comparison.n_mattering is not None:
+        found.append(Finding("neutral", str(comparison.n_mattering), "of them matter to the torque", ""))
+    if attribution is not None:
+        energy = attribution.rms_cad**2
+        left = float(attribution.unexplained @ energy / energy.sum())
+        found.append(
+            Finding("good" if left < 0.1 else "bad", share(1.0 - left, 0), "of the squared CAD error explained by named causes", "")
+        )
+    total = sum(len(names) for names in (determination.well, determination.fairly, determination.hardly, determination.not_at_all))
+    found.append(Finding("neutral", f"{len(determination.well)} of {total}", "parameters known to 10 % or better", ""))
+    return found
+
+
+def _image(figure: Figure) -> str:
+    stream = io.BytesIO()
+    with _styled():
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
