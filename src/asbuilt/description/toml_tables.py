@@ -143,6 +143,12 @@ class DriveTable(_Table):
     offset: Finite | None = None
     gear_ratio: Finite | None = None
 
+    @model_validator(mode="after")
+    def _turning(self) -> DriveTable:
+        if self.gear_ratio == 0.0:
+            raise ValueError("gear_ratio is how many turns of the motor make one of the joint, and cannot be 0")
+        return self
+
     @property
     def values(self) -> DriveValues:
         """The same as the robot model keeps them."""

@@ -71,7 +71,9 @@ def standard_parameters(model: RobotModel, drive: DriveSet, found: Regrouping, n
                 reason = _in_sums(model, found, views, j, letter) + shown
         else:
             joint, position = divmod(j - 10 * model.n_joints, drive.columns_per_joint)
-            reason = _of_drive(model, views, joint, letter=drive.letters[position], status=status)
+            reason = _of_richer_drive(drive, joint, position, status) or _of_drive(
+                model, views, joint, letter=drive.letters[position], status=status
+            )
             reason += shown
         verdicts.append(StandardParameter(j + 1, name, status, members, f"{name}: {reason}"))
     return tuple(verdicts)
@@ -233,6 +235,22 @@ def _moved_to_parent(model: RobotModel, found: Regrouping, views: Sequence[_Link
         return f"{views[joint.parent].phrase}, never along {axis}, so a part of the drive of joint {number} acts just as it does"
     moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max() > SMALL
     return f"{views[joint.parent].phrase}, too little to tell this part of link {number} from {parent if moves else 'its others'}"
+
+
+def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
+    """Return the reason for a term that not all joints have or that shares its columns, empty where there is nothing of the kind to say."""
+    term = [term for term in drive.terms for _ in term.letters][position]
+    if not term.is_at(joint):
+        return f"joint {joint + 1} is not among the joints that {term.key} was chosen for"
+    if term.of_motor and status == "unidentifiable":
+        return f"motor {joint + 1} turns with joint {joint + 1} alone, where {term.key.removeprefix('motor_')} says the same"
+    if term.of_motor and status == "grouped":
+        return f"motor {joint + 1} turns just as a link does, so its rotor acts as an inertia of that link"
+    if term.key == "balancer" and status == "grouped":
+        return f"gravity looks the same to joint {joint + 1} at all times, so a first moment of link {joint + 1} acts just as its balancer does"
+    if term.key.startswith("asymmetric") and status == "grouped":
+        return f"other terms of the drive of joint {joint + 1} make up the same torque"
+    return ""
 
 
 def _of_drive(model: RobotModel, views: Sequence[_LinkView], joint: int, *, letter: str, status: Status) -> str:
