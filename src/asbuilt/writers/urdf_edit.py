@@ -62,7 +62,7 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     """
     refuse_impossible(model)
     content, source = described_text(original)
-    described = read_urdf(content)
+    described = read_urdf(original)
     _check_same_robot(described, model, source)
     file = XmlFile.of(content, source)
     links = {span.attributes["name"].strip(): span for span in file.root.all("link")}
