@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +16,7 @@ from asbuilt.identification.methods import methods
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
+    from asbuilt.experiment.long_recordings import RecordingStream
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal_chain import SignalChain
     from asbuilt.identification.result import IdentificationResult
@@ -204,17 +205,38 @@ def _read(
     sheet: Path | None,
 ) -> list[Recording]:
     from asbuilt.experiment.readers import read_recordings
+
+    return read_recordings(list(logs), **_reading(model, rate, flip_torque, gain, torque_source, sheet))
+
+
+def _open(
+    model: RobotModel,
+    logs: Sequence[Path],
+    rate: float | None,
+    flip_torque: bool,
+    gain: str | None,
+    torque_source: str | None,
+    sheet: Path | None,
+) -> list[Recording | RecordingStream]:
+    """Read recordings, those too long to be held excepted."""
+    from asbuilt.experiment.long_recordings import open_recordings
+
+    return open_recordings(list(logs), **_reading(model, rate, flip_torque, gain, torque_source, sheet))
+
+
+def _reading(
+    model: RobotModel, rate: float | None, flip_torque: bool, gain: str | None, torque_source: str | None, sheet: Path | None
+) -> dict[str, Any]:
     from asbuilt.experiment.recording import TORQUE_SOURCES
 
-    return read_recordings(
-        list(logs),
-        model=model,
-        sheet=sheet,
-        rate=rate,
-        flip_torque=flip_torque,
-        gain=_gains(gain),
-        torque_source=_one_of("--torque-source", torque_source, TORQUE_SOURCES) if torque_source else None,
-    )
+    return {
+        "model": model,
+        "sheet": sheet,
+        "rate": rate,
+        "flip_torque": flip_torque,
+        "gain": _gains(gain),
+        "torque_source": _one_of("--torque-source", torque_source, TORQUE_SOURCES) if torque_source else None,
+    }
 
 
 @app.command()
@@ -266,8 +288,8 @@ def identify(
     )
     with _progress() as report:
         report("read", 0.0)
-        recordings = _read(model, log, rate, flip_torque, gain, torque_source, sheet)
-        others = _read(model, validate or [], rate, flip_torque, gain, torque_source, sheet)
+        recordings = _open(model, log, rate, flip_torque, gain, torque_source, sheet)
+        others = _open(model, validate or [], rate, flip_torque, gain, torque_source, sheet)
         study = run_study(model, recordings, validation=others, options=options, progress=report)
         loaded = _read(model, payload or [], rate, flip_torque, gain, torque_source, sheet)
         carried = run_payload_study(study.result, loaded, chain=options.chain) if loaded else None
@@ -689,6 +711,65 @@ def simulate(
         simulated = (machine if carried is None else machine.with_tool(carried, at)).record(moved, rate or 1000.0, rng=seed)
     files = write_simulation(out or Path("recording.csv"), simulated)
     _answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + _listed(files))
+
+
+@app.command()
+def view(
+    robot: Annotated[
+        str,
+        typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote"),
+    ],
+    motion: Annotated[Path | None, typer.Argument(metavar="[MOTION]", help="motion or recording as CSV (t, q_*, ...) to play")] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            "--save", metavar="FILE", help="write a page of its own (.html), a picture (.png) or an animation (.gif .webp) instead"
+        ),
+    ] = None,
+    style: Annotated[
+        str, typer.Option("--style", metavar="NAME", help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton")
+    ] = "auto",
+    port: Annotated[int, typer.Option("--port", help="port of the page, the next free one where it is taken")] = 8080,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open the page in a browser")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids; Ctrl-C ends it."""
+    from asbuilt.excitation.motion_csv import read_motion
+    from asbuilt.writers.files import atomic_write
+
+    model = _load_built(robot)
+    moved = None if motion is None else read_motion(motion, model)
+    about = {"robot": model.name, "duration": None if moved is None else moved.duration}
+    if save is not None and save.suffix.lower() != ".html":
+        from asbuilt.writers.animation import write_picture
+
+        with _progress() as report:
+            written = write_picture(
+                save,
+                model,
+                moved,
+                style=_one_of("--style", style, ("auto", "rendered", "skeleton")),
+                progress=lambda done: report("draw", done),
+            )
+        _answer(as_json, lambda: {**about, "files": {"picture": str(written)}}, lambda: _listed({"picture": written}))
+        return
+    from asbuilt.writers.viewer import Viewer
+
+    page = Viewer(model, moved, port=port)
+    try:
+        if save is not None:
+            files = {"page": atomic_write(save, page.page().encode())}
+            _answer(as_json, lambda: {**about, "files": _texts(files)}, lambda: _listed(files))
+            return
+        _answer(as_json, lambda: {**about, "url": page.url}, lambda: f"{model.name} at {page.url}; Ctrl-C ends it")
+        if browser:
+            import webbrowser
+
+            webbrowser.open(page.url)
+        with suppress(KeyboardInterrupt):
+            page.serve()
+    finally:
+        page.close()
 
 
 @app.command()

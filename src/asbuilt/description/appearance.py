@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -20,6 +21,8 @@ TAPER = 0.5
 """How much thinner than the first rod the last one is."""
 SHORTEST = 1e-3
 """Rods shorter than this are not drawn [m]."""
+BEND = 0.35
+"""Share of a link's length that has to lie along its joint axis, and square to it, for the link to be drawn with a corner."""
 TRAVEL = 0.3
 """Length of a sliding rod whose travel is not limited [m]."""
 
@@ -101,9 +104,15 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
 
 
 def _rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield the straight pieces from the joint to a point on the link, none where they coincide."""
-    if np.linalg.norm(point - origin) > SHORTEST:
-        yield origin, point
+    """Yield the pieces from the joint to a point on the link: along the axis and then square to it where both are long, else straight."""
+    along = ((point - origin) @ axis) * axis
+    across = point - origin - along
+    corners = [origin, point]
+    if min(np.linalg.norm(along), np.linalg.norm(across)) > BEND * np.linalg.norm(point - origin):
+        corners.insert(1, origin + along)
+    for start, stop in pairwise(corners):
+        if np.linalg.norm(stop - start) > SHORTEST:
+            yield start, stop
 
 
 def _distances(model: RobotModel) -> Array:
