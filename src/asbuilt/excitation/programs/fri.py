@@ -13,8 +13,11 @@ from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, P
 from asbuilt.excitation.programs.streamed_motion import DECIMALS, motion_table
 from asbuilt.excitation.programs.sunrise import PACKAGE, SIGN_NOTE
 
-SPEED_ALLOWANCE = (1.05, 0.02)
-"""A command may be faster than the motion by this factor, and by this many rad/s for the fading offset from the start pose."""
+SPEED_ALLOWANCE = 1.05
+"""A command may be faster than the motion by this factor ..."""
+
+FADE_SPEED = 0.02
+"""... and by this much for the offset from the start pose that fades meanwhile [rad/s]."""
 
 APPROACH_PART = 0.1
 """Speed to the start pose as a part of the axes' maximum where the description gives no velocity limit."""
@@ -49,14 +52,14 @@ class FriFormat(ProgramFormat):
         table_class = render(
             "motion_table.hpp.j2", n_joints=request.model.n_joints, duration=f"{request.motion.duration:.9f}", start=values["start"]
         )
-        top_speed = SPEED_ALLOWANCE[0] * request.motion.peaks(1) + SPEED_ALLOWANCE[1]
         source = render(
             "fri_client.cpp.j2",
             preamble=commented(head, "//"),
             motion_class=table_class,
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             tolerance=values["tolerance"],
-            top_speed=numbers(top_speed),
+            top_speed=numbers(SPEED_ALLOWANCE * request.motion.peaks(1) + 1e-6),
+            fade_speed=f"{FADE_SPEED:g}",
             table=table,
             java_class=java,
             log=f"{stem}_log.csv",
