@@ -22,7 +22,8 @@ from asbuilt.excitation.interior_point import StateConstraint, solve
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motion import Array, Motion
 from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, search_all
-from asbuilt.excitation.parametrisations import PARAMETRISATIONS, Fourier, Parametrisation
+from asbuilt.excitation.parametrisations import PARAMETRISATIONS, Fourier, Parametrisation, PointToPoint
+from asbuilt.excitation.point_to_point import PointToPointMotion
 from asbuilt.excitation.torque_limit import TorqueLimit, perturbed_models
 
 USUAL_DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -37,6 +38,10 @@ HOP_BARRIER = (0.3, 3e-3)
 POLISHED = 4
 """How many of the best local optima are refined on the dense grid."""
 
+SEARCH_SHARE = 0.7
+LEAST_SHARE = 0.15
+"""How the time limit is shared between the search and the refinement of what it finds."""
+
 GENERATION = 8
 """Disturbed motions searched from at a time: all of a generation have the same parents, whatever the number of cores."""
 
@@ -47,6 +52,10 @@ LEAST_GAIN = 0.02
 DISTURBANCE = (0.1, 0.5)
 
 REPAIRS = 12
+SLOWING = 0.93
+SHORTEST_MOVE = 0.1
+"""Least time that the design grants to a move between two poses [s]."""
+
 CHECK_RATE = 1000.0
 
 
@@ -64,7 +73,7 @@ class DesignOptions:
     | `fraction`, `torque_fraction` | how much of the limits of motion, and of torque, may be used |
     | `power` | greatest mechanical power of each joint [W], infinite for none |
     | `perturbed`, `spread` | how many other robots the torque limit must hold for, and how far off their masses are |
-    | `starts`, `seed`, `time_limit` | local searches, seed of everything random, and when to stop searching [s] |
+    | `starts`, `seed`, `time_limit` | local searches, seed of everything random, and when to be done [s] |
     """
 
     parametrisation: str = "fourier"
@@ -81,7 +90,7 @@ class DesignOptions:
     spread: float = 0.1
     starts: int = 24
     seed: int = 0
-    time_limit: float = 20.0
+    time_limit: float = 25.0
 
     def __post_init__(self) -> None:
         if self.parametrisation not in PARAMETRISATIONS:
@@ -220,20 +229,21 @@ def design_motion(
     )
     begin = time.monotonic()
     bound, family_bound = design_bounds(model, information, wanted) if with_bound else (None, None)
-    deadline = Deadline(wanted.time_limit)
+    deadline = Deadline(max(SEARCH_SHARE * wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit))
     search = _Search(model, objective, wanted, tuple(constraints), deadline)
     candidates = search.run(threads, progress)
     if not candidates:
         raise search.failure()
-    final = Deadline(max(wanted.time_limit - deadline.elapsed, 0.25 * wanted.time_limit))
-    final.interrupted = deadline.interrupted
-    if deadline.interrupted:
-        final.stop()
+    final = Deadline(0.0 if deadline.interrupted else max(wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit))
     polished = search_all(
         [search.refined(candidate, final) for candidate in candidates[:POLISHED]], Deadline(np.inf), threads=threads, progress=None
     )
+    if not polished:
+        raise MotionError(
+            f"{model.name}: the motions found do not hold between the nodes of the search; ask for more time, or for fewer {search.family.size_name}"
+        )
     best = polished[0]
-    motion = search.family.motion(best.coefficients)
+    motion = search.motion(best)
     return describe_design(
         model,
         found,
@@ -349,8 +359,8 @@ class _Search:
         self._n_nodes = max(LEAST_NODES, round(NODES_PER_WAVE * span / self.family.shortest_wave))
         self._coarse = self._program(self._n_nodes, 0.0)
 
-    def _program(self, n_nodes: int, tightening: float) -> DesignProgram:
-        return DesignProgram(self._objective, self.family, self._bounds, n_nodes, self._constraints, tightening)
+    def _program(self, n_nodes: int, tightening: float, family: Parametrisation | None = None) -> DesignProgram:
+        return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, tightening)
 
     def run(self, threads: int | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
         """Return the candidates, best first: searches from random starts, then from disturbed versions of the best so far.
@@ -415,18 +425,43 @@ class _Search:
         """Return the refinement of a candidate on a grid twice as dense, made to hold at 1 kHz."""
 
         def search() -> Candidate:
-            dense, coefficients = self._program(2 * self._n_nodes, 1e-3), candidate.coefficients
-            start = self._inside(dense, coefficients)
-            if start is not None:
-                optimum = solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
-                if optimum is not None and optimum.value > candidate.value - 1.0:
-                    coefficients = optimum.coefficients
-            kept = self._repaired(coefficients)
+            coefficients, family, value = candidate.coefficients, self.family, candidate.value
+            for _ in range(2 if isinstance(family, PointToPoint) else 1):
+                family = self._retimed(family, coefficients)
+                dense = self._program(2 * self._n_nodes, 1e-3, family)
+                start = self._inside(dense, coefficients)
+                optimum = None if start is None else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
+                if optimum is not None and (optimum.value > value - 1.0 or isinstance(family, PointToPoint)):
+                    coefficients, value = optimum.coefficients, optimum.value
+            kept = self._repaired(coefficients, family)
             if kept is None:
                 return Candidate(candidate.number, coefficients, -np.inf)
             return Candidate(candidate.number, kept, dense.value(*dense.states(kept)))
 
         return search
+
+    def motion(self, candidate: Candidate) -> Motion:
+        """Return the motion of a refined candidate; poses become what a controller makes of them, slowed down where a torque limit asks for it."""
+        if not isinstance(self.family, PointToPoint):
+            return self.family.motion(candidate.coefficients)
+        factor = 1.0
+        for _ in range(REPAIRS):
+            motion = PointToPointMotion.within(
+                candidate.coefficients, velocity=factor * self._bounds.velocity, acceleration=factor**2 * self._bounds.acceleration
+            )
+            states = motion.at(motion.sample_times(CHECK_RATE))
+            values = [(constraint.two_sided, constraint.values(*states)) for constraint in self._constraints]
+            if all(v.max() < 1 and (not both or v.min() > -1) for both, v in values):
+                return motion
+            factor *= SLOWING
+        raise MotionError(f"{self._model.name}: at full speed the designed poses ask for too much torque; allow a larger share of it")
+
+    def _retimed(self, family: Parametrisation, poses: Array) -> Parametrisation:
+        if not isinstance(family, PointToPoint):
+            return family
+        way = np.abs(np.diff(poses, axis=0))
+        steps = np.max([1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)], axis=(0, 2))
+        return family.retimed(np.maximum(steps, SHORTEST_MOVE))
 
     def failure(self) -> MotionError:
         """Return why there is no design."""
@@ -475,9 +510,10 @@ class _Search:
         inner: Array = middle + (1 - part) * (coefficients - middle)
         return inner
 
-    def _repaired(self, coefficients: Array) -> Array | None:
+    def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
         """Return the coefficients, drawn inwards until every constraint holds at 1 kHz."""
-        grid = self._program(max(self._n_nodes, int(self.family.duration / getattr(self.family, "periods", 1) * CHECK_RATE)), 0.0)
+        span = family.duration / getattr(family, "periods", 1)
+        grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), 0.0, family)
         part = 0.0
         for _ in range(REPAIRS):
             trial = self._drawn(coefficients, part)
