@@ -257,6 +257,12 @@ def identify(
     payload: Annotated[
         list[Path] | None, typer.Option("--payload", metavar="LOG", help="a recording under load: what does the flange carry?")
     ] = None,
+    mounting: Annotated[
+        str,
+        typer.Option(
+            "--mounting", metavar="HOW", help="gravity points as in the description (cad), or its direction is found too (estimate)"
+        ),
+    ] = "cad",
     unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
     rate: Rate = None,
     flip_torque: Flip = False,
@@ -284,6 +290,7 @@ def identify(
         chain=_chain(preset, cutoff, decimate),
         holdout=holdout,
         unexcited=_one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
+        mounting=_one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
         checked=not unchecked,
     )
     with _progress() as report:

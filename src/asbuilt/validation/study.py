@@ -22,6 +22,7 @@ from asbuilt.identification.cause_evidence import gather_evidence
 from asbuilt.identification.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
+from asbuilt.identification.mounting import find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.comparison import Comparison, compare
 from asbuilt.validation.prediction import Validation, validate
@@ -41,7 +42,7 @@ BEHIND_CAD = 1.05
 class StudyOptions:
     """Say how to identify: drive terms (None: by torque source; "auto": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
 
-    `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them.
+    `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands.
     """
 
     drive: DriveSet | Literal["auto"] | None = None
@@ -49,6 +50,7 @@ class StudyOptions:
     chain: SignalChain = field(default_factory=SignalChain)
     holdout: str | None = None
     unexcited: Literal["toward_prior", "refuse"] = "toward_prior"
+    mounting: Literal["as_described", "estimate"] = "as_described"
     block_seconds: float | None = None
     checked: bool = True
     threads: int | None = None
@@ -106,6 +108,10 @@ def run_study(
         judging = [replace(held, source=f"{held.source}, held out {options.holdout}") for _, held in parts] + judging
     report("identify", 0.0)
     chosen = settle_drive(model, learning, options.drive)
+    stands = (
+        find_mounting(model, learning, drive=chosen.drive, block_seconds=options.block_seconds) if options.mounting == "estimate" else None
+    )
+    model = model if stands is None else stands.model
     result = identify(
         model,
         learning,
@@ -115,6 +121,8 @@ def run_study(
         block_seconds=options.block_seconds,
         threads=options.threads,
     )
+    if stands is not None:
+        result = replace(result, notes=(*result.notes, stands.sentence))
     report("predict", 0.0)
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
