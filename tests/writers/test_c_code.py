@@ -98,6 +98,17 @@ def test_two_arms(tmp_path: Path) -> None:
     check_compiles(tmp_path, as_if_identified(two_armed(), 4))
 
 
+def test_lengths_that_are_almost_zero_keep_their_torque(tmp_path: Path) -> None:
+    model = as_if_identified(bundled_robot("ur10e"), 3)
+    wrist = np.array(model.joints[4].before)
+    wrist[2, 3] += 3e-10
+    model = replace(model, joints=(*model.joints[:4], replace(model.joints[4], before=wrist, before_letters=None), *model.joints[5:]))
+    tau = Compiled(tmp_path, model).call("inverse_dynamics", 6)
+    q, qd, qdd = sample_states(model, 20)
+    expected = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=True)
+    np.testing.assert_allclose([tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-11)
+
+
 def test_self_test_passes_and_notices_a_changed_number(tmp_path: Path) -> None:
     compiled = check_compiles(tmp_path, as_if_identified(bundled_robot("two-link"), 3))
     done = compiled.self_test()
