@@ -26,7 +26,7 @@ SAMPLES_AT_ONCE = 2048
 LONGEST_BLOCK = 5.0
 """Length of a time block [s] where nothing else is asked."""
 SHORTEST_BLOCK = 1.0
-USUAL_BLOCKS = 16
+USUAL_BLOCKS = 10
 """A short recording is cut into about so many blocks, so that errors can be judged from block to block."""
 MOST_HELD = 200e6
 """Memory [bytes] that rows may take to be kept between passes; more are made again on every pass."""
