@@ -41,6 +41,7 @@ class DriveStructure:
 def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStructure:
     """Take the columns of a drive apart into elementary functions; `unit` (n,) is one unit of each joint coordinate in scaled lengths."""
     n, m = model.n_joints, drive.columns_per_joint
+    drive.check_joints(n)
     ways, able, redundant = np.zeros((n, 4, m)), np.zeros((n, 4), dtype=bool), []
     shares = model.motor_shares * unit[None, :] / unit[:, None]
     coupled = np.abs(shares).max(axis=1) > 0.0

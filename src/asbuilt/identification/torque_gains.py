@@ -40,7 +40,7 @@ class TorqueGains:
     """Hold the factor (n,) by which each joint's logged torque is to be multiplied, with standard errors from one time block to another.
 
     `known` says what of the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and found parts together, in the order
-    of `LinkInertia`. `determined` (n,) is False where these recordings do not tell the gain; `payload_share` (n,) is how much of the torque under load the payload makes
+    of `LinkInertia`. `determined` (n,) is False where these recordings do not tell the gain, and the gain NaN where they leave it wholly open; `payload_share` (n,) is how much of the torque under load the payload makes
     up, RMS: where it is small the gain hangs on parameters shared with other joints, and errors of the friction model move it.
     """
 
@@ -121,13 +121,16 @@ def identify_gains(
         gains, payload = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
     told = np.isfinite(scatter) & (scatter < UNTOLD * np.abs(gains)) & (gains > 0)
+    open_ended = ~(scatter < np.abs(gains))
+    share = problem.payload_share(gains, payload)
+    gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
     labels = ["mass", *(["centre of mass"] if com is not None else []), *(["inertia"] if inertia_about_com is not None else [])]
     return TorqueGains(
         joint_names=model.joint_names,
         gains=gains,
         std_errors=scatter,
         determined=told,
-        payload_share=problem.payload_share(gains, payload),
+        payload_share=share,
         known=tuple(labels),
         frame=name,
         payload=payload,

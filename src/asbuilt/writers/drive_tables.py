@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -52,10 +53,10 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
     """Return gains as plain data."""
     return {
         "joints": list(found.joint_names),
-        "gains": found.gains.tolist(),
-        "std_errors": found.std_errors.tolist(),
+        "gains": [_number(value) for value in found.gains],
+        "std_errors": [_number(value) for value in found.std_errors],
         "determined": found.determined.tolist(),
-        "payload_share": found.payload_share.tolist(),
+        "payload_share": [_number(value) for value in found.payload_share],
         "known": list(found.known),
         "frame": found.frame,
         "payload": found.payload.tolist(),
@@ -67,15 +68,19 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
 def gains_text(found: TorqueGains) -> str:
     """Return gains as a table with what they rest on, and the option that uses them."""
     rows = [
-        (name, plus_minus(float(gain), float(error)), f"{100 * share:.0f}", "yes" if told else "NO")
+        (name, plus_minus(float(gain), float(error)), f"{100 * share:.0f}" if share >= 0.0 else "-", "yes" if told else "NO")
         for name, gain, error, share, told in zip(
             found.joint_names, found.gains, found.std_errors, found.payload_share, found.determined, strict=True
         )
     ]
     columns = (Column("joint"), Column("torque per logged unit"), Column("payload in torque", "%", "right"), Column("told"))
     notes = [f"[{number}] {sentence[0].upper()}{sentence[1:]}." for number, sentence in enumerate(found.sentences(), start=1)]
-    option = "--gain " + ",".join(f"{gain:.4g}" for gain in found.gains)
-    return "\n".join([Table(columns, tuple(rows)).as_text().rstrip(), *notes, f"Use them with {option}"])
+    option = "Use them with --gain " + ",".join(f"{gain:.4g}" for gain in found.gains)
+    return "\n".join([Table(columns, tuple(rows)).as_text().rstrip(), *notes, *([option] if found.determined.all() else [])])
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
 
 
 def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:

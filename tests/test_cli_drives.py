@@ -1,0 +1,127 @@
+"""Drive terms, gains and two channels on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from asbuilt.cli import main
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.dynamics.drive_torque import drive_torque
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.excitation.random_motion import random_fourier
+
+DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
+ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return int(end.value.code or 0), out, err
+
+
+def document(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    status, out, err = call(capsys, *arguments, "--json")
+    assert status == 0, err
+    return json.loads(out)
+
+
+def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:
+    """Write a recording of a robot along a random motion; `torque(model, q, qd, qdd)` is what it logs."""
+    model = bundled_robot(robot)
+    motion = random_fourier(model, seed, duration=25.0).sample(100.0)
+    tau = torque(model, motion.q, motion.qd, motion.qdd) + 0.02 * np.random.default_rng(seed).normal(size=motion.q.shape)
+    n = model.n_joints
+    header = ",".join(["t", *(f"q_{k}" for k in range(n)), *(f"tau_{k}" for k in range(n))])
+    np.savetxt(path, np.column_stack([motion.t, motion.q, tau]), delimiter=",", header=header, comments="")
+    return path
+
+
+def driven(values, drive=DRIVE, scale=1.0):
+    def torque(model, *state):
+        rigid = inverse_dynamics(model, *state)
+        return scale * (rigid + drive_torque(drive, np.tile(values, model.n_joints), *state, load=rigid))
+
+    return torque
+
+
+def test_drives_are_listed(capsys):
+    listed = document(capsys, "drives")["drives"]
+    assert [each["key"] for each in listed] == list(available_terms())
+    assert all(each["formula"] and len(each["parameters"]) == len(each["units"]) for each in listed)
+    status, out, _ = call(capsys, "drives")
+    assert status == 0
+    assert "stribeck" in out
+    assert "--drive auto" in out
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
+    recording = log(tmp_path / "log.csv", robot, driven([0.5, 1.0, 0.15, 0.1]))
+    chosen = document(capsys, "identify", robot, recording, "--torque-source", "sensor", "--drive", "auto", "--holdout", "blocks:2s:4")
+    assert ("load_friction" in chosen["drive"]) == (robot != "scara"), "the axes of a SCARA stand upright and carry next to no load"
+    assert "drive_terms" in [warning["code"] for warning in chosen["warnings"]]
+    assert any(line.startswith("drive terms") for line in chosen["provenance"])
+    given = document(
+        capsys, "identify", robot, recording, "--torque-source", "sensor", "--drive", "viscous,coulomb,stribeck,load_friction,offset"
+    )
+    assert "stribeck:velocity=" in given["drive"]
+
+
+@pytest.mark.parametrize(
+    ("drive", "said"),
+    [
+        ("stribek", "did you mean 'stribeck'"),
+        ("stribeck:velocity=fast", "name=number"),
+        ("smooth_coulomb:width=0.1/0.2", "one per joint"),
+        ("spring:joints=12", "names joint 12"),
+        ("auto,viscous", "unknown drive term 'auto'"),
+    ],
+)
+def test_wrong_terms_say_what_is_right(capsys, tmp_path, drive, said):
+    recording = log(tmp_path / "log.csv", "scara", driven([0.5, 1.0, 0.15, 0.1]))
+    status, _, err = call(capsys, "identify", "scara", recording, "--drive", drive)
+    assert status == 2
+    assert said in err
+
+
+def test_gains_of_a_robot_that_logs_amperes(capsys, tmp_path):
+    plain = DriveSet.parse("viscous,coulomb,offset")
+    bare = log(tmp_path / "bare.csv", "ur10e", driven([0.5, 1.0, 0.1], plain, 0.1))
+    chi = bundled_robot("ur10e").parameters.copy()
+    chi[-10:] += LinkInertia.from_com(4.0, [0.06, 0.03, 0.05], 0.01 * np.eye(3)).parameters
+
+    def loaded(model, *state):
+        return driven([0.5, 1.0, 0.1], plain, 0.1)(model.with_parameters(chi), *state)
+
+    carried = log(tmp_path / "loaded.csv", "ur10e", loaded, seed=3)
+    command = ("gains", "ur10e", bare, "--loaded", carried, "--mass", "4", "--frame", bundled_robot("ur10e").link_names[-1])
+    found = document(capsys, *command)
+    np.testing.assert_allclose(found["gains"], 10.0, rtol=0.05)
+    status, out, _ = call(capsys, *command)
+    assert status == 0
+    assert "--gain" in out
+    assert call(capsys, *command, "--com", "1,2")[0] == 2
+
+
+def test_sensor_and_motor_together(capsys, tmp_path):
+    behind = DriveSet.parse("viscous,coulomb,offset")
+    ahead = DriveSet.parse("armature,viscous,coulomb,offset")
+    sensor = log(tmp_path / "sensor.csv", "scara", driven([0.2, 0.3, 0.1], behind))
+
+    def motor(model, *state):
+        return driven([0.2, 0.3, 0.1], behind)(model, *state) + drive_torque(ahead, np.tile([0.5, 1.0, 2.0, 0.4], model.n_joints), *state)
+
+    found = document(capsys, "channels", "scara", sensor, "--motor", log(tmp_path / "motor.csv", "scara", motor))
+    values = {parameter["name"]: parameter["estimate"] for parameter in found["parameters"]}
+    assert values["Iam1"] == pytest.approx(0.5, abs=0.05)
+    assert values["Fvm2"] == pytest.approx(1.0, abs=0.1)
+    assert call(capsys, "channels", "scara", sensor, "--motor", tmp_path / "nothing.csv")[0] == 1
