@@ -233,7 +233,7 @@ def _moved_to_parent(model: RobotModel, found: Regrouping, views: Sequence[_Link
     mine = np.abs(block[:, column]) > SMALL
     if np.abs(block[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
         return f"{views[joint.parent].phrase}, never along {axis}, so a part of the drive of joint {number} acts just as it does"
-    moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max() > SMALL
+    moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max(initial=0.0) > SMALL
     return f"{views[joint.parent].phrase}, too little to tell this part of link {number} from {parent if moves else 'its others'}"
 
 
