@@ -540,13 +540,29 @@ def excite(
     noise: Annotated[
         str | None, typer.Option("--noise", metavar="S1,S2,...", help="standard deviation of the torque, one or one per joint")
     ] = None,
+    static: Annotated[
+        int | None, typer.Option("--static", metavar="K", help="no motion: the best K poses to stand still in, for gravity alone")
+    ] = None,
+    precision: Annotated[
+        float, typer.Option("--precision", metavar="SHARE", help="with --duration auto: torque error per parameter, as share of the torque")
+    ] = 0.002,
+    periods: Annotated[int, typer.Option("--periods", metavar="N", help="repeat a Fourier series so often within the duration")] = 1,
+    collision: Annotated[
+        str | None,
+        typer.Option("--collision", metavar="SOURCE", help="keep bodies apart: skeleton[:RADIUS], a .urdf with geometry, or a .toml file"),
+    ] = None,
+    tool_box: Annotated[
+        str | None, typer.Option("--tool-box", metavar="X0,X1,Y0,Y1,Z0,Z1", help="keep the tool in this box of the root frame [m]")
+    ] = None,
+    tool_frame: Annotated[str | None, typer.Option("--tool-frame", metavar="NAME", help="the frame that stays in the box")] = None,
+    power: Annotated[str | None, typer.Option("--power", metavar="P1,P2,...", help="mechanical power allowed, one or one per joint [W]")] = None,
     fraction: Annotated[float, typer.Option("--fraction", help="how much of the limits of motion may be used")] = 0.95,
     torque_fraction: Annotated[float, typer.Option("--torque-fraction", help="how much of the torque limits may be used")] = 0.8,
     perturbed: Annotated[
         int, typer.Option("--perturbed", metavar="N", help="hold the torque limit for N other robots, masses 10 % off")
     ] = 0,
     starts: Annotated[int, typer.Option("--starts", metavar="N", help="local searches")] = 24,
-    time_limit: Annotated[float, typer.Option("--time-limit", metavar="S", help="end the search after this time")] = 20.0,
+    time_limit: Annotated[float, typer.Option("--time-limit", metavar="S", help="be done after this time, with the best so far")] = 25.0,
     seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")] = 1000.0,
     program: Annotated[
@@ -557,29 +573,45 @@ def excite(
 ) -> None:
     """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.excitation.design import DesignOptions, design_motion
-    from asbuilt.excitation.programs.registry import make_program, program_format
+    from asbuilt.excitation.design import DesignOptions, design_motion, watched
+    from asbuilt.excitation.precision import design_for_precision
+    from asbuilt.excitation.static_poses import design_static_poses
     from asbuilt.identification.known_information import known_information
-    from asbuilt.writers.design_tables import excite_document, excite_text, write_design
-    from asbuilt.writers.program_files import write_program
+    from asbuilt.writers.design_tables import excite_document, excite_text, static_document, static_text, write_design, write_static
 
     model, drives, prior = _load(robot), DriveSet.parse(drive or "none"), None
     sigma = _numbers("--noise", noise) or (1.0,)
     if given is not None:
         known = _result(given)
+        if known.model.joint_names != model.joint_names:
+            raise UsageError(f"{given} belongs to {known.robot}, not to {model.name}")
         model, drives, prior = known.model, known.base.drive, known_information(known)
         sigma = _numbers("--noise", noise) or tuple(known.sigma.tolist())
-    for form in program or []:
-        program_format(form, model)
+    constraints = watched(model, collision=collision, tool_box=_numbers("--tool-box", tool_box), tool_frame=tool_frame)
+    if static is not None:
+        standing = design_static_poses(
+            model,
+            static,
+            noise=sigma,
+            fraction=fraction,
+            torque_fraction=torque_fraction,
+            constraints=constraints,
+            seed=seed,
+        )
+        files = write_static(out, standing, rate)
+        _answer(as_json, lambda: static_document(standing, files), lambda: static_text(standing) + _listed(files))
+        return
     options = DesignOptions(
         parametrisation=parametrisation,
         size=harmonics,
-        duration=_positive("--duration", duration),
+        duration=20.0 if duration == "auto" else _positive("--duration", duration),
+        periods=periods,
         criterion=criterion,
         focus=tuple(name for name in (focus or "").split(",") if name.strip()),
         noise=sigma[0] if len(sigma) == 1 else sigma,
         fraction=fraction,
         torque_fraction=torque_fraction,
+        power=_numbers("--power", power),
         perturbed=perturbed,
         starts=starts,
         seed=seed,
@@ -587,18 +619,18 @@ def excite(
     )
     with _progress() as report:
         report("bound the information", 0.0)
-        design = design_motion(
-            model,
-            drives,
-            options,
-            prior=prior,
-            progress=lambda p: report(f"search: best log det {p.best:.2f}" if p.finished else "search", p.finished / p.planned),
-        )
+
+        def progress(state: Any) -> None:
+            report(f"search: best {state.best:.2f}" if state.finished else "search", state.finished / state.planned)
+
+        if duration == "auto":
+            design, trials = design_for_precision(
+                model, drives, options, precision, prior=prior, constraints=constraints, progress=progress
+            )
+        else:
+            design, trials = design_motion(model, drives, options, prior=prior, constraints=constraints, progress=progress), ()
         files = write_design(out, design, rate)
-        for form in program or []:
-            written = write_program(out.with_name(f"{out.stem}_{form}"), make_program(model, design.motion, form, name=out.stem))
-            files |= {f"{form}_{role}": path for role, path in written.items()}
-    _answer(as_json, lambda: excite_document(design, files), lambda: excite_text(design) + _listed(files))
+    _answer(as_json, lambda: excite_document(design, files, trials), lambda: excite_text(design, trials) + _listed(files))
 
 
 @app.command()

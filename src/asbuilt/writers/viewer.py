@@ -201,7 +201,7 @@ class _Controls:
         self.viewer = viewer
         self.clock = _Clock()
         gui, model, motion = viewer.server.gui, viewer.model, viewer.motion
-        gui.configure_theme(control_layout="collapsible", show_logo=False, show_share_button=False)
+        gui.configure_theme(show_logo=False, show_share_button=False)
         mass = sum(link.inertia.mass for link in model.links)
         gui.add_markdown(f"**{model.name}** - {model.n_joints} joints, {mass:.2f} kg moving")
         with gui.add_folder("Show"):
