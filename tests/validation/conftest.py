@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,8 @@ from asbuilt.experiment.parallel_filter import design_parallel_filter
 from asbuilt.experiment.samples import Samples
 from asbuilt.identification.metrics import torque_metrics
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 HOSTILE = "<img src=x onerror=alert(1)>\"&'"
 

@@ -90,9 +90,7 @@ def recorded_rms(study: Study) -> list[np.ndarray]:
 def test_med7_beats_the_manufacturers_model(shared: Path) -> None:
     """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m (tau - tau_ext of the file)."""
     options = StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), holdout="blocks:5s:3")
-    study = study_of(
-        shared, "lbrstack_med7.urdf", ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"], options, rate=100.0, flip_torque=True
-    )
+    study = study_of(shared, "lbrstack_med7.urdf", ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"], options, rate=100.0, flip_torque=True)
     assert np.all(study.validations[0].metrics_as_built.rms < [0.72, 1.01, 0.43, 0.78, 0.26, 0.22, 0.27])
 
 
@@ -111,7 +109,9 @@ def test_short_med7_recording_is_said_not_to_generalise(shared: Path) -> None:
 
 
 def test_lwr4_beats_plain_least_squares(shared: Path) -> None:
-    study = study_of(shared, "kuka_lwr4.urdf", ["kuka_lwr4/measurements_1.npz"], StudyOptions(), validation=["kuka_lwr4/measurements_2.npz"])
+    study = study_of(
+        shared, "kuka_lwr4.urdf", ["kuka_lwr4/measurements_1.npz"], StudyOptions(), validation=["kuka_lwr4/measurements_2.npz"]
+    )
     assert np.all(study.validations[0].metrics_as_built.rms <= [0.31, 0.27, 0.28, 0.185, 0.25, 0.2, 0.19])
 
 

@@ -19,6 +19,7 @@ from asbuilt.identification.cause_evidence import TILTS, CauseEvidence
 from asbuilt.identification.triangular import triangular_factor
 from asbuilt.tables import SIGNIFICANT_SIGMAS, Cell, Column, Shown, Table, plus_minus, significant, stacked
 from asbuilt.tables import share as percentage
+from asbuilt.validation.comparison import recording_name
 from asbuilt.validation.prediction import design_values, torque_units
 
 if TYPE_CHECKING:
@@ -52,6 +53,8 @@ NEARLY = 6.0
 """Difference in score, as of a deviance, within which two combinations are about as likely (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995: not strong evidence)."""
 WORTH_SAYING = 0.05
 """Share of the error from which a cause is named."""
+MOSTLY = 0.5
+"""Share of the error left unexplained from which no cause is named."""
 OWN = 0.5
 """Two causes cannot be told apart where without either one the error grows by less than this part of that cause's share."""
 NOISE_FLOOR = 1e-9
@@ -259,6 +262,7 @@ class _Fits:
         design = np.nan_to_num(result.cad_values if cad is None else design_values(result, cad), nan=0.0)
         x = np.zeros(p)
         x[evidence.places(base.names)] = design
+        self.design = np.concatenate([x, np.zeros(n + 10)])
         links = [name for name, j in zip(base.names, base.columns, strict=True) if j < 10 * n]
         self.rigid = evidence.places(links)
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
@@ -313,21 +317,22 @@ class _Fits:
             places = np.concatenate([np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))])
             places = places[self.present[places]]
             x, spread, rank = np.zeros(len(self.names)), np.zeros(len(self.names)), 0
-            free = np.ones(places.size, dtype=bool)
+            free, bounded = np.ones(places.size, dtype=bool), self.non_negative[places]
+            floor = np.where(bounded, -self.design[places] * self.length[places], 0.0)
+            right = self.right[places] - self.gram[np.ix_(places, places)] @ floor
             for _ in range(MOST_EXCHANGES):
                 some = places[free]
                 eigenvalues, vectors = np.linalg.eigh(self.gram[np.ix_(some, some)])
                 kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
-                V = vectors[:, kept]
-                y = V @ ((V.T @ self.right[some]) / eigenvalues[kept])
-                x[places], x[some], rank = 0.0, y / self.length[some], int(kept.sum())
-                pull = self.right[places] - self.gram[np.ix_(places, some)] @ y
-                out = free & self.non_negative[places] & (x[places] < 0)
-                back = ~free & (pull > WEAKEST * np.abs(self.right).max(initial=0.0))
+                V, y = vectors[:, kept], np.zeros(places.size)
+                y[free], rank = V @ ((V.T @ right[free]) / eigenvalues[kept]), int(kept.sum())
+                pull = right - self.gram[np.ix_(places, places)] @ y
+                out = free & bounded & (y < 0)
+                back = ~free & (pull > WEAKEST * np.abs(right).max(initial=0.0))
                 if not (out | back).any():
                     break
                 free ^= out | back
-            x = np.where(self.non_negative, np.maximum(x, 0.0), x)
+            x[places] = (np.where(bounded, np.maximum(y, 0.0), y) + floor) / self.length[places] if places.size else 0.0
             if places.size:
                 spread[some] = np.sqrt(np.sum(V**2 / eigenvalues[kept], axis=1)) / self.length[some]
             self._known[causes] = self._judged(causes, x, spread, rank)
@@ -427,7 +432,7 @@ class _Fits:
             robot=result.robot,
             joint_names=e.joint_names,
             units=torque_units(result.model),
-            judged_by=e.judged_by,
+            judged_by=recording_name(e.judged_by),
             rms_cad=cad.rms,
             rms_chosen=whole.rms,
             steps=self.steps(),
@@ -500,7 +505,7 @@ class _Fits:
         if "payload" in self.causes and {"payload", "links"} & set(weighed):
             _, mass, error, centre = self.possible_payload
             away = float(np.linalg.norm(centre))
-            where = ", ".join(f"{1e3 * float(c):.0f}" for c in centre)
+            where = ", ".join(f"{round(1e3 * float(c))}" for c in centre)
             body = f"{plus_minus(mass, error)} kg with its centre at ({where}) mm in the frame of {self.result.model.link_names[-1]}"
             if "links" not in weighed:
                 found.append(f"The last link carries {body}.")
@@ -545,8 +550,8 @@ class _Fits:
         unit = torque_units(self.result.model)[k]
         head = f"{self.evidence.joint_names[k]}: CAD is off by {significant(float(self.fit(frozenset()).rms[k]))} {unit} RMS"
         named = sorted((each for each in shares if abs(each.share[k]) >= WORTH_SAYING), key=lambda each: -each.share[k])
-        if not named or named[0].share[k] < WORTH_SAYING:
-            return f"{head}, which no cause explains."
+        if not named or named[0].share[k] < WORTH_SAYING or left > MOSTLY:
+            return f"{head}, {'which' if left > 1.0 - WORTH_SAYING else 'most of which'} no cause explains."
         parts = [f"{percentage(float(each.share[k]), 0)} {self._amount(each.cause, k)}" for each in named]
         parts[0] = parts[0].replace(" % ", " % of the squared error is ", 1)
         return f"{head}; {', '.join(parts)}; {percentage(left, 0)} unexplained."

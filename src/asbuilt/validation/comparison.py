@@ -259,7 +259,7 @@ def compare(
         chi_square=chi_square(difference[tested], covariance) if tested.any() else None,
         chi_square_tolerance=None if claimed is None else chi_square(difference[tested], claimed),
         tolerance=tolerance,
-        judged_by="" if result.evidence is None else result.evidence.judged_by,
+        judged_by="" if result.evidence is None else recording_name(result.evidence.judged_by),
     )
 
 

@@ -15,6 +15,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
 from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording, TorqueSource
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
@@ -77,28 +78,28 @@ def default_drive(source: TorqueSource) -> DriveSet:
 
 def run_study(
     model: RobotModel,
-    recordings: Sequence[Recording | Samples],
+    recordings: Sequence[Recording | RecordingStream | Samples],
     *,
-    validation: Sequence[Recording | Samples] = (),
+    validation: Sequence[Recording | RecordingStream | Samples] = (),
     options: StudyOptions | None = None,
     progress: Progress | None = None,
 ) -> Study:
     """Identify a robot from recordings (or samples already prepared) and judge the result on what was held out.
 
-    Recordings go through one signal chain, whose open choices are made for the recordings to learn from. Raises RecordingError where a check finds an error.
+    Recordings go through one signal chain, whose open choices are made for the recordings to learn from; of a stream the first stretch is checked and chosen
+    by. Raises RecordingError where a check finds an error.
     """
     options = options or StudyOptions()
     report = progress or (lambda what, fraction: None)
     if not recordings:
         raise UsageError(f"no recording is given to identify {model.name} from")
     report("check", 0.0)
-    checks = (
-        tuple(check_recording(model, item) for item in (*recordings, *validation) if isinstance(item, Recording)) if options.checked else ()
-    )
+    heads = [_head(item) for item in (*recordings, *validation)]
+    checks = tuple(check_recording(model, head) for head in heads if head is not None) if options.checked else ()
     for check in checks:
         check.raise_errors()
     report("filter", 0.0)
-    logged = [item for item in recordings if isinstance(item, Recording)]
+    logged = [head for head in heads[: len(recordings)] if head is not None]
     chain = options.chain.resolved(*logged) if logged else options.chain
     learning = [_prepared(item, chain) for item in recordings]
     judging = [_prepared(item, chain) for item in validation]
@@ -135,7 +136,13 @@ def run_study(
     return Study(result, checks, training, validations, compare(result, validation=validations or training))
 
 
-def _prepared(item: Recording | Samples, chain: SignalChain) -> Samples:
+def _head(item: Recording | RecordingStream | Samples) -> Recording | None:
+    return item.head if isinstance(item, RecordingStream) else item if isinstance(item, Recording) else None
+
+
+def _prepared(item: Recording | RecordingStream | Samples, chain: SignalChain) -> Samples:
+    if isinstance(item, RecordingStream):
+        return item.prepared(chain)
     return item if isinstance(item, Samples) else prepare_samples(item, chain)
 
 

@@ -113,10 +113,10 @@ def difference_figure(comparison: Comparison, *, most: int = 24, title: str = ""
         axis.set_yticks(place, [f"{each.id}  {shortened(each.expression, 34)}" for each in shown], fontsize=7)
         axis.set_ylim(len(shown) - 0.4, -0.6)
         axis.set_xlim(0, 1.22 * float(total.max(initial=1e-12)))
-        axis.set_xlabel("torque that the difference costs, RMS over joints [N m]; dark: what no other parameter could make up for")
+        axis.set_xlabel("torque of the difference, RMS over all joints [N m]")
         axis.grid(axis="y", visible=False)
         for colour, label in ((AS_BUILT, "differs"), (GREY, "within errors")):
             axis.bar([0], [0], color=colour, label=label)
-        axis.legend(loc="lower right")
+        axis.legend(loc="lower right", title="pale: what others could make up for", title_fontsize=8)
         _headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
     return figure

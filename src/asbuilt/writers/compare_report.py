@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from asbuilt.identification.determination import Determination
 from asbuilt.tables import share
 from asbuilt.validation.attribution import Attribution
-from asbuilt.validation.comparison import Comparison, parameter_table
+from asbuilt.validation.comparison import Comparison, parameter_table, recording_name
 from asbuilt.writers.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.figures import _styled
 from asbuilt.writers.report import CITATION, Finding, _environment, _resource, _version
@@ -30,7 +30,7 @@ def comparison_html(
         title=f"{result.robot}: CAD against as built",
         robot=result.robot,
         cad=comparison.cad_source,
-        sources=", ".join(result.sources),
+        sources=", ".join(recording_name(source) for source in result.sources),
         findings=_findings(comparison, attribution, determination),
         tests=comparison.tests(),
         comparison=comparison,
@@ -57,9 +57,7 @@ def _findings(comparison: Comparison, attribution: Attribution | None, determina
     if attribution is not None:
         energy = attribution.rms_cad**2
         left = float(attribution.unexplained @ energy / energy.sum())
-        found.append(
-            Finding("good" if left < 0.1 else "bad", share(1.0 - left, 0), "of the squared CAD error explained by named causes", "")
-        )
+        found.append(Finding("good" if left < 0.1 else "bad", share(1.0 - left), "of the squared CAD error explained by named causes", ""))
     total = sum(len(names) for names in (determination.well, determination.fairly, determination.hardly, determination.not_at_all))
     found.append(Finding("neutral", f"{len(determination.well)} of {total}", "parameters known to 10 % or better", ""))
     return found

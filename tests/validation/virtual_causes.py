@@ -1,0 +1,58 @@
+"""Robots that differ from their CAD in known ways, and what is identified of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.sensors import SensorNoise
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.identification.cause_evidence import gather_evidence
+from asbuilt.identification.identify import identify
+from asbuilt.identification.result import IdentificationResult
+
+TOOL = LinkInertia.from_com(1.9, [0.02, 0.0, 0.08], np.diag([0.01, 0.01, 0.006]))
+FRICTION = (1.0, 2.0)
+"""Viscous [N m s/rad] and Coulomb [N m], of every joint."""
+GAINS = {1: 1.1, 3: 0.9}
+TILT = (1.0, -0.5)
+"""Degrees about x and y."""
+
+
+def recorded(robot: str, causes: str, *, seed: int = 1, friction: tuple[float, ...] = FRICTION) -> Recording:
+    """Log a robot with these causes: letters of `pftgl` for payload, friction, tilt, gain, links."""
+    model = load_robot(robot)
+    n = model.n_joints
+    machine = InstalledRobot.ideal(model).with_drive(DriveSet(), ()).with_noise(SensorNoise(torque_noise=0.1))
+    if "l" in causes:
+        machine = machine.with_perturbed_links(0.1, 4)
+    if "p" in causes:
+        machine = machine.with_tool(TOOL)
+    if "t" in causes:
+        machine = machine.tilted(*np.deg2rad(TILT))
+    if "f" in causes:
+        machine = machine.with_drive(DriveSet.parse("viscous,coulomb"), np.tile(friction, n) if len(friction) == 2 else friction)
+    recording = machine.record(random_fourier(model, rng=3, duration=30.0), 100.0, rng=seed).recording
+    return recording.scaled([GAINS.get(k, 1.0) for k in range(n)]) if "g" in causes else recording
+
+
+@cache
+def identified(
+    robot: str, causes: str, *, seed: int = 1, friction: tuple[float, ...] = FRICTION, drive: str = "viscous,coulomb,offset"
+) -> IdentificationResult:
+    """Identify it with the usual drive terms; every third 2 s block is held out and judges."""
+    model = load_robot(robot)
+    base = find_base_parameters(model, DriveSet.parse(drive))
+    train, held = hold_out(prepare_samples(recorded(robot, causes, seed=seed, friction=friction), SignalChain()), "blocks:2s:3")
+    result = identify(model, train, base=base)
+    return replace(result, evidence=gather_evidence(model, base, [train], [held]))
