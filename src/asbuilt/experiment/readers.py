@@ -84,7 +84,7 @@ def read_recordings(
     """
     return [
         read_recording(group, model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
-        for group in _grouped([Path(path) for path in paths])
+        for group in grouped_files([Path(path) for path in paths])
     ]
 
 
@@ -212,7 +212,7 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
         if missing:
             raise RecordingError(f"the recording sheet names {missing[0]}, which does not exist")
         return merge_role_files({quantity: read_table(path, sheet) for quantity, path in files.items()})
-    groups = _grouped(paths)
+    groups = grouped_files(paths)
     if len(groups) > 1:
         listing = "; ".join(", ".join(path.name for path in group) for group in groups)
         raise RecordingError(
@@ -223,7 +223,7 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
     return merge_role_files({path.name: read_table(path, sheet) for path in paths})
 
 
-def _grouped(paths: list[Path]) -> list[list[Path]]:
+def grouped_files(paths: list[Path]) -> list[list[Path]]:
     """Group files of one quantity each, but not whole recordings whose names say `torque` or `position` by chance."""
     groups: list[list[Path]] = []
     for group in role_groups(paths):

@@ -1,0 +1,148 @@
+"""Recordings too long to be held as logged: opened, read stretch by stretch, and thinned while they are read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.formats.parquet import scan_parquet
+from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, grouped_files, read_recording
+from asbuilt.experiment.recording import Recording, TorqueSource
+from asbuilt.experiment.samples import Samples
+from asbuilt.experiment.sheet import RecordingSheet
+from asbuilt.experiment.signal_chain import SignalChain, stream_samples
+from asbuilt.experiment.streaming import stream_recording
+
+Array = NDArray[np.float64]
+
+LONG = 200e6
+"""Size [bytes] of the numbers in a Parquet file, or of a text file, from which a recording is read in stretches."""
+CHUNK = 30_000
+"""Samples read at once."""
+HEAD = 60_000
+"""Samples at the beginning by which a recording is checked and its filters are chosen."""
+GROWTH = 60_000
+"""Samples by which the memory for what the filters leave grows, in place."""
+COLUMNS = ("t", "q", "qd", "qdd", "tau", "tau_raw")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingStream:
+    """Name a recording that is read in stretches, as often as it is gone through; options are those of `read_recording`.
+
+    >>> stream = RecordingStream(Path("hour.parquet"), rate=1000.0)
+    >>> stream.source
+    'hour.parquet'
+    """
+
+    path: Path
+    model: RobotModel | None = None
+    sheet: PathLike | RecordingSheet | None = None
+    rate: float | None = None
+    flip_torque: bool = False
+    gain: ArrayLike | None = None
+    torque_source: TorqueSource | None = None
+    chunk_samples: int = CHUNK
+
+    @property
+    def source(self) -> str:
+        """Where it is."""
+        return str(self.path)
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield its stretches in order."""
+        return self._read(self.chunk_samples)
+
+    def _read(self, chunk_samples: int) -> Iterator[Recording]:
+        return stream_recording(
+            self.path,
+            model=self.model,
+            sheet=self.sheet,
+            rate=self.rate,
+            flip_torque=self.flip_torque,
+            gain=self.gain,
+            torque_source=self.torque_source,
+            chunk_samples=chunk_samples,
+        )
+
+    @cached_property
+    def head(self) -> Recording:
+        """The beginning, by which the recording is checked and its filters are chosen; raises `RecordingError` where there is none."""
+        for recording in self._read(HEAD):
+            return recording
+        raise RecordingError(f"{self.path} is not a recording: it holds no samples")
+
+    def prepared(self, chain: SignalChain) -> Samples:
+        """Return its samples after filtering and thinning; only these are held, about 100 MB for an hour of seven joints."""
+        columns: dict[str, Array] = {}
+        bounds, first = [0], None
+        for samples in stream_samples(self, chain):
+            first = first or samples
+            filled = bounds[-1]
+            for name in COLUMNS:
+                part = getattr(samples, name)
+                held = columns.setdefault(name, np.empty((GROWTH, *part.shape[1:])))
+                if filled + len(part) > len(held):
+                    held.resize((filled + len(part) + GROWTH, *part.shape[1:]), refcheck=False)
+                held[filled : filled + len(part)] = part
+            bounds += [filled + stop for _, stop in samples.segments]
+        if first is None:
+            raise RecordingError(
+                f"{self.path}: nothing is left after filtering; raise the cutoff, record longer, or check that the robot moves"
+            )
+        return Samples(
+            **{name: held[: bounds[-1]] for name, held in columns.items()},
+            rate=first.rate,
+            joint_names=first.joint_names,
+            segments=tuple(pairwise(bounds)),
+            source=self.source,
+            torque_source=first.torque_source,
+            parallel=first.parallel,
+            origin=first.origin,
+            provenance=(
+                *first.provenance,
+                f"read in stretches of {self.chunk_samples} samples; checked and its filters chosen on the first {HEAD}",
+            ),
+        )
+
+
+def is_long(path: Path) -> bool:
+    """Return whether a file should be read in stretches, from its size alone."""
+    suffix = path.suffix.lower()
+    if not path.is_file() or suffix not in {".parquet", *TEXT_SUFFIXES}:
+        return False
+    if suffix == ".parquet":
+        frame, names, _ = scan_parquet(path)
+        return int(frame.select(pl.len()).collect().item()) * len(names) * 8 > LONG
+    return path.stat().st_size > LONG
+
+
+def open_recordings(
+    paths: Sequence[PathLike],
+    *,
+    model: RobotModel | None = None,
+    sheet: PathLike | RecordingSheet | None = None,
+    rate: float | None = None,
+    flip_torque: bool = False,
+    gain: ArrayLike | None = None,
+    torque_source: TorqueSource | None = None,
+) -> list[Recording | RecordingStream]:
+    """Read recordings as `read_recordings` does, but leave those too long to be held as streams."""
+    opened: list[Recording | RecordingStream] = []
+    for group in grouped_files([Path(path) for path in paths]):
+        if len(group) == 1 and is_long(group[0]):
+            opened.append(RecordingStream(group[0], model, sheet, rate, flip_torque, gain, torque_source))
+        else:
+            opened.append(
+                read_recording(group, model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
+            )
+    return opened

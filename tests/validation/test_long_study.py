@@ -1,0 +1,56 @@
+"""A study of a recording that is read in stretches against the same study of the whole."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from asbuilt.cli import main
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment import long_recordings
+from asbuilt.experiment.long_recordings import RecordingStream
+from asbuilt.experiment.readers import read_recording
+from asbuilt.experiment.signal_chain import SignalChain
+from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.validation.study import StudyOptions, run_study
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_robot("kuka-iiwa7-r800")
+
+
+@pytest.fixture(scope="module")
+def log(model, tmp_path_factory):
+    recording = InstalledRobot.typical(model, rng=1).record(random_fourier(model, rng=1, duration=40.0), 250.0, rng=2).recording
+    columns = {"t": recording.t} | {f"q_{k}": recording.q[:, k] for k in range(7)} | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+    path = tmp_path_factory.mktemp("logs") / "run.parquet"
+    pl.DataFrame(columns).write_parquet(path)
+    return path
+
+
+def test_study_of_a_stream_is_that_of_the_whole(model, log):
+    whole = read_recording(log, model=model)
+    chain = SignalChain().resolved(whole)
+    options = StudyOptions(chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3")
+    one = run_study(model, [whole], options=options)
+    other = run_study(model, [RecordingStream(log, model, chunk_samples=4000)], options=options)
+    size = np.abs(one.result.estimates).max()
+    np.testing.assert_allclose(other.result.estimates, one.result.estimates, atol=0.02 * size)
+    np.testing.assert_allclose(other.validations[0].metrics_as_built.rms, one.validations[0].metrics_as_built.rms, rtol=0.02)
+    np.testing.assert_allclose(other.result.n_samples, one.result.n_samples, rtol=0.02)
+
+
+def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
+    monkeypatch.setattr(long_recordings, "LONG", 1e5)
+    with pytest.raises(SystemExit) as ended:
+        main(["identify", "kuka-iiwa7-r800", str(log), "--holdout", "blocks:5s:3", "--json"])
+    assert ended.value.code == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert any("read in stretches" in line for line in answer["provenance"])
+    assert answer["validation"][0]["relative_error"] < 0.1
