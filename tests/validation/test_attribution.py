@@ -13,7 +13,8 @@ from virtual_causes import identified
 from asbuilt.description.load import load_robot
 from asbuilt.errors import ResultError
 from asbuilt.identification.result import IdentificationResult
-from asbuilt.validation.attribution import BEFORE, CAUSES, attribute, shapley_values
+from asbuilt.validation.attribution import attribute
+from asbuilt.validation.causes import BEFORE, CAUSES, shapley_values
 from asbuilt.writers.cause_figures import attribution_figure
 from asbuilt.writers.tabular import json_text
 

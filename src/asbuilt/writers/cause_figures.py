@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from asbuilt.tables import shortened, significant
-from asbuilt.validation.attribution import CAUSES, Attribution
+from asbuilt.validation.attribution import Attribution
+from asbuilt.validation.causes import CAUSES
 from asbuilt.validation.comparison import Comparison
 from asbuilt.writers.figures import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, _figure, _headline, _styled
 

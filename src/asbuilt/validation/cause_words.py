@@ -1,0 +1,117 @@
+"""What an attribution says in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
+from asbuilt.tables import share as percentage
+from asbuilt.validation.cause_fits import NEARLY, POSSIBLE_REACH, CauseFits
+from asbuilt.validation.causes import CAUSES
+from asbuilt.validation.prediction import torque_units
+
+Array = NDArray[np.float64]
+
+WORTH_SAYING = 0.05
+"""Share of the error from which a cause is named."""
+MOSTLY = 0.5
+"""Share of the error left unexplained from which no cause is named."""
+
+
+def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
+    """Say what the causes weighed amount to, what was ruled out, and what this recording does not tell apart."""
+    weighed = fits.weighed
+    found = []
+    if "payload" in fits.causes and {"payload", "links"} & set(weighed):
+        _, mass, error, centre = fits.possible_payload
+        away = float(np.linalg.norm(centre))
+        where = ", ".join(f"{round(1e3 * float(c))}" for c in centre)
+        body = f"{plus_minus(mass, error)} kg with its centre at ({where}) mm in the frame of {fits.result.model.link_names[-1]}"
+        if "links" not in weighed:
+            found.append(f"The last link carries {body}.")
+        elif "payload" in weighed:
+            found.append(
+                f"Part of what the links' mass distribution explains, {body} at the flange would explain as well; free links can imitate any payload, "
+                "so only simplicity speaks for it."
+            )
+        elif mass <= 0:
+            found.append(f"A payload is no explanation: it would have a mass of {plus_minus(mass, error)} kg.")
+        elif away > POSSIBLE_REACH:
+            found.append(f"A payload is no explanation: its centre would lie {significant(away, 2)} m off the last joint.")
+    if "mounting" in weighed:
+        place = fits.columns["mounting"]
+        tilts = [plus_minus(*np.rad2deg([fits.chosen.values[j], fits.chosen.std_errors[j]]).tolist()) for j in place]
+        turned = " and ".join(f"{tilt} about {_axis(axis)}" for tilt, axis in zip(tilts, fits.evidence.tilt_axes, strict=True))
+        sure = np.any(np.abs(fits.chosen.values[place]) >= SIGNIFICANT_SIGMAS * fits.chosen.std_errors[place])
+        found.append(f"The root frame {'stands' if sure else 'may stand'} askew by {turned}, in degrees.")
+    if "gain" in weighed:
+        told = [
+            (name, 100 * fits.chosen.values[j], 100 * fits.chosen.std_errors[j])
+            for name, j in zip(fits.evidence.joint_names, fits.columns["gain"], strict=True)
+        ]
+        listed = ", ".join(f"{name} {g:+.1f} +/- {e:.1f} %" for name, g, e in told if abs(g) >= SIGNIFICANT_SIGMAS * e)
+        found.append(f"Torques read larger or smaller than they are: {listed}.")
+    for one, two in alike:
+        found.append(
+            f"This recording does not tell {CAUSES[one]} from {CAUSES[two]}: with either in the model the other adds little, and their shares are "
+            "divided between them for want of better."
+        )
+    rival = next((fit for fit in fits.rivals if fits.chosen.causes - fit.causes and fit.score <= fits.chosen.score + NEARLY), None)
+    if rival is not None:
+        instead = ", ".join(CAUSES[cause] for cause in CAUSES if cause in rival.causes - fits.chosen.causes)
+        replaced = ", ".join(CAUSES[cause] for cause in CAUSES if cause in fits.chosen.causes - rival.causes)
+        found.append(f"About as likely, for what this recording tells: {instead} in place of {replaced}.")
+    missing = [CAUSES[cause] for cause in fits.causes if cause not in weighed and not (cause == "payload" and "links" in weighed)]
+    if missing:
+        found.append(f"Not needed to explain this recording: {', '.join(missing)}.")
+    return tuple(found)
+
+
+def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
+    """Say what the CAD error of joint k is made of; `left` is the share that stays unexplained."""
+    unit = torque_units(fits.result.model)[k]
+    head = f"{fits.evidence.joint_names[k]}: CAD is off by {significant(float(fits.fit(frozenset()).rms[k]))} {unit} RMS"
+    named = sorted((cause for cause, share in shares.items() if abs(share[k]) >= WORTH_SAYING), key=lambda cause: -shares[cause][k])
+    if not named or shares[named[0]][k] < WORTH_SAYING or left > MOSTLY:
+        return f"{head}, {'which' if left > 1.0 - WORTH_SAYING else 'most of which'} no cause explains."
+    parts = [f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in named]
+    parts[0] = parts[0].replace(" % ", " % of the squared error is ", 1)
+    return f"{head}; {', '.join(parts)}; {percentage(left, 0)} unexplained."
+
+
+def _amount(fits: CauseFits, cause: str, k: int) -> str:
+    """Say what a cause amounts to at a joint."""
+    fit, names = fits.chosen, list(fits.names)
+    unit = torque_units(fits.result.model)[k]
+    speed = "rad/s" if unit == "N m" else "m/s"
+
+    size = fits.sizes(fits.weighed)[cause]
+
+    def value(letter: str) -> float:
+        name = f"{letter}{k + 1}"
+        return float(size[names.index(name)]) if name in names else 0.0
+
+    if cause == "payload":
+        body = f"{significant(fits.possible_payload[1], 2)} kg at the flange"
+        return f"what {body} would do" if "links" in fit.causes else body
+    if cause == "friction":
+        return f"friction (Coulomb {significant(value('Fc'), 2)} {unit}, viscous {significant(value('Fv'), 2)} {unit} per {speed})"
+    if cause == "offset":
+        return f"an offset of {significant(value('Fo'), 2)} {unit}"
+    if cause == "armature":
+        return f"armature ({significant(value('Ia'), 2)} {'kg m^2' if unit == 'N m' else 'kg'})"
+    if cause == "gain":
+        return f"torque gain ({100 * value('gain '):+.0f} %)"
+    if cause == "mounting":
+        return f"mounting askew ({significant(float(np.rad2deg(np.hypot(*fit.values[fits.columns['mounting']]))), 2)} deg)"
+    return CAUSES[cause]
+
+
+def _axis(axis: Array) -> str:
+    for name, unit in zip("xyz", np.eye(3), strict=True):
+        if np.allclose(axis, unit, atol=1e-9):
+            return name
+    return f"({', '.join(f'{c:.2f}' for c in axis)})"

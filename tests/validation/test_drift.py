@@ -1,0 +1,60 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from virtual_causes import identified, recorded
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import RecordingError, ResultError
+from asbuilt.validation.controller_model import compare_with_controller
+from asbuilt.validation.drift import compare_results
+
+ARM = "kuka-iiwa7-r800"
+WORN = (1.0, 2.0, 1.0, 2.0, 1.4, 3.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0)
+
+
+def test_wear_is_found_where_it_is() -> None:
+    drift = compare_results(identified(ARM, "f"), identified(ARM, "f", seed=2, friction=WORN))
+    changed = {change.name for change in drift.parameters if change.changed}
+    assert {"Fv3", "Fc3"} <= changed
+    assert len(changed) <= 6
+    assert drift.chi_square.probability < 1e-6
+    (sentence,) = [line for line in drift.sentences if line.startswith("A3")]
+    assert "Coulomb friction 2.0" in sentence
+    assert "N m (+49 %)" in sentence or "N m (+50 %)" in sentence
+    assert drift.ranked[0].name in ("Fc3", "Fv3")
+
+
+def test_nothing_changed_between_two_recordings_of_the_same_robot() -> None:
+    drift = compare_results(identified(ARM, "f"), identified(ARM, "f", seed=2))
+    assert drift.n_changed <= 3
+    assert drift.chi_square.probability > 1e-4
+    assert not any(change.changed and change.matters for change in drift.parameters)
+
+
+def test_results_of_different_robots_are_not_compared() -> None:
+    with pytest.raises(ResultError, match="joints"):
+        compare_results(identified(ARM, "f"), identified("scara", "f"))
+
+
+def test_the_controllers_own_model_is_recovered() -> None:
+    model = load_robot(ARM)
+    recording = recorded(ARM, "pf")
+    qd = np.gradient(recording.q, recording.t, axis=0, edge_order=2)
+    qdd = np.gradient(qd, recording.t, axis=0, edge_order=2)
+    external = recording.tau - inverse_dynamics(model, recording.q, qd, qdd)
+    found = compare_with_controller(identified(ARM, "pf"), replace(recording, extra={"tau_ext": external}), holdout="blocks:2s:3")
+    assert found.rebuilt.relative_error < 0.02
+    np.testing.assert_allclose(found.controller.rms, found.cad.rms, rtol=0.05)
+    assert np.all(found.as_built.rms < found.controller.rms)
+    friction = {change.name: change for change in found.difference.parameters}
+    for k in range(1, 8):
+        assert abs(friction[f"Fc{k}"].before) < 0.1
+        assert abs(friction[f"Fc{k}"].after - 2.0) < 0.1
+    assert "controller" in found.as_text()
+
+
+def test_a_log_without_external_torque_is_refused() -> None:
+    with pytest.raises(RecordingError, match="tau_ext"):
+        compare_with_controller(identified(ARM, "pf"), recorded(ARM, "pf"))
