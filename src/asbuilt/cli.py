@@ -16,6 +16,7 @@ from asbuilt.identification.methods import methods
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
+    from asbuilt.excitation.motion import Motion
     from asbuilt.experiment.long_recordings import RecordingStream
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal_chain import SignalChain
@@ -587,6 +588,7 @@ def excite(
             raise UsageError(f"{given} belongs to {known.robot}, not to {model.name}")
         model, drives, prior = known.model, known.base.drive, known_information(known)
         sigma = _numbers("--noise", noise) or tuple(known.sigma.tolist())
+    _check_programs(model, program)
     constraints = watched(model, collision=collision, tool_box=_numbers("--tool-box", tool_box), tool_frame=tool_frame)
     if static is not None:
         standing = design_static_poses(
@@ -598,7 +600,7 @@ def excite(
             constraints=constraints,
             seed=seed,
         )
-        files = write_static(out, standing, rate)
+        files = write_static(out, standing, rate) | _programs(model, standing.motion, program, out)
         _answer(as_json, lambda: static_document(standing, files), lambda: static_text(standing) + _listed(files))
         return
     options = DesignOptions(
@@ -629,8 +631,27 @@ def excite(
             )
         else:
             design, trials = design_motion(model, drives, options, prior=prior, constraints=constraints, progress=progress), ()
-        files = write_design(out, design, rate)
+        files = write_design(out, design, rate) | _programs(model, design.motion, program, out)
     _answer(as_json, lambda: excite_document(design, files, trials), lambda: excite_text(design, trials) + _listed(files))
+
+
+def _check_programs(model: RobotModel, forms: Sequence[str] | None) -> None:
+    from asbuilt.excitation.programs.registry import program_format
+
+    for form in forms or ():
+        program_format(form, model)
+
+
+def _programs(model: RobotModel, motion: Motion, forms: Sequence[str] | None, out: Path) -> dict[str, Path]:
+    """Write the programs of a motion into folders beside its file."""
+    from asbuilt.excitation.programs.registry import make_program
+    from asbuilt.writers.program_files import write_program
+
+    files: dict[str, Path] = {}
+    for form in forms or ():
+        written = write_program(out.with_name(f"{out.stem}_{form}"), make_program(model, motion, form, name=out.stem))
+        files |= {f"{form}_{role}": path for role, path in written.items()}
+    return files
 
 
 @app.command()
