@@ -556,7 +556,9 @@ def excite(
         str | None, typer.Option("--tool-box", metavar="X0,X1,Y0,Y1,Z0,Z1", help="keep the tool in this box of the root frame [m]")
     ] = None,
     tool_frame: Annotated[str | None, typer.Option("--tool-frame", metavar="NAME", help="the frame that stays in the box")] = None,
-    power: Annotated[str | None, typer.Option("--power", metavar="P1,P2,...", help="mechanical power allowed, one or one per joint [W]")] = None,
+    power: Annotated[
+        str | None, typer.Option("--power", metavar="P1,P2,...", help="mechanical power allowed, one or one per joint [W]")
+    ] = None,
     fraction: Annotated[float, typer.Option("--fraction", help="how much of the limits of motion may be used")] = 0.95,
     torque_fraction: Annotated[float, typer.Option("--torque-fraction", help="how much of the torque limits may be used")] = 0.8,
     perturbed: Annotated[
@@ -574,7 +576,8 @@ def excite(
 ) -> None:
     """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.excitation.design import DesignOptions, design_motion, watched
+    from asbuilt.excitation.collision import watched
+    from asbuilt.excitation.design import DesignOptions, design_motion
     from asbuilt.excitation.precision import design_for_precision
     from asbuilt.excitation.static_poses import design_static_poses
     from asbuilt.identification.known_information import known_information

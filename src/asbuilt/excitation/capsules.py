@@ -220,7 +220,8 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
         import trimesh  # noqa: PLC0415
     except ImportError:
         raise MissingExtraError("trimesh", "cad", "fitting capsules to meshes") from None
-    vertices = np.asarray(trimesh.load(file, force="mesh").vertices, dtype=np.float64)
+    mesh: Any = trimesh.load(file, force="mesh")
+    vertices = np.asarray(mesh.vertices, dtype=np.float64)
     scale = np.array(numbers(shape, "scale", 3, place)) if shape.get("scale") else np.ones(3)
     return vertices * scale
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.errors import MotionError
+from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import random_states
-from asbuilt.excitation.capsules import Surroundings, neighbours
+from asbuilt.excitation.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.distances import nearest_on_segments, nearest_to_box
 from asbuilt.excitation.interior_point import Linearised, StateConstraint
 from asbuilt.excitation.limits import MotionBounds
@@ -63,12 +64,12 @@ class CollisionGuard(StateConstraint):
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
         axes, origins = _joint_axes(self._model, q)
-        for place, (a, b) in enumerate(self.pairs):
-            for body, point, sign in ((a, points[:, place, 0], -1.0), (b, points[:, place, 1], 1.0)):
+        for number, (a, b) in enumerate(self.pairs):
+            for body, point, sign in ((a, points[:, number, 0], -1.0), (b, points[:, number, 1], 1.0)):
                 link = self._bodies.capsules[body].link if body < len(self._bodies.capsules) else ROOT
                 for k in self._model.ancestors(link):
                     speed = np.cross(axes[:, k], point - origins[:, k]) if self._model.joints[k].is_revolute else axes[:, k]
-                    gradient[:, place, k] += sign * np.einsum("si,si->s", normals[:, place], speed)
+                    gradient[:, number, k] += sign * np.einsum("si,si->s", normals[:, number], speed)
         return Linearised(self._softened(distances), (slope[:, :, None] * gradient, None, None), False)
 
     def smallest_distance(self, q: Array) -> float:
@@ -87,8 +88,8 @@ class CollisionGuard(StateConstraint):
             if capsule.link == ROOT:
                 ends.append(tuple(np.broadcast_to(end, (len(q), 3)) for end in (capsule.start, capsule.stop - capsule.start)))
             else:
-                rotation, place = links[:, capsule.link, :3, :3], links[:, capsule.link, :3, 3]
-                ends.append((rotation @ capsule.start + place, rotation @ (capsule.stop - capsule.start)))
+                rotation, origin = links[:, capsule.link, :3, :3], links[:, capsule.link, :3, 3]
+                ends.append((rotation @ capsule.start + origin, rotation @ (capsule.stop - capsule.start)))
         samples, count, n_capsules = len(q), len(self.pairs), len(self._bodies.capsules)
         distances, points, normals = np.empty((samples, count)), np.zeros((samples, count, 2, 3)), np.empty((samples, count, 3))
         among = [place for place, (_, b) in enumerate(self.pairs) if b < n_capsules]
@@ -104,14 +105,14 @@ class CollisionGuard(StateConstraint):
             distances[:, among] = size - np.array(radii)
             normals[:, among] = apart / np.maximum(size, 1e-12)[:, :, None]
             points[:, among, 0], points[:, among, 1] = near
-        for place, (a, b) in enumerate(self.pairs):
+        for number, (a, b) in enumerate(self.pairs):
             if b >= n_capsules:
                 obstacle = self._bodies.obstacles[b - n_capsules]
                 rotation, middle = obstacle.pose[:3, :3], obstacle.pose[:3, 3]
                 point, distance, normal = nearest_to_box((ends[a][0] - middle) @ rotation, ends[a][1] @ rotation, obstacle.size / 2)
-                distances[:, place] = distance - self._bodies.capsules[a].radius
-                normals[:, place] = -normal @ rotation.T
-                points[:, place, 0] = point @ rotation.T + middle
+                distances[:, number] = distance - self._bodies.capsules[a].radius
+                normals[:, number] = -normal @ rotation.T
+                points[:, number, 0] = point @ rotation.T + middle
         return distances, points, normals
 
 
@@ -152,6 +153,21 @@ class ToolBox(StateConstraint):
         pose = link_poses(self._model, q)[:, self._link]
         place: Array = pose[:, :3, :3] @ self._point + pose[:, :3, 3]
         return place
+
+
+def watched(
+    model: RobotModel, *, collision: str | None = None, tool_box: Sequence[float] = (), tool_frame: str | None = None
+) -> tuple[StateConstraint, ...]:
+    """Return the constraints for bodies from a `collision` source (see `surroundings`) and for a box x0, x1, y0, y1, z0, z1 of the tool [m]."""
+    found: list[StateConstraint] = []
+    if collision is not None:
+        found.append(CollisionGuard(model, surroundings(model, collision)))
+    if tool_box:
+        if len(tool_box) != 6:
+            raise UsageError(f"the box of the tool has six numbers, x0, x1, y0, y1, z0, z1; got {len(tool_box)}")
+        edges = np.array(tool_box, dtype=np.float64).reshape(3, 2)
+        found.append(ToolBox(model, edges[:, 0], edges[:, 1], tool_frame))
+    return tuple(found)
 
 
 def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -20,11 +21,11 @@ from asbuilt.excitation.information import Information, mean_information
 from asbuilt.excitation.information_bound import InformationBound, information_bound
 from asbuilt.excitation.interior_point import StateConstraint, solve
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motion import Array, Motion
+from asbuilt.excitation.motion import Array, Motion, limit_array
 from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, search_all
 from asbuilt.excitation.parametrisations import PARAMETRISATIONS, Fourier, Parametrisation, PointToPoint
 from asbuilt.excitation.point_to_point import PointToPointMotion
-from asbuilt.excitation.torque_limit import TorqueLimit, perturbed_models
+from asbuilt.excitation.torque_limit import PowerLimit, TorqueLimit, perturbed_models
 
 USUAL_DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
@@ -35,6 +36,9 @@ LEAST_NODES = 128
 SEARCH_BARRIER = (20.0, 3e-3)
 FINAL_BARRIER = (3e-3, 3e-5)
 HOP_BARRIER = (0.3, 3e-3)
+SEARCH_SPARE, FINAL_SPARE = (3e-3, 3e-2), (1e-3, 1e-2)
+"""What search and refinement leave of the limits of motion and of the other constraints, so that they hold between the nodes, too."""
+
 POLISHED = 4
 """How many of the best local optima are refined on the dense grid."""
 
@@ -53,6 +57,7 @@ DISTURBANCE = (0.1, 0.5)
 
 REPAIRS = 12
 SLOWING = 0.93
+MOST_SHRINKING = 0.3
 SHORTEST_MOVE = 0.1
 """Least time that the design grants to a move between two poses [s]."""
 
@@ -71,7 +76,7 @@ class DesignOptions:
     | `noise` | standard deviation of the torque [N m or N], one number or one per joint |
     | `information_rate` | independent torque samples per second that the noise refers to [1/s] |
     | `fraction`, `torque_fraction` | how much of the limits of motion, and of torque, may be used |
-    | `power` | greatest mechanical power of each joint [W], infinite for none |
+    | `power` | greatest mechanical power of each joint [W], one number or one per joint; none where empty |
     | `perturbed`, `spread` | how many other robots the torque limit must hold for, and how far off their masses are |
     | `starts`, `seed`, `time_limit` | local searches, seed of everything random, and when to be done [s] |
     """
@@ -86,6 +91,7 @@ class DesignOptions:
     information_rate: float = 100.0
     fraction: float = 0.95
     torque_fraction: float = 0.8
+    power: tuple[float, ...] = ()
     perturbed: int = 0
     spread: float = 0.1
     starts: int = 24
@@ -354,13 +360,15 @@ class _Search:
         torque = options.torque_fraction * MotionBounds.of(model).torque
         models = perturbed_models(model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20]))
         watch: tuple[StateConstraint, ...] = (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
+        if options.power:
+            watch += (PowerLimit(model, limit_array(options.power, model.n_joints, "power")),)
         self._constraints = watch + constraints
         span = self.family.duration / getattr(self.family, "periods", 1)
         self._n_nodes = max(LEAST_NODES, round(NODES_PER_WAVE * span / self.family.shortest_wave))
-        self._coarse = self._program(self._n_nodes, 0.0)
+        self._coarse = self._program(self._n_nodes, SEARCH_SPARE)
 
-    def _program(self, n_nodes: int, tightening: float, family: Parametrisation | None = None) -> DesignProgram:
-        return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, tightening)
+    def _program(self, n_nodes: int, spare: tuple[float, float], family: Parametrisation | None = None) -> DesignProgram:
+        return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare)
 
     def run(self, threads: int | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
         """Return the candidates, best first: searches from random starts, then from disturbed versions of the best so far.
@@ -375,7 +383,7 @@ class _Search:
                 progress(SearchProgress(state.seconds, before + state.finished, planned, max(best, state.best)))
 
         found = search_all(
-            [self.from_seed(k) for k in range(starts)], self._deadline, threads=threads, progress=lambda state: told(state, 0, -np.inf)
+            [self.from_seed(k) for k in range(starts)], self._deadline, threads=threads, progress=partial(told, before=0, best=-np.inf)
         )
         idle, done = 0, starts
         while found and done < planned and idle < IDLE_GENERATIONS and not self._deadline():
@@ -383,7 +391,7 @@ class _Search:
             parents = found[:PARENTS]
             hops = [self.from_parent(done + k, parents[k % len(parents)]) for k in range(GENERATION)]
             before = done
-            born = search_all(hops, self._deadline, threads=threads, progress=lambda state, b=before, v=best: told(state, b, v))
+            born = search_all(hops, self._deadline, threads=threads, progress=partial(told, before=before, best=best))
             found = sorted([*found, *born], key=lambda candidate: (-candidate.value, candidate.number))
             idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
             done += GENERATION
@@ -428,7 +436,7 @@ class _Search:
             coefficients, family, value = candidate.coefficients, self.family, candidate.value
             for _ in range(2 if isinstance(family, PointToPoint) else 1):
                 family = self._retimed(family, coefficients)
-                dense = self._program(2 * self._n_nodes, 1e-3, family)
+                dense = self._program(2 * self._n_nodes, FINAL_SPARE, family)
                 start = self._inside(dense, coefficients)
                 optimum = None if start is None else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
                 if optimum is not None and (optimum.value > value - 1.0 or isinstance(family, PointToPoint)):
@@ -498,29 +506,30 @@ class _Search:
         return None
 
     def _inside(self, program: DesignProgram, coefficients: Array) -> Array | None:
-        """Return the coefficients drawn towards a standing pose in the middle, just enough to be strictly feasible."""
-        for part in (0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
-            inner = self._drawn(coefficients, part)
-            if min(float(slack.min()) for slack in program.margins(inner)) > 1e-6:
-                return inner
-        return None
-
-    def _drawn(self, coefficients: Array, part: float) -> Array:
+        """Return the coefficients drawn towards standing in the middle of the range or of the motion, just enough to be strictly feasible."""
+        own = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
         middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
-        inner: Array = middle + (1 - part) * (coefficients - middle)
-        return inner
+        for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
+            for pose in (middle, own):
+                inner: Array = coefficients + part * (pose - coefficients)
+                if min(float(slack.min()) for slack in program.margins(inner)) > 1e-6:
+                    return inner
+        return None
 
     def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
         """Return the coefficients, drawn inwards until every constraint holds at 1 kHz."""
         span = family.duration / getattr(family, "periods", 1)
-        grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), 0.0, family)
-        part = 0.0
-        for _ in range(REPAIRS):
-            trial = self._drawn(coefficients, part)
-            worst = min(float(slack.min()) for slack in grid.margins(trial))
-            if worst >= 0:
-                return trial
-            part = max(2 * part, -1.05 * worst, 1e-6)
-            if part > 0.9:
-                break
+        grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), (0.0, 0.0), family)
+        middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
+        own = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
+        for pose in (middle, own):
+            part = 0.0
+            for _ in range(REPAIRS):
+                trial: Array = coefficients + part * (pose - coefficients)
+                worst = min(float(slack.min()) for slack in grid.margins(trial))
+                if worst >= 0:
+                    return trial
+                part = max(2 * part, -1.05 * worst, 1e-6)
+                if part > MOST_SHRINKING:
+                    break
         return None

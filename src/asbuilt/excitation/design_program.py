@@ -56,10 +56,12 @@ class DesignProgram(MotionProgram):
         n_nodes: int,
         constraints: tuple[StateConstraint, ...] = (),
         tightening: float = 0.0,
+        room: float = 0.0,
     ) -> None:
         self.objective = objective
         self.family = family
         self.constraints = constraints
+        self.room = room
         span = family.duration / getattr(family, "periods", 1)
         t = (np.arange(n_nodes) + 0.5) * span / n_nodes
         orders = range(4 if np.any(np.isfinite(bounds.jerk)) else 3)

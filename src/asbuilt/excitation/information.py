@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
@@ -45,7 +45,7 @@ class Information:
     width: Array
 
     @classmethod
-    def of(cls, model: RobotModel, base: BaseParameters, noise: Array | float = 1.0) -> Information:
+    def of(cls, model: RobotModel, base: BaseParameters, noise: ArrayLike = 1.0) -> Information:
         """Prepare the evaluation; raises UsageError where the noise is not positive, one number or one per joint."""
         sigma = np.asarray(noise, dtype=np.float64)
         if sigma.shape not in ((), (1,), (model.n_joints,)) or not np.all(np.isfinite(sigma)) or not np.all(sigma > 0):

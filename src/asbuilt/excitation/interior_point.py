@@ -51,13 +51,14 @@ class MotionProgram(ABC):
     """Maximise a function of the states of a motion `d^k q / dt^k (t_s) = bases[k] @ coefficients`, coefficients (n_basis, n).
 
     `bases[k]` (N, n_basis) for the orders 0 ... 3, each of whose products must stay within `centre[k] +- half[k]` (n,), where half may be
-    infinite.
+    infinite. The values of state constraints must stay below `1 - room`.
     """
 
     bases: tuple[Array, ...]
     centre: Array
     half: Array
     constraints: tuple[StateConstraint, ...]
+    room: float
 
     @abstractmethod
     def value(self, q: Array, qd: Array, qdd: Array) -> float:
@@ -79,8 +80,8 @@ class MotionProgram(ABC):
             found += [1.0 - v, 1.0 + v]
         state = self.states(coefficients)
         for constraint in self.constraints:
-            v = constraint.values(*state)
-            found += [1.0 - v, 1.0 + v] if constraint.two_sided else [1.0 - v]
+            v, most = constraint.values(*state), 1.0 - self.room
+            found += [most - v, most + v] if constraint.two_sided else [most - v]
         return found
 
 

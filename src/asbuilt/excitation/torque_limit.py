@@ -76,6 +76,30 @@ class TorqueLimit(StateConstraint):
         return mixed
 
 
+class PowerLimit(StateConstraint):
+    """Keep the mechanical power `|tau qd| / limit` of every joint below 1."""
+
+    name = "power"
+    two_sided = True
+
+    def __init__(self, model: RobotModel, limit: Array) -> None:
+        self._finite = np.flatnonzero(np.isfinite(limit))
+        self._torque = TorqueLimit((model,), limit)
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the power over its limit, (N, limited joints)."""
+        power: Array = self._torque.values(q, qd, qdd) * qd[:, self._finite]
+        return power
+
+    def linearised(self, q: Array, qd: Array, qdd: Array) -> Linearised:
+        """Return the values and their derivatives by the product rule."""
+        torque, speed = self._torque.linearised(q, qd, qdd), qd[:, self._finite]
+        by_state = [np.zeros(speed.shape) if slope is None else slope * speed[:, :, None] for slope in torque.by_state]
+        for column, k in enumerate(self._finite):
+            by_state[1][:, column, k] += torque.values[:, column]
+        return Linearised(torque.values * speed, (by_state[0], by_state[1], by_state[2]), True)
+
+
 def perturbed_models(model: RobotModel, count: int, spread: float, rng: np.random.Generator) -> tuple[RobotModel, ...]:
     """Return the model and `count` versions with masses and inertias off by `spread` (standard deviation, as a fraction), centres of mass likewise."""
     versions = [model]

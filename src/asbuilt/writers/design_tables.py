@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,10 @@ import numpy as np
 
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.excitation.design import Design
+from asbuilt.excitation.limits import LimitReport
 from asbuilt.excitation.motion_csv import write_motion
+from asbuilt.excitation.precision import DurationTrial
+from asbuilt.excitation.static_poses import StaticDesign
 from asbuilt.tables import Cell, Column, Table, share, significant
 
 LISTED = 12
@@ -23,7 +27,52 @@ def write_design(path: str | os.PathLike[str], design: Design, rate: float) -> d
     return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
 
 
-def excite_document(design: Design, files: Mapping[str, Path]) -> dict[str, Any]:
+def write_static(path: str | os.PathLike[str], design: StaticDesign, rate: float) -> dict[str, Path]:
+    """Write the motion through the poses as CSV at `rate` [Hz]."""
+    return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
+
+
+def static_document(design: StaticDesign, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return what `asbuilt excite --static --json` prints."""
+    return {
+        "robot": design.model.name,
+        "parametrisation": "static",
+        "duration": design.motion.duration,
+        "n_harmonics": None,
+        "n_poses": len(design.poses),
+        "n_parameters": design.n_parameters,
+        "poses": design.poses.tolist(),
+        "joints": list(design.model.joint_names),
+        "log_det": design.log_det,
+        "d_efficiency": None,
+        "condition_number": design.condition_number,
+        "scaled_condition_number": design.scaled_condition_number,
+        "worst_margin": design.limits.worst_margin,
+        "collision_distance": None,
+        "solve_seconds": design.solve_seconds,
+        "files": {kind: str(path) for kind, path in files.items()},
+    }
+
+
+def static_text(design: StaticDesign) -> str:
+    """Return static poses as a table."""
+    head = (
+        f"{design.model.name} - {len(design.poses)} poses for the {design.n_parameters} parameters that gravity tells, "
+        f"{design.travel:.1f} s of travel\nlog det {design.log_det:.2f}, condition number {design.condition_number:.2f}, "
+        f"scaled {design.scaled_condition_number:.2f}, found in {design.solve_seconds:.1f} s\n"
+    )
+    heads = (
+        Column("pose", align="right"),
+        *(
+            Column(name, "rad" if joint.is_revolute else "m", "decimal", ".4f")
+            for name, joint in zip(design.model.joint_names, design.model.joints, strict=True)
+        ),
+    )
+    rows = tuple((k, *pose) for k, pose in enumerate(design.poses.tolist(), 1))
+    return "\n".join([head, Table(heads, rows).as_text(), _margins(design.limits).as_text()])
+
+
+def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[DurationTrial] = ()) -> dict[str, Any]:
     """Return what `asbuilt excite --json` prints."""
     worst = design.limits.worst_margin
     return {
@@ -53,7 +102,8 @@ def excite_document(design: Design, files: Mapping[str, Path]) -> dict[str, Any]
                 design.base.ids, design.base.names, design.base.units, _cad(design), design.std_errors.tolist(), strict=True
             )
         ],
-        "starts": len(design.candidates),
+        "durations_tried": [asdict(trial) for trial in trials],
+        "searches": len(design.candidates),
         "interrupted": design.interrupted,
         "solve_seconds": design.solve_seconds,
         "notes": list(design.notes),
@@ -61,7 +111,7 @@ def excite_document(design: Design, files: Mapping[str, Path]) -> dict[str, Any]
     }
 
 
-def excite_text(design: Design) -> str:
+def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
     """Return a design in words and two small tables."""
     head = (
         f"{design.model.name} - {design.options.parametrisation} motion of {design.motion.duration:g} s, "
@@ -76,20 +126,24 @@ def excite_text(design: Design) -> str:
         f"best of {len(design.candidates)} searches in {design.solve_seconds:.1f} s" + (", INTERRUPTED" if design.interrupted else ""),
     ]
     notes = list(design.notes)
+    notes += [
+        f"{trial.duration:g} s, {trial.size} {design.size_name} in {trial.periods} periods would give a precision of {trial.precision:.2g} of the torque"
+        for trial in trials
+    ]
     if design.assumed:
         notes.append(
             f"the description gives no limit of {', '.join(design.assumed)} for some joints; those of MotionBounds.assumed were kept"
         )
     if design.collision_distance is not None:
         notes.append(f"smallest distance between bodies {1000 * design.collision_distance:.0f} mm")
-    tables = [_margins(design).as_text(), "largest predicted standard errors, as share of the CAD value", _errors(design).as_text()]
+    tables = [_margins(design.limits).as_text(), "largest predicted standard errors, as share of the CAD value", _errors(design).as_text()]
     numbered = [f"[{k}] {note}" for k, note in enumerate(notes, 1)]
     return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *numbered])
 
 
-def _margins(design: Design) -> Table:
+def _margins(limits: LimitReport) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for quantity, margin in design.limits.worst.items():
+    for quantity, margin in limits.worst.items():
         if margin is not None:
             rows.append(
                 (

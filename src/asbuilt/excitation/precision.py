@@ -1,0 +1,103 @@
+"""How long a motion must be for a wanted precision."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drive_torque import described_drive, drive_torque
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import MotionError, UsageError
+from asbuilt.excitation.design import Design, DesignOptions, design_motion, position_of
+from asbuilt.excitation.interior_point import StateConstraint
+from asbuilt.excitation.motion import Array
+from asbuilt.excitation.multistart import SearchProgress
+
+SHORTEST, LONGEST_PERIOD, LONGEST = 10.0, 40.0, 1800.0
+STEP = 5.0
+TRIALS = 8
+TRIAL_STARTS, TRIAL_LIMIT = 6, 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class DurationTrial:
+    """A duration that was tried: harmonics, periods, and the precision that its motion would give."""
+
+    duration: float
+    size: int
+    periods: int
+    precision: float
+
+
+def predicted_precision(design: Design) -> float:
+    """Return the largest torque error that one parameter's standard error causes, as a fraction of the torque, both RMS along the motion.
+
+    For parameter i, `std_i rms(column_i) / rms(torque)`, torques in units of the noise, over the parameters in focus (all where there is
+    none). The torque is that of the description. Unlike the error relative to the parameter it makes sense for parameters near zero.
+    """
+    drive, values = described_drive(design.model)
+    t = design.motion.sample_times(100.0)
+    state = design.motion.at(t)
+    rigid = inverse_dynamics(design.model, *state)
+    torque = (rigid + drive_torque(drive, values, *state, load=rigid)) / design.noise
+    size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
+    if size == 0:
+        raise UsageError(f"the description of {design.model.name} gives no masses, so a precision relative to its torque has no meaning")
+    effects = design.std_errors * np.sqrt(np.diag(design.mean_information))
+    chosen = [position_of(design.base, name) for name in design.options.focus] or slice(None)
+    return float(effects[chosen].max()) / size
+
+
+def design_for_precision(
+    model: RobotModel,
+    drive: DriveSet,
+    options: DesignOptions,
+    precision: float,
+    *,
+    prior: Array | None = None,
+    constraints: Sequence[StateConstraint] = (),
+    progress: Callable[[SearchProgress], None] | None = None,
+) -> tuple[Design, tuple[DurationTrial, ...]]:
+    """Return a design just long enough for `predicted_precision` to be at most `precision`, and the durations that were tried.
+
+    Errors fall with the square root of the duration; that gives the next duration to try, in steps of 5 s. Beyond 40 s the motion is repeated in
+    periods. The harmonics are those of the options, or go with the period.
+
+    Raises
+    ------
+    UsageError
+        If the precision is not a positive number.
+    MotionError
+        If half an hour is not enough.
+    """
+    if not (math.isfinite(precision) and precision > 0):
+        raise UsageError(f"the precision must be a positive fraction of the torque, such as 0.01, got {precision}")
+    trials: list[DurationTrial] = []
+    duration = SHORTEST
+    for _ in range(TRIALS):
+        wanted = _of_duration(options, duration)
+        quick = replace(wanted, starts=min(TRIAL_STARTS, options.starts), time_limit=min(TRIAL_LIMIT, options.time_limit))
+        design = design_motion(model, drive, quick, prior=prior, constraints=constraints, with_bound=False)
+        reached = predicted_precision(design)
+        trials.append(DurationTrial(wanted.duration, design.size, wanted.periods, reached))
+        if reached <= precision:
+            final = design_motion(model, drive, wanted, prior=prior, constraints=constraints, progress=progress)
+            return (final if predicted_precision(final) <= precision else design), tuple(trials)
+        needed = duration * (reached / precision) ** 2
+        duration = max(duration + STEP, STEP * math.ceil(min(needed, 4 * duration) / STEP))
+        if duration > LONGEST:
+            break
+    raise MotionError(
+        f"{model.name}: a precision of {precision:g} of the torque takes more than {duration:.0f} s; the last try of {trials[-1].duration:g} s gives "
+        f"{trials[-1].precision:.3g}. Allow more harmonics or more of the limits, reduce the noise, or ask for less"
+    )
+
+
+def _of_duration(options: DesignOptions, duration: float) -> DesignOptions:
+    periods = math.ceil(duration / LONGEST_PERIOD) if options.parametrisation == "fourier" else 1
+    return replace(options, duration=duration, periods=periods)

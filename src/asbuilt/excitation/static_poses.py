@@ -1,0 +1,230 @@
+"""The best poses to stand still in: gravity parameters without any motion."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.errors import MotionError, UsageError
+from asbuilt.excitation.admissible import limited_model
+from asbuilt.excitation.criteria import DOptimality
+from asbuilt.excitation.information import Information
+from asbuilt.excitation.interior_point import StateConstraint
+from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
+from asbuilt.excitation.motion import Array, read_only
+from asbuilt.excitation.point_to_point import PointToPointMotion
+from asbuilt.excitation.torque_limit import TorqueLimit
+
+CANDIDATES = 2000
+EXCHANGES = 12
+SMALLEST_EIGENVALUE = 1e-9
+"""Directions of the parameters whose information over random poses is below this fraction of the largest are not told by gravity."""
+
+REFINEMENT_STEPS = 60
+DWELL = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class StaticDesign:
+    """Hold K poses (K, n) in the order in which they are visited, the motion through them, and what they tell.
+
+    `n_parameters` is the number of combinations of base parameters that gravity tells; `log_det`, `condition_number` and `scaled_condition_number`
+    refer to these, one torque reading per pose, noise included.
+    """
+
+    model: RobotModel
+    poses: Array
+    motion: PointToPointMotion
+    n_parameters: int
+    log_det: float
+    condition_number: float
+    scaled_condition_number: float
+    travel: float
+    limits: LimitReport
+    solve_seconds: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poses", read_only(self.poses))
+
+
+def design_static_poses(
+    model: RobotModel,
+    count: int,
+    *,
+    drive: DriveSet = NO_DRIVE,
+    noise: ArrayLike = 1.0,
+    fraction: float = 0.95,
+    torque_fraction: float = 0.8,
+    constraints: Sequence[StateConstraint] = (),
+    dwell: float = DWELL,
+    seed: int = 0,
+) -> StaticDesign:
+    """Return the D-optimal poses for the parameters that gravity tells, ordered for short travel.
+
+    Exchange (Fedorov 1972) among random admissible poses, then a climb of all poses together within the limits; the order is that of a
+    short tour: nearest neighbour, improved by reversing stretches (2-opt; Croes 1958). `drive` may hold an offset.
+
+    Raises
+    ------
+    UsageError
+        If there are fewer poses than needed, or the robot carries no weight.
+    MotionError
+        If no pose is admissible.
+    """
+    begin = time.monotonic()
+    rng = np.random.default_rng([seed, 11])
+    base = find_base_parameters(model, drive)
+    information = Information.of(model, base, noise)
+    bounds = MotionBounds.assumed(model, fraction)
+    torque = torque_fraction * MotionBounds.of(model).torque
+    watch: list[StateConstraint] = [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
+    watch += list(constraints)
+    pool = _admissible(watch, rng.uniform(bounds.lower, bounds.upper, size=(CANDIDATES, model.n_joints)))
+    if len(pool) < 2:
+        raise MotionError(f"{model.name}: no pose within the torque limits and clear of obstacles was found among {CANDIDATES}")
+    told = _told(information, pool)
+    p = told.shape[1]
+    if p == 0:
+        raise UsageError(f"gravity moves no joint of {model.name} as it is mounted, so poses at rest tell nothing")
+    least = -(-p // model.n_joints)
+    if count < max(2, least):
+        raise UsageError(f"gravity tells {p} parameters of {model.name}; that takes at least {max(2, least)} poses, got {count}")
+    poses = pool[_exchanged(_pose_rows(information, pool, told), count)]
+    poses = _refined(information, told, bounds, watch, poses)
+    poses = poses[_short_tour(poses / bounds.velocity)]
+    motion = PointToPointMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration, dwell=dwell)
+    total = _information(information, told, poses)
+    size = 1.0 / np.sqrt(np.diag(total))
+    limited, _ = limited_model(model)
+    return StaticDesign(
+        model=model,
+        poses=poses,
+        motion=motion,
+        n_parameters=p,
+        log_det=DOptimality().value(total),
+        condition_number=float(np.sqrt(np.linalg.cond(total))),
+        scaled_condition_number=float(np.sqrt(np.linalg.cond(total * np.outer(size, size)))),
+        travel=motion.duration - dwell * (count - 2),
+        limits=check_motion(limited, motion),
+        solve_seconds=time.monotonic() - begin,
+    )
+
+
+def _admissible(watch: Sequence[StateConstraint], poses: Array) -> Array:
+    rest = np.zeros_like(poses)
+    fine = np.ones(len(poses), dtype=bool)
+    for constraint in watch:
+        values = constraint.values(poses, rest, rest)
+        fine &= (np.abs(values) if constraint.two_sided else values).max(axis=1) < 1
+    return poses[fine]
+
+
+def _pose_rows(information: Information, poses: Array, told: Array) -> Array:
+    """Return the weighted rows of each pose in the coordinates that gravity tells, (N, n, p)."""
+    rest = np.zeros_like(poses)
+    rows = information.rows(poses, rest, rest, smooth=False)
+    whole = np.zeros((len(poses), information.model.n_joints, information.n_parameters))
+    plan = information.plan
+    for k, (support, (first, stop)) in enumerate(zip(plan.support, plan.bounds.tolist(), strict=True)):
+        whole[:, k, support] = rows[first:stop, : len(poses)].T / information.noise[k]
+    return np.asarray(whole @ told)
+
+
+def _told(information: Information, poses: Array) -> Array:
+    """Return an orthonormal basis (p_base, p) of the combinations of base parameters that gravity tells."""
+    rows = _pose_rows(information, poses, np.eye(information.n_parameters))
+    eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
+    return np.asarray(vectors[:, eigenvalues > SMALLEST_EIGENVALUE * max(float(eigenvalues[-1]), np.finfo(float).tiny)])
+
+
+def _information(information: Information, told: Array, poses: Array) -> Array:
+    rows = _pose_rows(information, poses, told)
+    return np.asarray(np.einsum("ski,skj->ij", rows, rows))
+
+
+def _exchanged(rows: Array, count: int) -> list[int]:
+    """Return the indices of a D-optimal subset: greedy, then exchanged one by one while that pays."""
+    p = rows.shape[2]
+    small = 1e-6 * float(np.einsum("ski,ski->", rows, rows)) / len(rows) / p * np.eye(p)
+
+    def gains(matrix: Array) -> Array:
+        added = np.eye(rows.shape[1]) + rows @ np.linalg.solve(matrix, np.swapaxes(rows, 1, 2).reshape(len(rows), p, -1))
+        return np.asarray(np.linalg.slogdet(added)[1])
+
+    chosen: list[int] = []
+    matrix = small.copy()
+    for _ in range(count):
+        best = int(np.argmax(gains(matrix)))
+        chosen.append(best)
+        matrix = matrix + rows[best].T @ rows[best]
+    for _ in range(EXCHANGES):
+        changed = False
+        for place in range(count):
+            without = matrix - rows[chosen[place]].T @ rows[chosen[place]]
+            best = int(np.argmax(gains(without)))
+            if best != chosen[place]:
+                chosen[place], changed = best, True
+            matrix = without + rows[chosen[place]].T @ rows[chosen[place]]
+        if not changed:
+            break
+    return chosen
+
+
+def _refined(information: Information, told: Array, bounds: MotionBounds, watch: Sequence[StateConstraint], poses: Array) -> Array:
+    """Climb all poses together within the position limits; poses that become inadmissible go back to where they were."""
+    middle, half = (bounds.upper + bounds.lower) / 2, (bounds.upper - bounds.lower) / 2
+
+    def negative(x: Array) -> tuple[float, Array]:
+        q = middle + half * x.reshape(poses.shape)
+        rest = np.zeros_like(q)
+        value, gradient = DOptimality().value_and_gradient(_information(information, told, q))
+        if not np.isfinite(value):
+            return 1e12, np.zeros_like(x)
+        rows = information.rows(q, rest, rest)
+        slope = information.state_gradient(q, rest, rest, rows, told @ gradient @ told.T)[0]
+        return -value, -(slope * half).reshape(-1)
+
+    start = ((poses - middle) / half).reshape(-1)
+    found = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * start.size, options={"maxiter": REFINEMENT_STEPS})
+    moved = middle + half * found.x.reshape(poses.shape)
+    for k in range(len(moved)):
+        if not len(_admissible(watch, moved[k : k + 1])):
+            moved[k] = poses[k]
+    better = DOptimality().value(_information(information, told, moved)) >= DOptimality().value(_information(information, told, poses))
+    return moved if better else poses
+
+
+def _short_tour(places: Array) -> list[int]:
+    """Return an order in which the sum of the largest joint distances is short; open, any end may come first."""
+    apart = np.abs(places[:, None] - places[None]).max(axis=2)
+    tours = []
+    for start in range(len(places)):
+        order, left = [start], set(range(len(places))) - {start}
+        while left:
+            nearest = min(left, key=lambda k: float(apart[order[-1], k]))
+            order.append(nearest)
+            left.remove(nearest)
+        tours.append(_untangled(order, apart))
+    return min(tours, key=lambda order: float(apart[order[:-1], order[1:]].sum()))
+
+
+def _untangled(order: list[int], apart: Array) -> list[int]:
+    improved = True
+    while improved:
+        improved = False
+        for i in range(len(order) - 1):
+            for j in range(i + 1, len(order)):
+                before = (apart[order[i - 1], order[i]] if i else 0.0) + (apart[order[j], order[j + 1]] if j + 1 < len(order) else 0.0)
+                after = (apart[order[i - 1], order[j]] if i else 0.0) + (apart[order[i], order[j + 1]] if j + 1 < len(order) else 0.0)
+                if after < before - 1e-12:
+                    order[i : j + 1] = reversed(order[i : j + 1])
+                    improved = True
+    return order
