@@ -21,10 +21,12 @@ from asbuilt.identification.square_root_information import SquareRootInformation
 
 Array = NDArray[np.float64]
 
-OUTLYING_SHARE = 0.05
+OUTLYING_SHARE = 0.07
 """Share of torques beyond 4 robust standard deviations from which the robust estimate is taken."""
 OUTLYING_ENERGY = 30.0
 """Or: variance of the residuals of a joint in robust variances, from which it is (1 for normal noise, up to 12 where only friction is left)."""
+SCREENED = 20_000
+"""Samples of a long recording, in evenly spread time blocks, that are looked through for outliers."""
 ILL_CONDITIONED = 200.0
 """Scaled condition number from which the design is leant on."""
 NEGLIGIBLE_COST = 0.05
@@ -34,7 +36,7 @@ NEGLIGIBLE_COST = 0.05
 def estimate_auto(evidence: Evidence) -> Estimate:
     """Estimate by the method that rules pick, each on what the one before has left.
 
-    1. weighted least squares; `huber` where more than 5 % of the torques lie beyond 4 robust standard deviations, or a joint's residual variance is more than
+    1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust standard deviations, or a joint's residual variance is more than
        30 times the robust one;
     2. `ridge` where directions are not excited or the scaled condition number is above 200;
     3. `consistent` or `entropic`, whichever predicts held-out time blocks better, where no real bodies have the values found so far, if the torque error
@@ -45,9 +47,11 @@ def estimate_auto(evidence: Evidence) -> Estimate:
     estimate = estimate_wls(evidence)
     reasons = []
     if evidence.samples is not None:
-        robust = estimate_huber(evidence)
-        share, swell = outlying_share(evidence, robust)
+        sample = replace(evidence, every=max(1, evidence.information.n_samples // SCREENED))
+        robust = estimate_huber(sample)
+        share, swell = outlying_share(sample, robust)
         if share > OUTLYING_SHARE or swell > OUTLYING_ENERGY:
+            robust = robust if sample.every == 1 else estimate_huber(evidence)
             reasons.append(
                 f"huber, since {100 * share:.2g} % of the torques are outliers and the variance of a joint is {swell:.3g} times the robust one"
             )

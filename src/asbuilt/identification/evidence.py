@@ -28,7 +28,8 @@ class Evidence:
     """Hold all that an estimator may use: the robot, the square-root information, the samples behind it and the values by design.
 
     `samples` can be gone through again and again; None where only the information is at hand. `prior` (p,) are the base parameters by design, NaN where
-    the description is silent; directions that nothing excites are resolved toward it, or refused (`unexcited`).
+    the description is silent; directions that nothing excites are resolved toward it, or refused (`unexcited`). `every` n gives the rows of each n-th time
+    block alone.
     """
 
     model: RobotModel
@@ -37,6 +38,7 @@ class Evidence:
     prior: Array | None = None
     unexcited: Unexcited = "toward_prior"
     block_seconds: float | None = None
+    every: int = 1
 
     @property
     def base(self) -> BaseParameters:
@@ -46,7 +48,7 @@ class Evidence:
     @cached_property
     def rows(self) -> Rows:
         """The rows behind the information, time block by time block; raises `UsageError` where the samples are not at hand."""
-        return Rows(self.model, self.base, self.batches, self.block_seconds)
+        return Rows(self.model, self.base, self.batches, self.block_seconds, self.every)
 
     @property
     def batches(self) -> Iterable[Samples]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -119,13 +119,17 @@ class RowBlock:
 class Rows:
     """Give the rows of samples block by block, as often as they are asked for: `for block in rows`.
 
-    `support[k]` are the base parameters that joint k's columns stand for. Kept in memory between passes where they are not many.
+    `support[k]` are the base parameters that joint k's columns stand for. Kept in memory between passes where they are not many. `every` n takes each
+    n-th block alone.
     """
 
-    def __init__(self, model: RobotModel, base: BaseParameters, samples: Iterable[Samples], block_seconds: float | None = None) -> None:
+    def __init__(
+        self, model: RobotModel, base: BaseParameters, samples: Iterable[Samples], block_seconds: float | None = None, every: int = 1
+    ) -> None:
         self._plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
         self._samples = samples
         self._block_seconds = block_seconds
+        self._every = every
         self._held: list[RowBlock] | None = None
         self.support: tuple[Indices, ...] = self._plan.support
 
@@ -135,7 +139,7 @@ class Rows:
             return
         kept: list[RowBlock] | None = []
         size = 0
-        for stretch in stretches(self._plan.model, self._samples, self._block_seconds):
+        for stretch in islice(stretches(self._plan.model, self._samples, self._block_seconds), 0, None, self._every):
             pieces = [tuple(rows.copy() for rows in piece) for piece in stretch.pieces(self._plan)]
             block = RowBlock(tuple(np.hstack(parts) for parts in zip(*pieces, strict=True)), stretch.time, stretch.seconds)
             if kept is not None:
