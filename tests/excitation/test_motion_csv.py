@@ -106,3 +106,12 @@ def test_names_must_fit_and_the_place_must_be_writable(tmp_path: Path) -> None:
     blocked.write_text("")
     with pytest.raises(MotionError, match="cannot write the motion"):
         write_motion(blocked / "m.csv", motion(), NAMES)
+
+
+@pytest.mark.parametrize("rate", [100.0, 33.0, 7.3])
+def test_the_end_is_in_the_file_whatever_the_rate(tmp_path: Path, rate: float) -> None:
+    whole = motion()
+    back = read_motion(write_motion(tmp_path / "motion.csv", whole, NAMES, rate=rate))
+    assert back.duration == pytest.approx(whole.duration, abs=1e-12)
+    np.testing.assert_allclose(back.end, whole.end, atol=1e-12)
+    np.testing.assert_allclose(back.derivative(back.duration, 1), 0.0, atol=1e-10)

@@ -20,6 +20,9 @@ from asbuilt.excitation.spline import SplineMotion
 PREFIXES = ("q_", "qd_", "qdd_")
 """Column names are a prefix and a joint name."""
 
+SMALLEST_STEP = 0.01
+"""The last step to the end of a motion is no shorter than this part of the sampling period."""
+
 
 class SampledMotion(QuinticMotion):
     """Move through samples of position, velocity and acceleration; between two samples along the quintic that matches both.
@@ -41,9 +44,9 @@ class SampledMotion(QuinticMotion):
 def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, joint_names: Sequence[str], rate: float = 1000.0) -> Path:
     """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV; numbers have the digits that read back to the same double.
 
-    The file appears whole or not at all. Raises MotionError if names and joints do not go together or the place is not writable.
+    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does so in the file. The file appears whole or not at all. Raises MotionError if names and joints do not go together or the place is not writable.
     """
-    trajectory = motion.sample(rate) if isinstance(motion, Motion) else motion
+    trajectory = _sampled_to_end(motion, rate) if isinstance(motion, Motion) else motion
     names = tuple(joint_names)
     if len(names) != trajectory.n_joints or len(set(names)) != len(names):
         raise MotionError(f"a motion of {trajectory.n_joints} joints needs as many different names, got {', '.join(names) or 'none'}")
@@ -102,6 +105,17 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         spline = SplineMotion.through(q, t, ends="natural")
         rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
     return SampledMotion.of(t, q, rates[0], rates[1], names)
+
+
+def times_to_end(motion: Motion, rate: float) -> Array:
+    """Return the times 0, 1/rate, ... and the end of the motion, which is left out if it comes within a hundredth of a period or 1 us after these."""
+    t = motion.sample_times(rate)
+    return np.append(t, motion.duration) if motion.duration - t[-1] > max(SMALLEST_STEP / rate, 1e-6) else t
+
+
+def _sampled_to_end(motion: Motion, rate: float) -> Trajectory:
+    t = times_to_end(motion, rate)
+    return Trajectory(t, *motion.at(t))
 
 
 def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:

@@ -8,11 +8,10 @@ import io
 import numpy as np
 
 from asbuilt.excitation.motion import Motion
-from asbuilt.excitation.motion_csv import PREFIXES
+from asbuilt.excitation.motion_csv import PREFIXES, times_to_end
 from asbuilt.excitation.programs.log_sheet import sheet_text
 from asbuilt.excitation.programs.preamble import preamble
 from asbuilt.excitation.programs.request import ProgramFile, ProgramFormat, ProgramRequest
-from asbuilt.excitation.programs.via_points import times_to_end
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""

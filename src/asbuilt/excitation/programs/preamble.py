@@ -59,6 +59,11 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
         ),
         (
             "- ",
+            "The description must have the robot's own zero positions and directions of motion: move each joint a little by hand or jogging and "
+            "compare what the controller shows.",
+        ),
+        (
+            "- ",
             "The robot needs room for the whole motion. Nobody within reach. One person at the emergency stop, watching the robot, not the screen.",
         ),
         (

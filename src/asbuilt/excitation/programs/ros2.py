@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 
 from asbuilt.excitation.motion import Motion
+from asbuilt.excitation.motion_csv import times_to_end
 from asbuilt.excitation.programs.log_sheet import sheet_text
 from asbuilt.excitation.programs.preamble import commented, preamble
 from asbuilt.excitation.programs.rendering import numbers, render
 from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramFormat, ProgramRequest
-from asbuilt.excitation.programs.via_points import times_to_end
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""

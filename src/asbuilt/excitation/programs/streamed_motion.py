@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.excitation.motion import Motion
-from asbuilt.excitation.programs.via_points import times_to_end
+from asbuilt.excitation.motion_csv import times_to_end
 
 DECIMALS = 12
 """Decimals of positions and velocities: differences of positions at 1 kHz still give a clean jerk."""

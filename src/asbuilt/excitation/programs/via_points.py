@@ -28,12 +28,6 @@ class Stretch:
     dwell: float
 
 
-def times_to_end(motion: Motion, rate: float) -> Array:
-    """Return the times 0, 1/rate, ... and the end of the motion, at least a microsecond (the last printed digit) apart."""
-    t = motion.sample_times(rate)
-    return np.append(t, motion.duration) if motion.duration - t[-1] > 1e-6 else t
-
-
 def hermite_knots(motion: Motion, tolerance: float, *, longest: float = 0.2, shortest: float = 0.004) -> Array:
     """Return equally spaced times between which the cubics that match position and velocity stay within `tolerance` [rad or m] of the motion."""
 
