@@ -29,7 +29,7 @@ class Evidence:
 
     `samples` can be gone through again and again; None where only the information is at hand. `prior` (p,) are the base parameters by design, NaN where
     the description is silent; directions that nothing excites are resolved toward it, or refused (`unexcited`). `every` n gives the rows of each n-th time
-    block alone.
+    block alone. `loading` is the robot whose rigid-body torque loads friction that depends on it, where that is not `model`.
     """
 
     model: RobotModel
@@ -39,6 +39,7 @@ class Evidence:
     unexcited: Unexcited = "toward_prior"
     block_seconds: float | None = None
     every: int = 1
+    loading: RobotModel | None = None
 
     @property
     def base(self) -> BaseParameters:
@@ -48,7 +49,11 @@ class Evidence:
     @cached_property
     def rows(self) -> Rows:
         """The rows behind the information, time block by time block; raises `UsageError` where the samples are not at hand."""
-        return Rows(self.model, self.base, self.batches, self.block_seconds, self.every)
+        return self.rows_of(self.batches)
+
+    def rows_of(self, samples: Iterable[Samples]) -> Rows:
+        """Return the rows of other samples with the same time blocks."""
+        return Rows(self.loading or self.model, self.base, samples, self.block_seconds, self.every)
 
     @property
     def batches(self) -> Iterable[Samples]:

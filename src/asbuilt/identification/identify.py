@@ -74,7 +74,7 @@ def identify(
             information,
             estimate,
             batches,
-            lambda seen: estimator.estimate(Evidence(model, seen, batches, cad, unexcited, block_seconds)),
+            lambda seen, loading: estimator.estimate(Evidence(model, seen, batches, cad, unexcited, block_seconds, loading=loading)),
             block_seconds,
             threads,
         )
@@ -103,15 +103,16 @@ def _with_own_load(
     information: SquareRootInformation,
     estimate: Estimate,
     batches: Sequence[Samples],
-    estimated: Callable[[SquareRootInformation], Estimate],
+    estimated: Callable[[SquareRootInformation, RobotModel], Estimate],
     block_seconds: float | None,
     threads: int | None,
 ) -> tuple[SquareRootInformation, Estimate]:
     """Repeat until the load that friction depends on is that of the estimate itself, not that of the description."""
     base = information.base
     for _ in range(LOAD_ITERATIONS):
-        information = accumulate_stream(carrying(model, base, estimate.beta), base, batches, block_seconds=block_seconds, threads=threads)
-        renewed = estimated(information)
+        loading = carrying(model, base, estimate.beta)
+        information = accumulate_stream(loading, base, batches, block_seconds=block_seconds, threads=threads)
+        renewed = estimated(information, loading)
         step = information.residual_energy(renewed.beta) / np.maximum(information.residual_energy(estimate.beta), np.finfo(np.float64).tiny)
         estimate = renewed
         if np.all(step > 1.0 - LOAD_CONVERGENCE):

@@ -57,7 +57,7 @@ def estimate_iv(evidence: Evidence, bandwidth: float | None = None) -> Estimate:
     hertz = bandwidth if bandwidth is not None else max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches))
     while moves > CONVERGENCE and iterations < MOST_ITERATIONS:
         simulated = [follow(evidence.model, base, estimate.beta, samples, hertz) for samples in evidence.batches]
-        renewed = _instrumented(evidence, start, Rows(evidence.model, base, simulated, evidence.block_seconds))
+        renewed = _instrumented(evidence, start, evidence.rows_of(simulated))
         moves = float(np.max(np.abs(renewed.beta - estimate.beta) / np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)))
         estimate, iterations = renewed, iterations + 1
     told = estimate.std_errors > 0
