@@ -20,8 +20,13 @@ SMALLEST_PART = 1e-3
 """Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
 TINY_PULL = 1e-3
 """Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution unique."""
-RESOLVED = 1e-11
-"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide: it only counts where there is no noise."""
+RESOLVED = (1e-11, 1e-9, 1e-7)
+"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide: it only counts where there is next to no noise. The stronger ones
+are tried where the solver gives up, as with torques that no robot near CAD could have."""
+DRIVE_PULL = 1e-3
+"""Pull of drive parameters beside that of bodies."""
+CERTAIN = 1e-13
+"""How precise a proof must be that bounds contradict one another: large residuals look like proofs at the solver's usual tolerance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,10 +62,7 @@ def fit_real_bodies(
     n = len(prior.parameters)
     inertial = 10 * prior.n_links
     torque = factor[:-1, :-1] @ regrouping @ bodies
-    weight = max(weight, RESOLVED * float(np.max(np.sum(torque**2, axis=0))))
-    pull = np.concatenate([np.repeat(weight * prior.strength, 10), np.full(n - inertial, min(weight, 1.0) * 1e-3)])
-    quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
-    linear = np.concatenate([-pull * q0, np.zeros(p)])
+    stiffest = float(np.max(np.sum(torque**2, axis=0)))
     blocks = [sparse.hstack([sparse.csc_matrix(torque), -sparse.eye_array(p)])]
     right = [z]
     cones = [clarabel.ZeroConeT(p)]
@@ -73,20 +75,33 @@ def fit_real_bodies(
     blocks.append(-sparse.eye_array(inertial, n + p))
     right.append(-smallest_part * np.tile(svec(np.eye(4)), prior.n_links))
     cones += [clarabel.PSDTriangleConeT(4)] * prior.n_links
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    solver = clarabel.DefaultSolver(quadratic, linear, sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(right), cones, settings)
-    solution = solver.solve()
-    status = str(solution.status)
-    if "PrimalInfeasible" in status:
-        raise IdentifiabilityError(f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them")
-    if status not in ("Solved", "AlmostSolved"):
+    constraints, limits = sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(right)
+    for resolved in RESOLVED:
+        pulled = max(weight, resolved * stiffest)
+        pull = np.concatenate([np.repeat(pulled * prior.strength, 10), np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL)])
+        quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
+        linear = np.concatenate([-pull * q0, np.zeros(p)])
+        solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, cones, _settings()).solve()
+        status = str(solution.status)
+        if "PrimalInfeasible" in status and bounds is not None:
+            raise IdentifiabilityError(f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them")
+        if status in ("Solved", "AlmostSolved"):
+            break
+    else:
         raise IdentifiabilityError(
-            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}"
+            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}; "
+            "the data may hold values of extreme size"
         )
     chi = bodies @ np.array(solution.x[:n])
     return ConicFit(chi, float(prior.relative_eigenvalues(chi).min()), int(solution.iterations))
+
+
+def _settings() -> clarabel.DefaultSettings:
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 1
+    settings.tol_infeas_abs = settings.tol_infeas_rel = CERTAIN
+    return settings
 
 
 def near_one(prior: CadPrior) -> tuple[Array, Array]:

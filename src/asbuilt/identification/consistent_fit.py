@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -44,7 +44,7 @@ class ConsistentEstimate(Estimate):
     `prior_weight` is what a divergence of 1 from CAD costs in units of the squared weighted residual, `belief` the weight that the errors were judged with.
     """
 
-    standard: Array = None  # type: ignore[assignment]
+    standard: Array = field(default_factory=lambda: np.zeros(0))
     part: float = np.nan
     prior_weight: float = 0.0
     belief: float = 0.0

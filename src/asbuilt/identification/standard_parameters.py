@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 EXACT_PART = 1e-6
 """Base parameters are kept exactly where bodies of at least this part of CAD have them; below, rounding would decide what is possible."""
 FINE_BARRIER = 1e-12
+LEAST_SHARE = 1e-5
+"""Armature that is left where an armature and a link share a base parameter and nothing else tells them apart."""
 RANDOM_STATES = 500
 RANDOM_RATE = 2.0
 """Largest velocity [rad/s or m/s] and acceleration [rad/s^2 or m/s^2] of random motion; joints without limits turn through the whole circle or slide by a metre."""
@@ -109,7 +111,8 @@ def standard_parameters(
         if not exact and nearest:
             factor = _distance_factor(asked, motion, information)
             chi = fit_real_bodies(cad, base.regrouping, factor=factor, bounds=drives).chi
-            chi[cad.non_negative] = np.maximum(chi[cad.non_negative], 0.0)
+            least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
+            chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         chi = _closest_above(cad, coordinates, chi, part, shared) if possible else _closest_in_metric(cad, coordinates, asked)
     kept = base.regrouping @ chi
@@ -129,7 +132,7 @@ def standard_parameters(
 
 
 def deepest_inside(cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds) -> tuple[Array, float]:
-    """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for every link and `bounds` hold with t to spare.
+    """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for every link and `bounds` hold with some t to spare.
 
     t is negative where no real bodies have beta.
     """
@@ -139,7 +142,7 @@ def deepest_inside(cad: CadPrior, coordinates: Coordinates, beta: Array, bounds:
     whitened = np.linalg.solve(bodies, np.column_stack([near, coordinates.dependent]))
     along, triangle = np.linalg.qr(whitened[:, 1:])
     free = coordinates.dependent @ np.linalg.inv(triangle)
-    room = np.ones((len(bounds.rows) + 1, 1))
+    room = np.append(np.full(len(bounds.rows), LEAST_SHARE), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
     constraints = np.vstack([np.hstack([-rows, room]), np.hstack([-along[:inertial], q0[:inertial, None]])])
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
