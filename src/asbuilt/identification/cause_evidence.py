@@ -89,7 +89,7 @@ class CauseEvidence:
         """Return the RMS error (n,) on the data judged by of the torque that named parameters of these values predict, all others zero."""
         places = self.places(names)
         errors = [factor[:, -1] - factor[:, places] @ values for factor in self.whole(self.judged)]
-        return np.array([float(np.linalg.norm(error)) for error in errors]) / np.sqrt(self.n_judged)
+        return np.asarray([float(np.linalg.norm(error)) for error in errors] / np.sqrt(self.n_judged))
 
     def as_dict(self) -> dict[str, Any]:
         """Return texts, numbers and lists, ready for JSON; factors are upper triangles, row by row, as base64 of little-endian doubles."""

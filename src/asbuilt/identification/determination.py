@@ -121,8 +121,8 @@ class Determination:
         }
 
 
-def determination(result: IdentificationResult) -> Determination:
-    """Say what the recording behind a result determines, and which further motion would help.
+def determination(result: IdentificationResult, *, motions: bool = True) -> Determination:
+    """Say what the recording behind a result determines and, unless `motions` is False, which further motion would help.
 
     The combinations are the directions of the largest variance, in parameters scaled to unit error if all others were known (Belsley, Kuh & Welsch, Regression
     Diagnostics, 1980). Help is judged by adding the information of 20 s of every kind of motion within the robot's limits: slow poses, steady fast travel
@@ -139,7 +139,7 @@ def determination(result: IdentificationResult) -> Determination:
         negligible = hardly & (error < 3.0 * alone) & (error > size)
         combinations = _combinations(result, information, told)
         weak = np.flatnonzero(~well & ~(negligible & told))
-        advice = _advice(result, information, weak) if weak.size else ()
+        advice = _advice(result, information, weak) if motions and weak.size else ()
     return Determination(
         well=tuple(names[well]),
         fairly=tuple(names[told & ~well & ~hardly]),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.identification.result import IdentificationResult
+if TYPE_CHECKING:
+    from asbuilt.identification.result import IdentificationResult
 
 Array = NDArray[np.float64]
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asbuilt.identification.determination import determination
 from asbuilt.identification.methods import method_title
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant
 
@@ -160,4 +161,4 @@ def _notes(result: IdentificationResult) -> tuple[str, ...]:
         if textbook
         else f"Standard errors allow for residual correlation ({effective})."
     )
-    return (*result.notes, errors, *[warning.message for warning in result.warnings])
+    return (*result.notes, errors, determination(result, motions=False).in_short, *[warning.message for warning in result.warnings])

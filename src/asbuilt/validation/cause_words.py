@@ -53,7 +53,7 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
             for name, j in zip(fits.evidence.joint_names, fits.columns["gain"], strict=True)
         ]
         listed = ", ".join(f"{name} {g:+.1f} +/- {e:.1f} %" for name, g, e in told if abs(g) >= SIGNIFICANT_SIGMAS * e)
-        found.append(f"Torques read larger or smaller than they are: {listed}.")
+        found.append(f"Torques read larger or smaller than they are: {listed or 'by no more than their errors at any one joint'}.")
     for one, two in alike:
         found.append(
             f"This recording does not tell {CAUSES[one]} from {CAUSES[two]}: with either in the model the other adds little, and their shares are "
@@ -61,7 +61,7 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
         )
     rival = next((fit for fit in fits.rivals if fits.chosen.causes - fit.causes and fit.score <= fits.chosen.score + NEARLY), None)
     if rival is not None:
-        instead = ", ".join(CAUSES[cause] for cause in CAUSES if cause in rival.causes - fits.chosen.causes)
+        instead = ", ".join(CAUSES[cause] for cause in CAUSES if cause in rival.causes - fits.chosen.causes) or "nothing"
         replaced = ", ".join(CAUSES[cause] for cause in CAUSES if cause in fits.chosen.causes - rival.causes)
         found.append(f"About as likely, for what this recording tells: {instead} in place of {replaced}.")
     missing = [CAUSES[cause] for cause in fits.causes if cause not in weighed and not (cause == "payload" and "links" in weighed)]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import base64
+import io
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -9,7 +12,7 @@ from asbuilt.tables import shortened, significant
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.causes import CAUSES
 from asbuilt.validation.comparison import Comparison
-from asbuilt.writers.figures import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, _figure, _headline, _styled
+from asbuilt.writers.figures import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, blank_figure, headline, styled
 
 CAUSE_COLOURS: dict[str, str] = {
     "offset": "#F0E442",
@@ -28,8 +31,8 @@ UNEXPLAINED = "#D5D9DE"
 def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
     """Draw, joint by joint, what the squared error of CAD is made of: stacked shares, negative ones below zero, what is left in grey."""
     n = len(attribution.joint_names)
-    with _styled():
-        figure = _figure(1.05 * n + 3.2, 4.2)
+    with styled():
+        figure = blank_figure(1.05 * n + 3.2, 4.2)
         axis = figure.subplots()
         place = np.arange(n)
         above, below = np.zeros(n), np.zeros(n)
@@ -85,15 +88,15 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
         axis.set_ylabel("share of the squared CAD error [%]")
         axis.grid(axis="x", visible=False)
         figure.legend(loc="outside right upper", reverse=True)
-        _headline(figure, title or f"{attribution.robot}: what the torque error of CAD is made of (RMS on top)")
+        headline(figure, title or f"{attribution.robot}: what the torque error of CAD is made of (RMS on top)")
     return figure
 
 
 def difference_figure(comparison: Comparison, *, most: int = 24, title: str = "") -> Figure:
     """Draw the parameters whose difference costs the most torque: the torque, the part that is each one's own, and whether they differ."""
     shown = [each for each in comparison.ranked if each.torque_total][:most]
-    with _styled():
-        figure = _figure(7.6, 0.24 * max(len(shown), 1) + 1.2)
+    with styled():
+        figure = blank_figure(7.6, 0.24 * max(len(shown), 1) + 1.2)
         axis = figure.subplots()
         place = np.arange(len(shown))
         total = np.array([each.torque_total or 0.0 for each in shown])
@@ -119,5 +122,13 @@ def difference_figure(comparison: Comparison, *, most: int = 24, title: str = ""
         for colour, label in ((AS_BUILT, "differs"), (GREY, "within errors")):
             axis.bar([0], [0], color=colour, label=label)
         axis.legend(loc="lower right", title="pale: what others could make up for", title_fontsize=8)
-        _headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
+        headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
     return figure
+
+
+def figure_address(figure: Figure) -> str:
+    """Return a figure as a `data:` address that a page carries in itself; equal figures give equal texts."""
+    stream = io.BytesIO()
+    with styled():
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

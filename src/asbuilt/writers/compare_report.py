@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from typing import TYPE_CHECKING
 
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from asbuilt.identification.determination import Determination
 from asbuilt.tables import share
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.comparison import Comparison, parameter_table, recording_name
-from asbuilt.writers.cause_figures import attribution_figure, difference_figure
-from asbuilt.writers.figures import _styled
+from asbuilt.writers.cause_figures import attribution_figure, difference_figure, figure_address
 from asbuilt.writers.report import CITATION, Finding, _environment, _resource, _version
 
 if TYPE_CHECKING:
@@ -42,8 +38,8 @@ def comparison_html(
         parameter_table=Markup(
             parameter_table(comparison.ranked, level=comparison.level, units=comparison.units, width=None).as_html("parameters-by-torque")
         ),
-        attribution_image="" if attribution is None else _image(attribution_figure(attribution)),
-        difference_image="" if attribution is None else _image(difference_figure(comparison)),
+        attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
+        difference_image="" if attribution is None else figure_address(difference_figure(comparison)),
         citation=CITATION,
         version=_version(),
         style=Markup(_resource("report.css")),
@@ -61,10 +57,3 @@ def _findings(comparison: Comparison, attribution: Attribution | None, determina
     total = sum(len(names) for names in (determination.well, determination.fairly, determination.hardly, determination.not_at_all))
     found.append(Finding("neutral", f"{len(determination.well)} of {total}", "parameters known to 10 % or better", ""))
     return found
-
-
-def _image(figure: Figure) -> str:
-    stream = io.BytesIO()
-    with _styled():
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

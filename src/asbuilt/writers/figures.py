@@ -89,8 +89,8 @@ def torque_figure(
     """
     n = measured.shape[1]
     names, kinds = _joint_labels(joint_names, n), list(units) or ["N m"] * n
-    with _styled():
-        figure = _figure(10.5, 1.25 * n + 0.95)
+    with styled():
+        figure = blank_figure(10.5, 1.25 * n + 0.95)
         axes = figure.subplots(n, 2, sharex=True, squeeze=False, width_ratios=(3, 2))
         for k in range(n):
             left, right = axes[k]
@@ -116,7 +116,7 @@ def torque_figure(
         for axis in axes[-1]:
             axis.set_xlabel("time [s]")
         figure.align_ylabels(axes[:, 0])
-        _headline(figure, title)
+        headline(figure, title)
     return figure
 
 
@@ -140,8 +140,8 @@ def parameter_figure(
     scale[scale == 0] = 1.0
     split = 1 if p <= 24 else 2
     rows = -(-p // split)
-    with _styled():
-        figure = _figure(4.4 * split + 1.2, 0.19 * rows + 1.1)
+    with styled():
+        figure = blank_figure(4.4 * split + 1.2, 0.19 * rows + 1.1)
         axes = figure.subplots(1, split, squeeze=False)[0]
         for part, axis in enumerate(axes):
             members = list(range(part * rows, min(p, (part + 1) * rows)))
@@ -176,7 +176,7 @@ def parameter_figure(
                 axis.text(1.02, float(row), text, transform=axis.get_yaxis_transform(), fontsize=6.5, va="center", color="#5F656D")
             axis.set_xlabel("value / largest magnitude of the row")
         _legend_above(axes[0])
-        _headline(figure, title)
+        headline(figure, title)
     return figure
 
 
@@ -186,8 +186,8 @@ def singular_value_figure(singular_values: Array, *, rank: int | None = None, ti
     kept = len(s) if rank is None else rank
     floor = np.max(s, initial=1.0) * 1e-17
     number = np.arange(1, len(s) + 1)
-    with _styled():
-        figure = _figure(6.0, 3.0)
+    with styled():
+        figure = blank_figure(6.0, 3.0)
         axis = figure.subplots()
         axis.semilogy(number[:kept], np.fmax(s[:kept], floor), "o", color=BLUE, markersize=4, label=f"determined ({kept})")
         if kept < len(s):
@@ -201,7 +201,7 @@ def singular_value_figure(singular_values: Array, *, rank: int | None = None, ti
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         _plain_log(axis.yaxis)
         axis.legend(loc="lower left")
-        _headline(figure, title)
+        headline(figure, title)
     return figure
 
 
@@ -211,8 +211,8 @@ def residual_figure(residual: Array, analysis: ResidualAnalysis, *, units: Seque
     kinds = list(units) or ["N m"] * n
     names = _joint_labels(analysis.joint_names, n)
     band = 1.96 / np.sqrt(analysis.n_samples)
-    with _styled():
-        figure = _figure(10.5, 1.45 * n + 0.9)
+    with styled():
+        figure = blank_figure(10.5, 1.45 * n + 0.9)
         axes = figure.subplots(n, 3, squeeze=False, sharex="col")
         for k in range(n):
             histogram, correlation, spectrum = axes[k]
@@ -245,7 +245,7 @@ def residual_figure(residual: Array, analysis: ResidualAnalysis, *, units: Seque
         ):
             axis.set_title(head)
             axes[-1, list(axes[0]).index(axis)].set_xlabel(below)
-        _headline(figure, title)
+        headline(figure, title)
     return figure
 
 
@@ -269,8 +269,8 @@ def friction_figure(
     speeds = list(velocity_units) or ["rad/s"] * n
     wide = min(n, 4)
     high = -(-n // wide)
-    with _styled():
-        figure = _figure(2.75 * wide + 0.3, 2.35 * high + 0.75)
+    with styled():
+        figure = blank_figure(2.75 * wide + 0.3, 2.35 * high + 0.75)
         axes = figure.subplots(high, wide, squeeze=False)
         for k, axis in enumerate(axes.flat):
             if k >= n:
@@ -300,7 +300,7 @@ def friction_figure(
             axis.set_xlabel(f"velocity [{speeds[k]}]")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=3, markerscale=5)
-        _headline(figure, title)
+        headline(figure, title)
     return figure
 
 
@@ -308,8 +308,8 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
     """Draw a free motion: joint positions, and kinetic, potential and total energy with what the drives put in and friction takes out."""
     model, t = motion.model, motion.t
     turning = [joint.is_revolute for joint in model.joints]
-    with _styled():
-        figure = _figure(8.5, 5.2)
+    with styled():
+        figure = blank_figure(8.5, 5.2)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
         colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, model.n_joints))
         for name, positions, colour in zip(model.joint_names, (motion.q - motion.q[0]).T, colours, strict=True):
@@ -332,7 +332,7 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         legend = below.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.6)
         legend.set_title(f"energy balance to {motion.imbalance:.0e}", prop={"size": 8})
         legend.set_alignment("left")
-        _headline(figure, title or f"{model.name}: {motion.release}")
+        headline(figure, title or f"{model.name}: {motion.release}")
     return figure
 
 
@@ -343,24 +343,27 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160)
         raise UsageError(f"cannot tell the format of figure {str(path)!r} from its suffix; use .{', .'.join(FORMATS)}")
     stream = io.BytesIO()
     dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
-    with _styled():
+    with styled():
         figure.savefig(stream, format=suffix, dpi=dpi, metadata=dateless)
     return atomic_write(path, stream.getvalue())
 
 
 @contextmanager
-def _styled() -> Iterator[None]:
+def styled() -> Iterator[None]:
+    """Draw in the house style within this context."""
     with mpl.rc_context(_STYLE):
         yield
 
 
-def _figure(width: float, height: float) -> Figure:
+def blank_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [inch] that knows how to save itself."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
-def _headline(figure: Figure, title: str) -> None:
+def headline(figure: Figure, title: str) -> None:
+    """Put a title over the whole figure, if there is one."""
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
 

@@ -21,12 +21,15 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
+from asbuilt.identification.determination import determination
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Table, beside, deviation, percent, rounded, share, significant
+from asbuilt.validation.attribution import attribute
 from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
+from asbuilt.writers.cause_figures import attribution_figure, figure_address
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.thinning import thinned
 
@@ -74,6 +77,7 @@ def report_html(
     plots show too. `command` is the command line that repeats the identification.
     """
     comparison = compare(result, validation=validations or None)
+    attribution = attribute(result) if result.evidence is not None else None
     shown = [*validations, *fitted]
     analyses = [item.residuals() for item in shown]
     labels = [recording_name(item.source) + ("" if place < len(validations) else ", used for fitting") for place, item in enumerate(shown)]
@@ -88,6 +92,10 @@ def report_html(
         parameters=[_parameter_row(parameter) for parameter in comparison.parameters],
         torque_table=_table(comparison.torque_table(), "torque-table"),
         sources=", ".join(recording_name(source) for source in result.sources),
+        determination=determination(result),
+        attribution=attribution,
+        attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
+        share_table="" if attribution is None else _table(attribution.share_table(), "shares"),
         labels=labels,
         residual_rows=[_residual_rows(item, analysis) for item, analysis in zip(shown, analyses, strict=True)],
         data=_page_data(result, shown, analyses),

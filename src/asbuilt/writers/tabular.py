@@ -16,6 +16,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.experiment.checks import RecordingCheck
+from asbuilt.identification.determination import determination
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result import IdentificationResult
@@ -79,6 +80,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
         "cad": result.cad.as_dict(),
         "physically_consistent": result.physically_consistent,
         "undetermined": list(result.undetermined),
+        "determination": determination(result).as_dict(),
         "warnings": [{"code": warning.code, "message": warning.message} for warning in result.warnings],
         "provenance": list(result.provenance),
         "files": {kind: str(path) for kind, path in (files or {}).items()},
