@@ -251,7 +251,7 @@ def identify(
         str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3")
     ] = None,
     drive: Drive = None,
-    method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "wls",
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "auto",
     undetermined: Annotated[
         str, typer.Option("--undetermined", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
     ] = "cad",
@@ -270,7 +270,9 @@ def identify(
     gain: Gain = None,
     torque_source: Source = None,
     sheet: Sheet = None,
-    cutoff: Cutoff = None,
+    cutoff: Annotated[
+        str | None, typer.Option("--cutoff", metavar="HZ|auto", help="low-pass cutoff; auto sweeps and judges by held-out torque")
+    ] = None,
     decimate: Decimate = None,
     preset: Preset = "default",
     out: Out = None,
@@ -281,14 +283,14 @@ def identify(
     from asbuilt.validation.payload_study import run_payload_study
     from asbuilt.validation.study import StudyOptions, run_study
     from asbuilt.writers.payload_tables import payload_document, payload_text
-    from asbuilt.writers.study_files import study_text, write_study
-    from asbuilt.writers.tabular import identify_document
+    from asbuilt.writers.study_files import study_document, study_text, write_study
 
-    model = _load(robot)
+    model, swept = _load(robot), cutoff == "auto"
     options = StudyOptions(
         drive=None if drive is None else "auto" if drive.strip() == "auto" else DriveSet.parse(drive),
         method=_one_of("--method", method, list(methods)),
-        chain=_chain(preset, cutoff, decimate),
+        chain=_chain(preset, None if swept else _cutoff(cutoff), decimate),
+        sweep_cutoff=swept,
         holdout=holdout,
         unexcited=_one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
         mounting=_one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
@@ -304,7 +306,7 @@ def identify(
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
     _answer(
         as_json,
-        lambda: identify_document(study.result, files=files) | ({"payload": payload_document(carried)} if carried is not None else {}),
+        lambda: study_document(study, files) | ({"payload": payload_document(carried)} if carried is not None else {}),
         lambda: study_text(study) + (f"\n\n{payload_text(carried)}" if carried is not None else "") + _listed(files),
     )
 
@@ -888,6 +890,10 @@ def _chain(preset: str, cutoff: float | None, decimate: int | None) -> SignalCha
 
     chain = SignalChain.preset(preset)
     return replace(chain, cutoff=cutoff or chain.cutoff, decimate=decimate or chain.decimate)
+
+
+def _cutoff(text: str | None) -> float | None:
+    return None if text is None else _positive("--cutoff", text)
 
 
 def _one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:

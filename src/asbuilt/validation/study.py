@@ -26,6 +26,7 @@ from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.mounting import find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.comparison import Comparison, compare
+from asbuilt.validation.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.validation.prediction import Validation, validate
 from asbuilt.validation.standing import standing_errors
 
@@ -43,7 +44,8 @@ BEHIND_CAD = 1.05
 class StudyOptions:
     """Say how to identify: drive terms (None: by torque source; "auto": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
 
-    `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands.
+    `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands;
+    `sweep_cutoff` chooses the low-pass cutoff by held-out error.
     """
 
     drive: DriveSet | Literal["auto"] | None = None
@@ -53,6 +55,7 @@ class StudyOptions:
     unexcited: Literal["toward_prior", "refuse"] = "toward_prior"
     mounting: Literal["as_described", "estimate"] = "as_described"
     block_seconds: float | None = None
+    sweep_cutoff: bool = False
     checked: bool = True
     threads: int | None = None
 
@@ -61,7 +64,8 @@ class StudyOptions:
 class Study:
     """Hold a result with all that it was judged by: checks of the recordings, predictions of held-out data, comparison with CAD.
 
-    `training` predicts the data used; `validations` what was held out, then the other recordings, in the order given.
+    `training` predicts the data used; `validations` what was held out, then the other recordings, in the order given. `cutoffs` says how the cutoff was chosen,
+    where it was swept.
     """
 
     result: IdentificationResult
@@ -69,6 +73,7 @@ class Study:
     training: tuple[Validation, ...]
     validations: tuple[Validation, ...]
     comparison: Comparison
+    cutoffs: CutoffSweep | None = None
 
 
 def default_drive(source: TorqueSource) -> DriveSet:
@@ -101,6 +106,9 @@ def run_study(
     report("filter", 0.0)
     logged = [head for head in heads[: len(recordings)] if head is not None]
     chain = options.chain.resolved(*logged) if logged else options.chain
+    cutoffs = _swept(model, logged, chain, options, report) if options.sweep_cutoff else None
+    if cutoffs is not None:
+        chain = replace(chain, cutoff=cutoffs.chosen, parallel_cutoff=None)
     learning = [_prepared(item, chain) for item in recordings]
     judging = [_prepared(item, chain) for item in validation]
     if options.holdout is not None:
@@ -124,6 +132,8 @@ def run_study(
     )
     if stands is not None:
         result = replace(result, notes=(*result.notes, stands.sentence))
+    if cutoffs is not None:
+        result = replace(result, notes=(*result.notes, f"Cutoff: {cutoffs.why}"))
     report("predict", 0.0)
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
@@ -133,7 +143,14 @@ def run_study(
             result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=options.block_seconds)
         )
     report("predict", 1.0)
-    return Study(result, checks, training, validations, compare(result, validation=validations or training))
+    return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs)
+
+
+def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
+    if not recordings:
+        raise UsageError("a cutoff can be chosen for recordings only; these samples are filtered already")
+    drive = options.drive if isinstance(options.drive, DriveSet) else default_drive(recordings[0].torque_source)
+    return sweep_cutoffs(model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report)
 
 
 def _head(item: Recording | RecordingStream | Samples) -> Recording | None:

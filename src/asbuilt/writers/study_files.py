@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from asbuilt.errors import AsbuiltError
 from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
@@ -11,6 +12,7 @@ from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.study import Study
+from asbuilt.writers.cutoff_figure import cutoff_figure
 from asbuilt.writers.drive_tables import motor_side_table
 from asbuilt.writers.export import urdf_to_edit
 from asbuilt.writers.figures import save_figure, torque_figure
@@ -18,7 +20,7 @@ from asbuilt.writers.files import atomic_write
 from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.report import write_report
 from asbuilt.writers.robot_toml import as_built_model, write_robot_toml
-from asbuilt.writers.tabular import prediction_table, write_parameters_csv
+from asbuilt.writers.tabular import identify_document, prediction_table, write_parameters_csv
 from asbuilt.writers.urdf import write_urdf
 
 
@@ -27,7 +29,15 @@ def study_text(study: Study) -> str:
     parts = [study.result.summary().as_text()]
     if gear_ratios(study.result.model):
         parts.append("Drives at the motor\n" + motor_side_table(motor_side_parameters(study.result)).as_text())
+    if study.cutoffs is not None:
+        parts.append(study.cutoffs.table().as_text())
     return "\n".join([*parts, stacked([study.comparison.torque_table()]), study.comparison.verdict()])
+
+
+def study_document(study: Study, files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return what `asbuilt identify --json` prints."""
+    document = identify_document(study.result, files=files)
+    return document if study.cutoffs is None else document | {"cutoff_sweep": study.cutoffs.as_document()}
 
 
 def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> dict[str, Path]:
@@ -42,6 +52,8 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
         "parameters": write_parameters_csv(folder / "parameters.csv", result),
     }
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
+    if study.cutoffs is not None:
+        files["cutoff"] = save_figure(cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"), folder / "cutoff.png")
     files["report"] = write_report(folder / "report.html", result, study.validations, fitted=study.training, command=command)
     try:
         robot = as_built_model(result)

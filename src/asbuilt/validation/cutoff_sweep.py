@@ -1,0 +1,162 @@
+"""Which low-pass cutoff the held-out torque asks for: the whole chain run at several, judged where no filter can flatter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import AsbuiltError, RecordingError
+from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.identify import identify
+from asbuilt.tables import Column, Table, significant
+from asbuilt.validation.prediction import validate
+
+Array = NDArray[np.float64]
+
+MULTIPLES = (0.2, 0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.2, 4.8, 7.0)
+"""Cutoffs that are tried, in multiples of the one that the chain would choose."""
+HIGHEST_SHARE = 0.2
+"""No cutoff above this share of the sampling rate."""
+HOLDOUT = "blocks:2s:3"
+"""What is held out to choose by where the user holds nothing out."""
+AS_GOOD = 1.02
+"""Held-out error, in multiples of the smallest, that counts as equally good; of these the lowest cutoff is taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutoffTrial:
+    """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean squared error relative to the joint's noise.
+
+    `durbin_watson` is the mean over joints for the residual in the band, 2 where it is white; `effective_share` the share of samples that are worth one.
+    """
+
+    cutoff: float
+    rms_recorded: Array
+    rms: Array
+    durbin_watson: float
+    effective_share: float
+    score: float
+    in_band: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutoffSweep:
+    """Hold the trials in rising order, the cutoff that was chosen, and why in a sentence."""
+
+    joint_names: tuple[str, ...]
+    trials: tuple[CutoffTrial, ...]
+    chosen: float
+    why: str
+
+    def table(self) -> Table:
+        """Return the trials as a table."""
+        rows = tuple(
+            (
+                significant(trial.cutoff),
+                "<- chosen" if trial.cutoff == self.chosen else "",
+                f"{trial.score:.3f}",
+                f"{trial.in_band:.3f}",
+                *(significant(float(x)) for x in trial.rms_recorded),
+                f"{trial.durbin_watson:.2f}",
+                f"{100 * trial.effective_share:.0f}",
+            )
+            for trial in self.trials
+        )
+        columns = (
+            Column("cutoff", "Hz", "decimal"),
+            Column(""),
+            Column("held out", "relative", "decimal"),
+            Column("in band", "relative", "decimal"),
+            *(Column(name, align="decimal", width=14) for name in self.joint_names),
+            Column("Durbin-Watson", align="decimal"),
+            Column("independent", "%", "decimal"),
+        )
+        notes = (
+            "Errors are RMS of held-out torque as recorded, which filtering cannot make smaller; 'held out' is their joint mean relative to the best.",
+            "'in band' is the same against the filtered torque: it falls with the cutoff whatever the model is worth, and chooses nothing.",
+            self.why,
+        )
+        return Table(columns, rows, title="Cutoff of the low-pass", notes=notes)
+
+    def as_document(self) -> dict[str, Any]:
+        """Return the sweep as numbers."""
+        return {
+            "chosen": self.chosen,
+            "why": self.why,
+            "trials": [
+                {
+                    "cutoff": trial.cutoff,
+                    "score": trial.score,
+                    "in_band": trial.in_band,
+                    "rms_recorded": trial.rms_recorded.tolist(),
+                    "rms": trial.rms.tolist(),
+                    "durbin_watson": trial.durbin_watson,
+                    "effective_share": trial.effective_share,
+                }
+                for trial in self.trials
+            ],
+        }
+
+
+def sweep_cutoffs(
+    model: RobotModel,
+    recordings: Sequence[Recording],
+    *,
+    drive: DriveSet,
+    chain: SignalChain | None = None,
+    holdout: str | None = None,
+    cutoffs: Sequence[float] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> CutoffSweep:
+    """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as recorded, is within 2 % of the smallest.
+
+    Weighted least squares each time. The error in the filter's band always falls with the cutoff and must not choose it. Raises RecordingError where
+    no cutoff leaves enough samples.
+    """
+    start = (chain or SignalChain()).resolved(*recordings)
+    assert start.cutoff is not None
+    rates = [recording.rate for recording in recordings]
+    tried = sorted(cutoffs or {min(multiple * start.cutoff, HIGHEST_SHARE * min(rates)) for multiple in MULTIPLES})
+    base = find_base_parameters(model, drive)
+    found: list[tuple[float, Array, Array, float, float]] = []
+    for k, cutoff in enumerate(tried):
+        if progress is not None:
+            progress("cutoff", k / len(tried))
+        at = replace(start, cutoff=float(cutoff), parallel_cutoff=None)
+        try:
+            parts = [hold_out(prepare_samples(recording, at), holdout or HOLDOUT) for recording in recordings]
+            result = identify(model, [train for train, _ in parts], base=base)
+            judged = [validate(result, held) for _, held in parts]
+        except AsbuiltError:
+            continue
+        recorded, band = (
+            np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0)) for name in ("rms_recorded", "rms")
+        )
+        residuals = [item.residuals() for item in judged]
+        whiteness = float(np.mean([item.durbin_watson for item in residuals]))
+        share = float(np.mean([item.effective_samples / item.n_samples for item in residuals]))
+        found.append((float(cutoff), recorded, band, whiteness, share))
+    if not found:
+        raise RecordingError("no cutoff leaves enough samples to learn from and to judge by; record longer")
+    best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)
+    scores = np.array([np.sqrt(np.mean((recorded / best) ** 2)) for _, recorded, _, _, _ in found])
+    bands = np.array([np.sqrt(np.mean((band / best) ** 2)) for _, _, band, _, _ in found]) / scores.min()
+    scores /= scores.min()
+    trials = tuple(CutoffTrial(*trial, float(score), float(band)) for trial, score, band in zip(found, scores, bands, strict=True))
+    good = [trial for trial in trials if trial.score <= AS_GOOD]
+    chosen = good[0]
+    worst = max(trials, key=lambda trial: trial.score)
+    why = (
+        f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within {100 * (AS_GOOD - 1):.0f} % of the smallest; "
+        f"{significant(worst.cutoff)} Hz would cost {100 * (worst.score - 1):.0f} % more."
+    )
+    return CutoffSweep(model.joint_names, trials, chosen.cutoff, why)
