@@ -85,5 +85,6 @@ def test_every_term_alone_and_beside_the_defaults(key):
 
 def test_a_term_at_some_joints_leaves_the_others_without_it():
     base = find_base_parameters(planar(), DriveSet.parse("viscous,spring:joints=2"))
-    assert "Ks2" in base.names and "Ks1" not in base.names
+    assert "Ks2" in base.names
+    assert "Ks1" not in base.names
     assert_regroups(base, stacked(planar(), base.drive))

@@ -137,7 +137,8 @@ def test_the_defaults_stay_where_nothing_else_is_there():
     assert choice.drive == PLAIN
     assert "kept" in choice.sentences[0]
     short = choose_drive(model, [samples.between(0.0, 2.5)])
-    assert short.drive == PLAIN and not short.trials
+    assert short.drive == PLAIN
+    assert not short.trials
 
 
 def test_parameters_at_the_motor():

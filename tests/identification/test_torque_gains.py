@@ -80,5 +80,6 @@ def test_the_recorded_pair_of_a_ur10e(shared, tmp_path):
     chain = SignalChain(cutoff=5.0)
     found = identify_gains(robot, *(prepare_samples(recording, chain) for recording in recordings), mass=2.805)
     in_use = np.array([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])
-    assert np.all(found.gains[1:] > 0.87 * in_use[1:]) and np.all(found.gains[1:] < 1.03 * in_use[1:])
+    assert np.all(found.gains[1:] > 0.87 * in_use[1:])
+    assert np.all(found.gains[1:] < 1.03 * in_use[1:])
     assert found.payload_share[0] < found.payload_share[1:].min()
