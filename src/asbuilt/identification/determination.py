@@ -25,6 +25,8 @@ WELL = 0.10
 """Standard error, as a fraction of the larger of estimate and CAD value, up to which a parameter is determined well,"""
 HARDLY = 0.50
 """and from which hardly."""
+UNNOTICED = 0.05
+"""Torque that an error stands for, as a fraction of the residual, up to which it hardly matters."""
 TRADES = 2.5
 """How much larger the error of a combination must be than its parameters would have alone to be called a trade-off."""
 MOST_NAMED = 5
@@ -63,8 +65,8 @@ class Advice:
 class Determination:
     """Say what a recording determines.
 
-    `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that and `negligible` those of them whose error is worth less torque
-    than the noise allows to see; `not_at_all` those that nothing in the recording tells.
+    `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that and `negligible` those of them whose error hardly changes the
+    torque of this motion; `not_at_all` those that nothing in the recording tells.
     """
 
     well: tuple[str, ...]
@@ -95,7 +97,7 @@ class Determination:
         if self.hardly:
             text = f"Hardly ({len(self.hardly)}): {_listed(self.hardly)}"
             if self.negligible:
-                text += f"; of these {len(self.negligible)} are worth next to no torque in this motion"
+                text += f"; of these {len(self.negligible)} make next to no torque in this motion"
             found.append(text + ".")
         if self.not_at_all:
             found.append(f"Not at all ({len(self.not_at_all)}): {_listed(self.not_at_all)}.")
@@ -136,7 +138,7 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     with one_blas_thread():
         information = known_information(result)
         alone = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-        negligible = hardly & (error < 3.0 * alone) & (error > size)
+        negligible = hardly & (error <= UNNOTICED * np.sqrt(result.effective_samples) * alone)
         combinations = _combinations(result, information, told)
         weak = np.flatnonzero(~well & ~(negligible & told))
         advice = _advice(result, information, weak) if motions and weak.size else ()

@@ -34,8 +34,8 @@ WORTH_TELLING = 0.05
 """Share of the error from which a cause is held against others."""
 OWN = 0.5
 """Two causes cannot be told apart where without either one the error grows by less than this part of that cause's share."""
-NOISE_FLOOR = 1e-9
-"""Smallest RMS of a joint, as a fraction of its torque, that the fit distinguishes from none."""
+NOISE_FLOOR = 1e-4
+"""Smallest RMS of a joint, as a fraction of its torque, that is worth explaining."""
 USUAL_GAIN = 0.1
 """Standard deviation of torque gains from 1 that is believed before any measurement."""
 USUAL_TILT = np.deg2rad(1.0)

@@ -98,7 +98,9 @@ def _amount(fits: CauseFits, cause: str, k: int) -> str:
         body = f"{significant(fits.possible_payload[1], 2)} kg at the flange"
         return f"what {body} would do" if "links" in fit.causes else body
     if cause == "friction":
-        return f"friction (Coulomb {significant(value('Fc'), 2)} {unit}, viscous {significant(value('Fv'), 2)} {unit} per {speed})"
+        stated = any(name in names and fits.design[names.index(name)] for name in (f"Fc{k + 1}", f"Fv{k + 1}"))
+        sizes = f"Coulomb {significant(value('Fc'), 2)} {unit}, viscous {significant(value('Fv'), 2)} {unit} per {speed}"
+        return f"friction ({sizes}{' beside that of CAD' if stated else ''})"
     if cause == "offset":
         return f"an offset of {significant(value('Fo'), 2)} {unit}"
     if cause == "armature":
