@@ -1,0 +1,76 @@
+"""Did identification find the truth? Only a virtual robot can say."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import ResultError
+from asbuilt.experiment.simulation import SimulatedRecording
+from asbuilt.identification.result import IdentificationResult
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recovery:
+    """Hold what was found of a truth: `truth`, `estimate` and `std_error` (p,) of the base parameters `names`.
+
+    `torque_error` is what the errors of the parameters make wrong in the torque of a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` the same for
+    the values of the description.
+    """
+
+    robot: str
+    names: tuple[str, ...]
+    truth: Array
+    estimate: Array
+    std_error: Array
+    torque_error: float
+    cad_error: float
+
+    @property
+    def deviations(self) -> Array:
+        """`(estimate - truth) / std_error`, shape (p,)."""
+        return (self.estimate - self.truth) / self.std_error
+
+    def within(self, sigmas: float) -> float:
+        """Return the share of parameters that lie within so many of their standard errors from the truth."""
+        return float(np.mean(np.abs(self.deviations) <= sigmas))
+
+
+def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecording) -> Recovery:
+    """Hold a result against the truth behind a simulated recording that logged velocities and accelerations, and predict its torque from both.
+
+    Truth and result must have the same drive terms. The truth's own mounting counts: a robot that stands askew has other base parameters than its
+    description, and the difference shows.
+
+    Raises
+    ------
+    ResultError
+        If the joints or drive terms differ, or the recording has no velocities and accelerations.
+    """
+    base, recording = result.base, simulated.recording
+    if simulated.model.joint_names != result.model.joint_names or simulated.drive != base.drive:
+        raise ResultError(
+            f"the result has the joints {', '.join(result.model.joint_names)} and drive terms {base.drive}, the truth "
+            f"{', '.join(simulated.model.joint_names)} and {simulated.drive}"
+        )
+    if recording.qd is None or recording.qdd is None:
+        raise ResultError(f"{recording.source} has no velocities and accelerations; record with DataLogger(accelerations=True)")
+    truth = base.values(simulated.truth)
+    estimate = np.array([parameter.estimate for parameter in result.parameters])
+    cad = np.nan_to_num(np.array([parameter.cad for parameter in result.parameters]))
+    W = observation_matrix(result.model, recording.q, recording.qd, recording.qdd, drive=base.drive, columns=base.columns)
+    size = float(np.linalg.norm(W @ truth))
+    return Recovery(
+        robot=result.model.name,
+        names=base.names,
+        truth=truth,
+        estimate=estimate,
+        std_error=np.array([parameter.std_error for parameter in result.parameters]),
+        torque_error=float(np.linalg.norm(W @ (estimate - truth))) / size,
+        cad_error=float(np.linalg.norm(W @ (cad - truth))) / size,
+    )

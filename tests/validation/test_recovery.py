@@ -1,0 +1,59 @@
+"""What is found of a truth must be measured as it was made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import ResultError
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.data_logger import DataLogger
+from asbuilt.experiment.sensors import PERFECT_SENSORS
+from asbuilt.experiment.simulation import SimulatedRecording
+from asbuilt.experiment.virtual_robot import VirtualRobot
+from asbuilt.identification.result import IdentificationResult
+from asbuilt.validation.recovery import compare_with_truth
+from asbuilt.validation.study import StudyOptions, run_study
+
+
+@pytest.fixture(scope="module")
+def identified() -> tuple[IdentificationResult, SimulatedRecording]:
+    model = bundled_robot("ur10e")
+    robot = VirtualRobot.preset("lab", model, rng=1)
+    learned = [robot.record(random_fourier(model, k, n_harmonics=5 + k), rng=k).recording for k in range(2)]
+    study = run_study(model, learned, options=StudyOptions(drive=robot.drive))
+    clean = replace(robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=50.0, accelerations=True))
+    return study.result, replace(clean.record(random_fourier(model, 9, duration=5.0)), truth=robot.truth)
+
+
+def test_a_lab_recording_leads_back_to_the_truth(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+    recovery = compare_with_truth(*identified)
+    assert len(recovery.names) == 36 + 18
+    assert recovery.within(2.0) > 0.85
+    assert recovery.within(4.0) > 0.95
+    assert recovery.torque_error < 0.1 * recovery.cad_error
+    assert recovery.torque_error < 2e-3
+
+
+def test_errors_are_those_of_the_parameters(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+    """A truth moved by one parameter's worth of standard errors is missed by as many."""
+    result, simulated = identified
+    before = compare_with_truth(result, simulated)
+    k = before.names.index("m6") if "m6" in before.names else len(before.names) - 1
+    column = int(result.base.columns[k])
+    moved = np.array(simulated.truth)
+    moved[column] += 3.0 * before.std_error[k]
+    after = compare_with_truth(result, replace(simulated, truth=moved))
+    assert after.deviations[k] == pytest.approx(before.deviations[k] - 3.0, abs=1e-6)
+
+
+def test_what_cannot_be_compared_is_refused(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+    result, simulated = identified
+    with pytest.raises(ResultError, match=r"drive terms viscous,coulomb,offset, the truth .* and viscous"):
+        compare_with_truth(result, replace(simulated, drive=DriveSet.parse("viscous")))
+    with pytest.raises(ResultError, match="has no velocities and accelerations; record with DataLogger"):
+        compare_with_truth(result, replace(simulated, recording=replace(simulated.recording, qdd=None)))
