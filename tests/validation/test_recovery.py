@@ -23,9 +23,9 @@ from asbuilt.validation.study import StudyOptions, run_study
 @pytest.fixture(scope="module")
 def identified() -> tuple[IdentificationResult, SimulatedRecording]:
     model = bundled_robot("ur10e")
-    robot = VirtualRobot.preset("lab", model, rng=1)
-    learned = [robot.record(random_fourier(model, k, n_harmonics=5 + k), rng=k).recording for k in range(2)]
-    study = run_study(model, learned, options=StudyOptions(drive=robot.drive))
+    robot = VirtualRobot.preset("lab", model, rng=1).logging(250.0)
+    learned = [robot.record(random_fourier(model, k, duration=15.0, n_harmonics=5 + k), rng=k).recording for k in range(2)]
+    study = run_study(model, learned, options=StudyOptions(drive=robot.drive, checked=False))
     clean = replace(robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=50.0, accelerations=True))
     return study.result, replace(clean.record(random_fourier(model, 9, duration=5.0)), truth=robot.truth)
 
