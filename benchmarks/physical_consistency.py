@@ -1,0 +1,74 @@
+"""Time of the physically consistent estimators on 7 joints, 43 base + 21 drive parameters, from square-root information."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.samples import Samples
+from asbuilt.identification.body_bounds import generous_bounds
+from asbuilt.identification.cad_prior import cad_prior
+from asbuilt.identification.conic_fit import fit_real_bodies
+from asbuilt.identification.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.square_root_information import accumulate
+from asbuilt.identification.standard_parameters import standard_parameters
+
+ROBOT = "kuka-iiwa7-r800"
+REPEATS = 15
+
+
+def measure() -> dict[str, float | str]:
+    """Return milliseconds, the median of several runs."""
+    model = load_robot(ROBOT)
+    base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
+    prior = cad_prior(model, base.drive)
+    rng = np.random.default_rng(1)
+    motion = random_fourier(model, rng=1, duration=60.0).sample(50.0)
+    chi = prior.parameters.copy()
+    chi[:70] = (chi[:70].reshape(7, 10) * rng.uniform(0.8, 1.2, (7, 1))).ravel()
+    chi[70:] = rng.uniform(0.1, 1.0, len(chi) - 70)
+    W = observation_matrix(model, motion.q, motion.qd, motion.qdd, drive=base.drive, columns=base.columns)
+    tau = (W @ base.values(chi)).reshape(motion.q.shape)
+    tau += 0.05 * np.sqrt(np.mean(tau**2, axis=0)) * rng.normal(size=tau.shape)
+    samples = Samples(
+        t=motion.t,
+        q=motion.q,
+        qd=motion.qd,
+        qdd=motion.qdd,
+        tau=tau,
+        rate=50.0,
+        joint_names=model.joint_names,
+        segments=((0, len(motion.t)),),
+    )
+    information = accumulate(model, base, samples)
+    estimate = fit_consistent(information, prior)
+    factor, bounds = information.stacked(estimate.weights), generous_bounds(prior)
+    return {
+        "conic_program_ms": _milliseconds(lambda: fit_real_bodies(prior, base.regrouping, factor=factor, bounds=bounds)),
+        "consistent_whole_ms": _milliseconds(lambda: fit_consistent(information, prior)),
+        "entropic_given_weight_ms": _milliseconds(lambda: fit_toward_cad(information, prior, weight=10.0, weights=estimate.weights)),
+        "entropic_choosing_weight_ms": _milliseconds(lambda: fit_toward_cad(information, prior), 3),
+        "euclidean_choosing_weight_ms": _milliseconds(lambda: fit_toward_cad(information, prior, metric="euclidean"), 3),
+        "standard_parameters_ms": _milliseconds(lambda: standard_parameters(model, base, estimate.beta)),
+    }
+
+
+def _milliseconds(work: Callable[[], object], repeats: int = REPEATS) -> float:
+    took = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(took))
+
+
+if __name__ == "__main__":
+    for name, value in measure().items():
+        print(f"{name:<32} {value:8.1f}")
