@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import MotionError, UsageError
+from asbuilt.excitation.attained import information_efficiency
+from asbuilt.excitation.design import DesignOptions, design_motion, position_of
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.precision import design_for_precision, predicted_precision
+from asbuilt.excitation.random_motion import random_fourier
+
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
+QUICK = DesignOptions(duration=8.0, size=4, starts=2, time_limit=60.0)
+
+
+def log_det_of(model, motion, drive=DRIVE) -> float:
+    """log det of the information per sample, from the observation matrix."""
+    base = find_base_parameters(model, drive)
+    states = motion.at((np.arange(2000) + 0.5) * motion.duration / 2000)
+    w = observation_matrix(model, *states, drive=drive, columns=base.columns)
+    return 2 * float(np.log(np.linalg.svd(w, compute_uv=False)).sum()) - base.n_base * np.log(2000)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    model = load_robot("two-link")
+    return model, design_motion(model, DRIVE, QUICK)
+
+
+def test_a_design_beats_fifty_random_motions(arm) -> None:
+    model, design = arm
+    found = log_det_of(model, design.motion)
+    assert design.log_det == pytest.approx(found + design.base.n_base * np.log(800), abs=1e-2)
+    best = max(log_det_of(model, random_fourier(model, rng=k, duration=8.0, n_harmonics=4, fraction=0.95)) for k in range(50))
+    assert found > best + 0.1 * design.base.n_base
+
+
+@pytest.mark.parametrize("robot", ["two-link", "scara", "ur10e"])
+def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> None:
+    model = load_robot(robot)
+    options = DesignOptions(duration=8.0, size=4, starts=1, time_limit=20.0)
+    motion = design_motion(model, DRIVE, options, with_bound=False).motion
+    bounds = MotionBounds.assumed(model, 0.95)
+    t = np.linspace(0, motion.duration, 13001)
+    q, qd, qdd = motion.at(t)
+    slack = 1e-5
+    assert np.all(q <= bounds.upper + slack)
+    assert np.all(q >= bounds.lower - slack)
+    assert np.all(np.abs(qd) <= bounds.velocity * (1 + slack))
+    assert np.all(np.abs(qdd) <= bounds.acceleration * (1 + slack))
+    peer = pin.Model()
+    peer.gravity.linear = np.array(model.gravity)
+    for i, joint in enumerate(model.joints):
+        after = pin.SE3.Identity() if joint.parent < 0 else pin.SE3(np.array(model.joints[joint.parent].after))
+        kind = pin.JointModelRZ() if joint.is_revolute else pin.JointModelPZ()
+        number = peer.addJoint(joint.parent + 1, kind, after * pin.SE3(np.array(joint.before)), joint.name)
+        inertia = model.links[i].inertia
+        body = pin.Inertia(
+            max(inertia.mass, 1e-12),
+            inertia.com if inertia.mass else np.zeros(3),
+            inertia.inertia_about_com if inertia.mass else np.zeros((3, 3)),
+        )
+        peer.appendBodyToJoint(number, body, pin.SE3(np.array(joint.after)))
+    data = peer.createData()
+    friction = [np.array([value or 0.0 for value in (joint.drive.viscous, joint.drive.coulomb)]) for joint in model.joints]
+    if not any(f.any() for f in friction):
+        torque = np.array([pin.rnea(peer, data, q[k], qd[k], qdd[k]) for k in range(0, len(t), 10)])
+        assert np.all(np.abs(torque) <= 0.8 * MotionBounds.of(model).torque * (1 + 1e-4))
+
+
+def test_the_same_seed_gives_the_same_motion_on_any_number_of_threads(arm) -> None:
+    model, design = arm
+    for threads in (1, 3):
+        again = design_motion(model, DRIVE, QUICK, threads=threads, with_bound=False)
+        assert np.array_equal(again.motion.coefficients, design.motion.coefficients)
+    other = design_motion(model, DRIVE, replace(QUICK, seed=1), with_bound=False)
+    assert not np.array_equal(other.motion.coefficients, design.motion.coefficients)
+
+
+@pytest.mark.parametrize(("parametrisation", "size"), [("bspline", 9), ("quintic", 6), ("point-to-point", 7)])
+def test_other_families_respect_the_limits_too(parametrisation: str, size: int) -> None:
+    model = load_robot("two-link")
+    design = design_motion(model, DRIVE, replace(QUICK, parametrisation=parametrisation, size=size), with_bound=False)
+    assert design.limits.is_respected
+    assert np.isfinite(design.log_det)
+    assert np.allclose(design.motion.derivative([0.0, design.motion.duration], 1), 0)
+    assert design.motion.duration <= 8.0 + 1e-9
+
+
+def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
+    model, design = arm
+    focused = design_motion(model, DRIVE, replace(QUICK, focus=("Izz2", "11")), with_bound=False)
+    places = [position_of(design.base, name) for name in ("Izz2", "11")]
+    det = [np.linalg.det(np.linalg.inv(d.information)[np.ix_(places, places)]) for d in (focused, design)]
+    assert det[0] < det[1]
+    with pytest.raises(UsageError, match="no base parameter 'Izz9'"):
+        design_motion(model, DRIVE, replace(QUICK, focus=("Izz9",)))
+
+
+def test_what_is_known_already_need_not_be_told_again(arm) -> None:
+    model, design = arm
+    weak = position_of(design.base, "Fo1")
+    known = 1e6 * np.diag(np.diag(design.information))
+    known[weak] = known[:, weak] = 0.0
+    follow = design_motion(model, DRIVE, QUICK, prior=known, with_bound=False)
+    alone = 1 / np.sqrt(follow.information[weak, weak])
+    assert follow.std_errors[weak] == pytest.approx(alone, rel=1e-2)
+    assert np.all(follow.std_errors <= design.std_errors * (1 + 1e-6))
+    with pytest.raises(UsageError, match="same drive terms"):
+        design_motion(model, DRIVE, QUICK, prior=np.eye(3))
+
+
+def test_criteria_win_at_their_own_game(arm) -> None:
+    model, design = arm
+    even = design_motion(model, DRIVE, replace(QUICK, criterion="condition"), with_bound=False)
+    assert even.log_det < design.log_det
+    assert even.scaled_condition_number < design.scaled_condition_number * 1.05
+
+
+def test_power_and_other_robots_tighten_a_design(arm) -> None:
+    model, design = arm
+    t = np.linspace(0, 8, 4001)
+
+    def power(found) -> float:
+        state = found.motion.at(t)
+        return float(np.abs(inverse_dynamics(model, *state) * state[1]).max())
+
+    limit = 0.5 * power(design)
+    weak = design_motion(model, DRIVE, replace(QUICK, power=(limit,)), with_bound=False)
+    assert power(weak) <= limit * (1 + 1e-6)
+    assert weak.log_det < design.log_det
+    careful = design_motion(model, DRIVE, replace(QUICK, perturbed=2, spread=0.3, torque_fraction=0.3), with_bound=False)
+    assert careful.limits.worst["torque"].margin >= 0.7 - 1e-6
+
+
+def test_an_interrupt_keeps_the_best_so_far(arm) -> None:
+    model, _ = arm
+
+    def stop(state) -> None:
+        if state.finished >= 2:
+            raise KeyboardInterrupt
+
+    kept = design_motion(model, DRIVE, replace(QUICK, starts=40), progress=stop, with_bound=False, threads=1)
+    assert kept.interrupted
+    assert kept.limits.is_respected
+
+
+def test_a_robot_too_weak_for_its_weight_is_told_so() -> None:
+    model = load_robot("two-link")
+    weak = model.with_limits([replace(joint.limits, torque=1e-3) for joint in model.joints])
+    with pytest.raises(MotionError, match="no motion within the constraints"):
+        design_motion(weak, DRIVE, replace(QUICK, starts=1), with_bound=False)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("parametrisation", "spline"), ("duration", -1.0), ("fraction", 1.5), ("starts", 0), ("size", 1), ("time_limit", np.nan)],
+)
+def test_senseless_options_are_refused(field: str, value) -> None:
+    with pytest.raises(UsageError, match=field if field != "size" else "at least 2 harmonics"):
+        DesignOptions(**{field: value})
+
+
+def test_a_wanted_precision_finds_its_duration(arm) -> None:
+    model, design = arm
+    reached = predicted_precision(design)
+    longer, trials = design_for_precision(model, DRIVE, replace(QUICK, size=None, starts=2), reached / 1.5)
+    assert longer.motion.duration > 8
+    assert predicted_precision(longer) <= reached / 1.5
+    assert [trial.duration for trial in trials] == sorted(trial.duration for trial in trials)
+    with pytest.raises(UsageError, match="positive fraction"):
+        design_for_precision(model, DRIVE, QUICK, 0.0)
+
+
+def test_a_recording_is_told_how_much_it_carries(arm) -> None:
+    model, design = arm
+    good = information_efficiency(model, DRIVE, design.motion.sample(100))
+    poor = information_efficiency(model, DRIVE, design.motion.slowed(4.0).sample(100))
+    assert 1 > good.d_efficiency > 2 * poor.d_efficiency > 0
+    frozen = design.motion.sample(100)
+    held = type(frozen)(frozen.t, frozen.q * [1, 0], frozen.qd * [1, 0], frozen.qdd * [1, 0])
+    still = information_efficiency(model, DRIVE, held)
+    assert still.d_efficiency == 0
+    assert still.by_joint[1] == 0

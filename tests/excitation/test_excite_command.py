@@ -1,0 +1,133 @@
+"""`asbuilt excite` as a script meets it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.cli import main
+from asbuilt.description.load import load_robot
+from asbuilt.excitation.limits import check_motion
+from asbuilt.excitation.motion_csv import read_motion
+
+FIELDS = {
+    "robot",
+    "parametrisation",
+    "duration",
+    "n_harmonics",
+    "log_det",
+    "d_efficiency",
+    "condition_number",
+    "scaled_condition_number",
+    "worst_margin",
+    "collision_distance",
+    "solve_seconds",
+    "files",
+}
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as end:
+        main([str(argument) for argument in ("excite", *arguments)])
+    out, err = capsys.readouterr()
+    return int(end.value.code or 0), out, err
+
+
+@pytest.mark.parametrize(
+    ("robot", "options"),
+    [
+        ("two-link", ()),
+        ("scara", ("--parametrisation", "point-to-point")),
+        ("ur10e", ("--static", 8)),
+        ("franka-panda", ("--collision", "skeleton:0.05", "--drive", "viscous")),
+    ],
+)
+def test_json_has_the_promised_fields_and_the_file_holds_the_motion(capsys, tmp_path: Path, robot: str, options) -> None:
+    file = tmp_path / "motion.csv"
+    status, out, err = call(
+        capsys, robot, "--duration", 8, "--starts", 1, "--time-limit", 2, "--rate", 200, "--out", file, "--json", *options
+    )
+    assert status == 0, err
+    document = json.loads(out)
+    assert document.keys() >= FIELDS
+    assert document["worst_margin"].keys() >= {"position", "velocity", "acceleration", "torque"}
+    assert all(margin is None or margin > 0 for margin in document["worst_margin"].values())
+    assert (document["collision_distance"] is not None) == ("--collision" in options)
+    assert 0 < document["scaled_condition_number"] <= document["condition_number"] * (1 + 1e-9)
+    model = load_robot(robot)
+    motion = read_motion(document["files"]["motion"], model)
+    assert motion.duration == pytest.approx(document["duration"], abs=0.01)
+    assert check_motion(model, motion).is_respected
+    if "--static" not in options:
+        assert 0 < document["d_efficiency"] < 1
+
+
+def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
+    status, out, _ = call(
+        capsys, "two-link", "--duration", 6, "--harmonics", 3, "--starts", 1, "--time-limit", 2, "--out", tmp_path / "m.csv"
+    )
+    assert status == 0
+    for said in ("D-efficiency", "condition number", "nearest joint", "std err", "m.csv"):
+        assert said in out
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "said"),
+    [
+        (("--criterion", "x"), 2, "available: d, a, e, condition"),
+        (("--duration", "-3"), 2, "positive number"),
+        (("--duration", "soon"), 2, "positive number"),
+        (("--focus", "Izz7"), 2, "no base parameter"),
+        (("--noise", "a,b"), 2, "numbers separated by commas"),
+        (("--noise", "1,2,3"), 2, "one per joint"),
+        (("--parametrisation", "chebyshev"), 2, "available: fourier"),
+        (("--collision", "nothing.toml"), 1, "cannot be read"),
+        (("--tool-box", "1,2"), 2, "six numbers"),
+        (("--fraction", "0"), 2, "fraction"),
+        (("--static", "0"), 2, "at least"),
+    ],
+)
+def test_wrong_usage_is_one_message(capsys, tmp_path: Path, options, status: int, said: str) -> None:
+    found, out, err = call(capsys, "two-link", "--time-limit", 1, "--out", tmp_path / "m.csv", *options)
+    assert (found, out) == (status, "")
+    assert said in err
+    assert err.count("\n") == 1
+    assert not (tmp_path / "m.csv").exists()
+
+
+def test_an_earlier_result_leaves_less_to_find(capsys, tmp_path: Path) -> None:
+    log, folder = tmp_path / "log.csv", tmp_path / "first"
+    for arguments in (
+        ("simulate", "two-link", "--engine", "inverse-dynamics", "--preset", "lab", "--duration", 10, "--rate", 250, "--out", log),
+        ("identify", "two-link", log, "--unchecked", "--drive", "viscous,coulomb,offset", "--out", folder),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main([str(argument) for argument in arguments])
+        assert not end.value.code, capsys.readouterr().err
+    capsys.readouterr()
+    result = json.loads((folder / "result.json").read_text())
+    status, out, err = call(
+        capsys,
+        "two-link",
+        "--given",
+        folder / "result.json",
+        "--duration",
+        6,
+        "--starts",
+        1,
+        "--time-limit",
+        2,
+        "--out",
+        tmp_path / "m.csv",
+        "--json",
+    )
+    assert status == 0, err
+    document = json.loads(out)
+    assert document["noise"] == pytest.approx(result["sigma"])
+    before = {parameter["name"]: parameter["std_error"] for parameter in result["parameters"]}
+    after = {parameter["name"]: parameter["std_error"] for parameter in document["parameters"]}
+    assert all(after[name] <= before[name] * (1 + 1e-6) for name in before)
+    assert np.mean([after[name] / before[name] for name in before]) < 0.9
