@@ -12,7 +12,8 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.excitation.admissible import parameter_scale
 from asbuilt.excitation.criteria import DOptimality
-from asbuilt.excitation.design import USUAL_DRIVE, DesignOptions, design_motion
+from asbuilt.excitation.design import USUAL_DRIVE, design_motion
+from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.design_program import DesignProgram, Objective
 from asbuilt.excitation.information import Information, mean_information
 from asbuilt.excitation.limits import MotionBounds

@@ -10,7 +10,8 @@ import numpy as np
 from asbuilt import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.collision import watched
-from asbuilt.excitation.design import DesignOptions, design_motion
+from asbuilt.excitation.design import design_motion
+from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.information import Information, mean_information
 from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.random_motion import random_fourier

@@ -579,7 +579,8 @@ def excite(
     """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.excitation.collision import watched
-    from asbuilt.excitation.design import DesignOptions, design_motion
+    from asbuilt.excitation.design import design_motion
+    from asbuilt.excitation.design_options import DesignOptions
     from asbuilt.excitation.precision import design_for_precision
     from asbuilt.excitation.static_poses import design_static_poses
     from asbuilt.identification.known_information import known_information

@@ -10,7 +10,8 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import DescriptionError, MotionError, UsageError
 from asbuilt.excitation.capsules import Capsule, skeleton_capsules, surroundings, urdf_capsules
 from asbuilt.excitation.collision import CollisionGuard, ToolBox, watched
-from asbuilt.excitation.design import DesignOptions, design_motion
+from asbuilt.excitation.design import design_motion
+from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.distances import nearest_on_segments, nearest_to_box
 
 coal = pytest.importorskip("coal")

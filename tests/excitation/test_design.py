@@ -13,7 +13,8 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.attained import information_efficiency
-from asbuilt.excitation.design import DesignOptions, design_motion, position_of
+from asbuilt.excitation.design import design_motion, position_of
+from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.precision import design_for_precision, predicted_precision
 from asbuilt.excitation.random_motion import random_fourier

@@ -13,7 +13,8 @@ from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.design import Design, DesignOptions, design_motion, position_of
+from asbuilt.excitation.design import Design, design_motion, position_of
+from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.motion import Array
 from asbuilt.excitation.multistart import SearchProgress

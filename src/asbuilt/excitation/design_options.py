@@ -1,0 +1,75 @@
+"""What is wanted of a design."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.errors import UsageError
+from asbuilt.excitation.parametrisations import PARAMETRISATIONS, Fourier, Parametrisation
+
+
+@dataclass(frozen=True)
+class DesignOptions:
+    """Say what is wanted of a design.
+
+    | field | meaning |
+    |---|---|
+    | `parametrisation`, `size` | family of motions and how rich it is: harmonics, control points or way points |
+    | `duration`, `periods` | length of the motion [s]; a Fourier series may run through several periods |
+    | `criterion`, `focus` | `d`, `a`, `e` or `condition`; names or ids of base parameters for D_s |
+    | `noise` | standard deviation of the torque [N m or N], one number or one per joint |
+    | `information_rate` | independent torque samples per second that the noise refers to [1/s] |
+    | `fraction`, `torque_fraction` | how much of the limits of motion, and of torque, may be used |
+    | `power` | greatest mechanical power of each joint [W], one number or one per joint; none where empty |
+    | `perturbed`, `spread` | how many other robots the torque limit must hold for, and how far off their masses are |
+    | `starts`, `seed`, `time_limit` | local searches, seed of everything random, and when to be done [s] |
+    """
+
+    parametrisation: str = "fourier"
+    size: int | None = None
+    duration: float = 20.0
+    periods: int = 1
+    criterion: str = "d"
+    focus: tuple[str, ...] = ()
+    noise: float | tuple[float, ...] = 1.0
+    information_rate: float = 100.0
+    fraction: float = 0.95
+    torque_fraction: float = 0.8
+    power: tuple[float, ...] = ()
+    perturbed: int = 0
+    spread: float = 0.1
+    starts: int = 24
+    seed: int = 0
+    time_limit: float = 25.0
+
+    def __post_init__(self) -> None:
+        if self.parametrisation not in PARAMETRISATIONS:
+            raise UsageError(f"unknown parametrisation {self.parametrisation!r}; available: {', '.join(PARAMETRISATIONS)}")
+        for name in ("duration", "information_rate", "time_limit"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(f"{name} must be a positive number, got {value}")
+        for name in ("fraction", "torque_fraction"):
+            if not 0 < getattr(self, name) <= 1:
+                raise UsageError(f"{name} must lie above 0 and at most at 1, got {getattr(self, name)}")
+        for name in ("starts", "periods"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.size is not None and self.size < 2:
+            raise UsageError(f"a design needs at least 2 harmonics, 3 way points or control points; got {self.size}")
+
+    @property
+    def family(self) -> Parametrisation:
+        """The family of motions."""
+        if self.parametrisation == "fourier":
+            size = self.size or usual_harmonics(self.duration / self.periods)
+            return Fourier(self.duration, size, self.periods)
+        size = self.size or max(4, round(self.duration / 1.25) + 1)
+        return PARAMETRISATIONS[self.parametrisation](self.duration, size)
+
+
+def usual_harmonics(period: float) -> int:
+    """Return the number of harmonics where none is asked for: up to a quarter of a hertz, at least 3."""
+    return max(3, round(0.25 * period))

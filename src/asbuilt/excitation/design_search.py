@@ -1,0 +1,236 @@
+"""Local searches for the best motion: from random starts, from disturbed good motions, and refined until all limits hold at 1 kHz."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import MotionError
+from asbuilt.excitation.design_options import DesignOptions
+from asbuilt.excitation.design_program import DesignProgram, Objective
+from asbuilt.excitation.interior_point import StateConstraint, solve
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motion import Array, Motion, limit_array
+from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, search_all
+from asbuilt.excitation.parametrisations import Parametrisation, PointToPoint
+from asbuilt.excitation.point_to_point import PointToPointMotion
+from asbuilt.excitation.torque_limit import PowerLimit, TorqueLimit, perturbed_models
+
+CHECK_RATE = 1000.0
+"""Rate at which a motion must keep all limits [Hz]."""
+
+NODES_PER_WAVE = 40
+"""Nodes per shortest wave of a motion during the search, twice as many in the end; with fewer, a search hides motion between the nodes."""
+
+LEAST_NODES = 128
+SEARCH_BARRIER = (20.0, 3e-3)
+FINAL_BARRIER = (3e-3, 3e-5)
+HOP_BARRIER = (0.3, 3e-3)
+SEARCH_SPARE, FINAL_SPARE = (3e-3, 3e-2), (1e-3, 1e-2)
+"""What search and refinement leave of the limits of motion and of the other constraints, so that they hold between the nodes, too."""
+
+GENERATION = 8
+"""Disturbed motions searched from at a time: all of a generation have the same parents, whatever the number of cores."""
+
+PARENTS = 3
+HOPS_PER_START = 8
+IDLE_GENERATIONS = 8
+LEAST_GAIN = 0.02
+DISTURBANCE = (0.1, 0.5)
+
+REPAIRS = 12
+SLOWING = 0.93
+MOST_SHRINKING = 0.3
+SHORTEST_MOVE = 0.1
+"""Least time that the design grants to a move between two poses [s]."""
+
+
+class DesignSearch:
+    """Local searches from random starts, and the refinement of what they find."""
+
+    def __init__(
+        self, model: RobotModel, objective: Objective, options: DesignOptions, constraints: tuple[StateConstraint, ...], deadline: Deadline
+    ) -> None:
+        self.family = options.family
+        self._model, self._objective, self._options, self._deadline = model, objective, options, deadline
+        self._bounds = MotionBounds.assumed(model, options.fraction)
+        torque = options.torque_fraction * MotionBounds.of(model).torque
+        models = perturbed_models(model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20]))
+        watch: tuple[StateConstraint, ...] = (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
+        if options.power:
+            watch += (PowerLimit(model, limit_array(options.power, model.n_joints, "power")),)
+        self._constraints = watch + constraints
+        span = self.family.duration / getattr(self.family, "periods", 1)
+        self._n_nodes = max(LEAST_NODES, round(NODES_PER_WAVE * span / self.family.shortest_wave))
+        self._coarse = self._program(self._n_nodes, SEARCH_SPARE)
+
+    def _program(self, n_nodes: int, spare: tuple[float, float], family: Parametrisation | None = None) -> DesignProgram:
+        return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare)
+
+    def run(self, threads: int | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
+        """Return the candidates, best first: searches from random starts, then from disturbed versions of the best so far.
+
+        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time, until some generations bring nothing.
+        """
+        starts = self._options.starts
+        planned = starts + GENERATION * math.ceil(HOPS_PER_START * starts / GENERATION)
+
+        def told(state: SearchProgress, before: int, best: float) -> None:
+            if progress is not None:
+                progress(SearchProgress(state.seconds, before + state.finished, planned, max(best, state.best)))
+
+        found = search_all(
+            [self.from_seed(k) for k in range(starts)], self._deadline, threads=threads, progress=partial(told, before=0, best=-np.inf)
+        )
+        idle, done = 0, starts
+        while found and done < planned and idle < IDLE_GENERATIONS and not self._deadline():
+            best = found[0].value
+            parents = found[:PARENTS]
+            hops = [self.from_parent(done + k, parents[k % len(parents)]) for k in range(GENERATION)]
+            before = done
+            born = search_all(hops, self._deadline, threads=threads, progress=partial(told, before=before, best=best))
+            found = sorted([*found, *born], key=lambda candidate: (-candidate.value, candidate.number))
+            idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
+            done += GENERATION
+        return found
+
+    def from_parent(self, number: int, parent: Candidate) -> Callable[[], Candidate]:
+        """Return the search number `number`, which begins between a parent and a random start."""
+
+        def search() -> Candidate:
+            rng = np.random.default_rng([self._options.seed, number])
+            for _ in range(10):
+                other = self._start(rng)
+                if other is None:
+                    break
+                part = rng.uniform(*DISTURBANCE)
+                start = self._inside(self._coarse, (1 - part) * parent.coefficients + part * other)
+                if start is not None:
+                    optimum = solve(self._coarse, start, barrier=HOP_BARRIER, cancelled=self._deadline)
+                    if optimum is not None:
+                        return Candidate(number, optimum.coefficients, optimum.value)
+            return Candidate(number, np.zeros((0, 0)), -np.inf)
+
+        return search
+
+    def from_seed(self, number: int) -> Callable[[], Candidate]:
+        """Return the search number `number`."""
+
+        def search() -> Candidate:
+            rng = np.random.default_rng([self._options.seed, number])
+            start = self._start(rng)
+            optimum = None if start is None else solve(self._coarse, start, barrier=SEARCH_BARRIER, cancelled=self._deadline)
+            if optimum is None:
+                return Candidate(number, np.zeros((0, 0)), -np.inf)
+            return Candidate(number, optimum.coefficients, optimum.value)
+
+        return search
+
+    def refined(self, candidate: Candidate, deadline: Deadline) -> Callable[[], Candidate]:
+        """Return the refinement of a candidate on a grid twice as dense, made to hold at 1 kHz."""
+
+        def search() -> Candidate:
+            coefficients, family, value = candidate.coefficients, self.family, candidate.value
+            for _ in range(2 if isinstance(family, PointToPoint) else 1):
+                family = self._retimed(family, coefficients)
+                dense = self._program(2 * self._n_nodes, FINAL_SPARE, family)
+                start = self._inside(dense, coefficients)
+                optimum = None if start is None else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
+                if optimum is not None and (optimum.value > value - 1.0 or isinstance(family, PointToPoint)):
+                    coefficients, value = optimum.coefficients, optimum.value
+            kept = self._repaired(coefficients, family)
+            if kept is None:
+                return Candidate(candidate.number, coefficients, -np.inf)
+            return Candidate(candidate.number, kept, dense.value(*dense.states(kept)))
+
+        return search
+
+    def motion(self, candidate: Candidate) -> Motion:
+        """Return the motion of a refined candidate; poses become what a controller makes of them, slowed down where a torque limit asks for it."""
+        if not isinstance(self.family, PointToPoint):
+            return self.family.motion(candidate.coefficients)
+        factor = 1.0
+        for _ in range(REPAIRS):
+            motion = PointToPointMotion.within(
+                candidate.coefficients, velocity=factor * self._bounds.velocity, acceleration=factor**2 * self._bounds.acceleration
+            )
+            states = motion.at(motion.sample_times(CHECK_RATE))
+            values = [(constraint.two_sided, constraint.values(*states)) for constraint in self._constraints]
+            if all(v.max() < 1 and (not both or v.min() > -1) for both, v in values):
+                return motion
+            factor *= SLOWING
+        raise MotionError(f"{self._model.name}: at full speed the designed poses ask for too much torque; allow a larger share of it")
+
+    def _retimed(self, family: Parametrisation, poses: Array) -> Parametrisation:
+        if not isinstance(family, PointToPoint):
+            return family
+        way = np.abs(np.diff(poses, axis=0))
+        steps = np.max([1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)], axis=(0, 2))
+        return family.retimed(np.maximum(steps, SHORTEST_MOVE))
+
+    def failure(self) -> MotionError:
+        """Return why there is no design."""
+        rng = np.random.default_rng([self._options.seed, 0])
+        start = self._start(rng)
+        if start is None:
+            return MotionError(
+                f"{self._model.name}: no motion within the constraints was found to start from, however small; "
+                "check the torque limits, the obstacles and the box of the tool, or raise the fraction of the limits that may be used"
+            )
+        return MotionError(
+            f"{self._model.name}: no {self.family.key} motion with {self.family.size} {self.family.size_name} tells all "
+            f"{self._objective.information.n_parameters} base parameters; ask for more {self.family.size_name} or fewer drive terms"
+        )
+
+    def _start(self, rng: np.random.Generator) -> Array | None:
+        program, n = self._coarse, self._model.n_joints
+        constant = self.family.constant
+        for _ in range(40):
+            shape = self.family.random(rng, n)
+            shape -= np.outer(constant, constant @ shape / (constant @ constant))
+            size = np.max(
+                [np.abs(basis @ shape / half).max(axis=0) for basis, half in zip(program.bases, program.half, strict=True)], axis=0
+            )
+            shape *= rng.uniform(0.3, 0.8, size=n) / size
+            path = program.bases[0] @ shape
+            low, high = self._bounds.lower - path.min(axis=0), self._bounds.upper - path.max(axis=0)
+            pose = low + rng.uniform(0.1, 0.9, size=n) * (high - low)
+            for _ in range(6):
+                coefficients = shape + np.outer(constant, pose)
+                if min(float(slack.min()) for slack in program.margins(coefficients)) > 1e-6:
+                    return coefficients
+                shape = 0.6 * shape
+        return None
+
+    def _inside(self, program: DesignProgram, coefficients: Array) -> Array | None:
+        """Return the coefficients drawn towards standing in the middle of the range or of the motion, just enough to be strictly feasible."""
+        own = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
+        middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
+        for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
+            for pose in (middle, own):
+                inner: Array = coefficients + part * (pose - coefficients)
+                if min(float(slack.min()) for slack in program.margins(inner)) > 1e-6:
+                    return inner
+        return None
+
+    def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
+        """Return the coefficients, drawn inwards until every constraint holds at 1 kHz."""
+        span = family.duration / getattr(family, "periods", 1)
+        grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), (0.0, 0.0), family)
+        middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
+        own = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
+        for pose in (middle, own):
+            part = 0.0
+            for _ in range(REPAIRS):
+                trial: Array = coefficients + part * (pose - coefficients)
+                worst = min(float(slack.min()) for slack in grid.margins(trial))
+                if worst >= 0:
+                    return trial
+                part = max(2 * part, -1.05 * worst, 1e-6)
+                if part > MOST_SHRINKING:
+                    break
+        return None
