@@ -176,6 +176,7 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
     """
     content, source = described_text(path)
     found: list[Capsule] = []
+    missing: list[str] = []
     for element in parsed_xml(content, source).findall("link"):
         link, pose = _carrier(model, element.get("name", ""), Path(source))
         for collision in element.findall("collision"):
@@ -188,11 +189,16 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
                 rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") else [0.0, 0.0, 0.0]
                 own = placement(rotation_from_rpy(rpy), numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0])
             points = _points(geometry[0], place, Path(source).parent)
-            if points is not None:
+            if points is None:
+                missing.append(geometry[0].get("filename", f"<{geometry[0].tag}>"))
+            else:
                 whole = pose @ own
                 found.append(Capsule.around(link, points @ whole[:3, :3].T + whole[:3, 3]))
     if not found:
-        raise DescriptionError(f"{source}: no <collision> geometry that can be read; give skeleton:RADIUS or a TOML file with capsules")
+        reason = f"its {len(missing)} meshes, such as {missing[0]}, are not beside it" if missing else "it has none"
+        raise DescriptionError(
+            f"{source}: no <collision> geometry can be read, {reason}; give skeleton:RADIUS or a TOML file with capsules"
+        )
     return tuple(found)
 
 

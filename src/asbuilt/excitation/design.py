@@ -34,6 +34,9 @@ SEARCH_SHARE = 0.7
 LEAST_SHARE = 0.15
 """How the time limit is shared between the search and the refinement of what it finds."""
 
+LAST_POLISH = 2.0
+"""Time for refinement after an interrupt [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Design:
@@ -146,7 +149,9 @@ def design_motion(
     candidates = search.run(threads, progress)
     if not candidates:
         raise search.failure()
-    final = Deadline(0.0 if deadline.interrupted else max(wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit))
+    final = Deadline(
+        LAST_POLISH if deadline.interrupted else max(wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit)
+    )
     polished = search_all(
         [search.refined(candidate, final) for candidate in candidates[:POLISHED]], Deadline(np.inf), threads=threads, progress=None
     )
