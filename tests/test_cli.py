@@ -244,3 +244,28 @@ def test_simulate_on_the_engine_with_a_tool_and_let_go(capsys: pytest.CaptureFix
         status, _, err = call(capsys, "simulate", "two-link", *wrong)
         assert status == 2
         assert message in err
+
+
+def test_view_saves_pages_and_pictures_and_results_run_forward(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, recorded: dict[str, Path]
+) -> None:
+    log = recorded["ur10e train"]
+    document(capsys, "identify", "ur10e", log, "--holdout", "last:0.3", "--out", tmp_path / "study")
+    result = tmp_path / "study" / "result.json"
+    freed = document(capsys, "simulate", result, "--free", "free", "--duration", "0.5", "--out", tmp_path / "free.csv")
+    assert freed["energy"]["imbalance"] < 1e-6
+    saved = document(capsys, "view", result, log, "--save", tmp_path / "motion.html")
+    assert saved["duration"] == pytest.approx(12.0, abs=0.01)
+    assert "__VISER_EMBED_DATA__" in Path(saved["files"]["page"]).read_text(encoding="utf-8")
+    still = document(capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "still.png")
+    assert Path(still["files"]["picture"]).read_bytes()[:4] == b"\x89PNG"
+    for wrong, status, message in (
+        (("ur10e", "--save", tmp_path / "a.gif"), 2, "there is no motion"),
+        (("ur10e", "--save", tmp_path / "a.bmp"), 2, "a picture is written as"),
+        (("ur10e", "--style", "oil", "--save", tmp_path / "a.png"), 2, "is not one of auto, rendered, skeleton"),
+        (("ur10e", tmp_path / "none.csv"), 1, "cannot read the motion"),
+        (("ur10e", "--port", "0"), 2, "a port is a number"),
+    ):
+        code, _, err = call(capsys, "view", *wrong)
+        assert code == status
+        assert message in err

@@ -41,22 +41,23 @@ class MotionView:
 
     @classmethod
     def of(cls, model: RobotModel, t: ArrayLike, q: ArrayLike, *, path: ArrayLike | None = None) -> MotionView:
-        """Build from times (N,) and joint positions (N, n); `path` (m, n) are positions along which the tip's path is drawn, by default q."""
+        """Build from times (N,) and joint positions (N, n); `path` (m, n) are the positions of a finer path, by default q."""
         times, positions = np.atleast_1d(np.asarray(t, dtype=np.float64)), np.atleast_2d(np.asarray(q, dtype=np.float64))
         if positions.shape != (times.size, model.n_joints) or not np.all(np.isfinite(positions)):
             raise UsageError(
                 f"a view of {model.name} needs finite positions of shape ({times.size}, {model.n_joints}), got {positions.shape}"
             )
         poses = link_poses(model, positions)
+        along = poses if path is None else link_poses(model, np.asarray(path))
         solids = link_solids(model)
         strength = np.linalg.norm(model.gravity)
         up = -model.gravity / strength if strength > 0 else np.array([0.0, 0.0, 1.0])
-        ends = np.concatenate([np.zeros((1, 3)), *(_ends(solid, poses) for solid in solids)])
+        ends = np.concatenate([np.zeros((1, 3)), *(_ends(solid, along) for solid in solids)])
         thickest = max(solid.radius for solid in solids)
         low, high = ends.min(axis=0) - thickest, ends.max(axis=0) + thickest
         floor = min(0.0, float(np.min(ends @ up)) - thickest)
         last, place = _tip(model)
-        traced = (poses if path is None else link_poses(model, np.asarray(path)))[:, last]
+        traced = along[:, last]
         return cls(
             model=model,
             t=times,
@@ -91,7 +92,7 @@ def resting_pose(model: RobotModel) -> Array:
     bend = np.array([0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)])
     bend[0] = 0.0
     low, high = bounds.lower + 0.1 * (bounds.upper - bounds.lower), bounds.upper - 0.1 * (bounds.upper - bounds.lower)
-    return np.clip(bend, low, high)
+    return np.asarray(np.clip(bend, low, high))
 
 
 def _ends(solid: Solid, poses: Array) -> Array:
