@@ -49,14 +49,23 @@ def test_usual_names(name: str, quantity: str, joint: str, index: int | None) ->
     assert (role.quantity, role.joint, role.index) == (quantity, joint, index)
 
 
-@pytest.mark.parametrize("name", ["target_q_1", "q_d_1", "joint_3_temperature", "J1", "tcp_position_x", "comment", "q_cmd_2", "position_error_1"])
+@pytest.mark.parametrize(
+    "name", ["target_q_1", "q_d_1", "joint_3_temperature", "J1", "tcp_position_x", "comment", "q_cmd_2", "position_error_1"]
+)
 def test_other_columns_are_left_alone(name: str) -> None:
     assert recognise(name) is None
 
 
 @pytest.mark.parametrize(
     ("name", "scale"),
-    [("q1 [deg]", math.pi / 180), ("pos_deg_1", math.pi / 180), ("velocity_rad_s_1", 1), ("torque_mNm_3", 1e-3), ("time (ms)", 1e-3), ("t_us", 1e-6)],
+    [
+        ("q1 [deg]", math.pi / 180),
+        ("pos_deg_1", math.pi / 180),
+        ("velocity_rad_s_1", 1),
+        ("torque_mNm_3", 1e-3),
+        ("time (ms)", 1e-3),
+        ("t_us", 1e-6),
+    ],
 )
 def test_units_in_names(name: str, scale: float) -> None:
     role = recognise(name)

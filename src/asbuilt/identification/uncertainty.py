@@ -94,7 +94,9 @@ def _degrees_of_freedom(pulls: Array, weight: Array) -> Array:
     trace = np.sum(weight - own, axis=0)
     across = np.array([np.sum((pulls[:, :, j] @ pulls[:, :, j].T) ** 2) for j in range(pulls.shape[2])])
     square = np.sum(weight**2 - 2.0 * weight * own, axis=0) + across
-    return np.divide(trace**2, square, out=np.full(len(square), float(len(pulls) - 1)), where=square > 0)
+    freedom = np.full(len(square), float(len(pulls) - 1))
+    np.divide(trace**2, square, out=freedom, where=square > 0)
+    return freedom
 
 
 def _neighbours(information: SquareRootInformation, moves: Array) -> float:
