@@ -125,9 +125,19 @@ def test_identify_writes_everything_and_validates(
     assert validated["validation"][0]["relative_error"] < validated["cad"][0]["relative_error"]
     compared = document(capsys, "compare", found["files"]["result"])
     assert len(compared["parameters"]) == found["n_base"]
+    assert len(compared["attribution"]["sentences"]) == len(found["joints"])
+    assert compared["determination"]["sentences"] == found["determination"]["sentences"]
     status, out, _ = call(capsys, "compare", found["files"]["result"])
     assert status == 0
     assert "as built" in out
+    assert "Why CAD is off" in out
+    same = document(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"])
+    assert same["n_changed"] == 0
+    assert call(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"], "--cad", "scara")[0] == 2
+    assert call(capsys, "compare", found["files"]["result"], "--cad-tolerance", "much")[0] == 2
+    written = document(capsys, "compare", found["files"]["result"], "--cad-tolerance", "5%", "--out", log.parent / "compared")
+    assert written["chi_square_tolerance"]["statistic"] < written["chi_square"]["statistic"]
+    assert all(Path(path).stat().st_size > 0 for path in written["files"].values())
 
 
 def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
