@@ -130,3 +130,12 @@ def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
     for validation in study.validations:
         assert validation.metrics_as_built.relative_error < 0.06
         assert np.all(validation.metrics_as_built.rms < validation.metrics_cad.rms)
+
+
+@pytest.mark.parametrize(("roll", "said"), [(0.0, False), (0.02, True)])
+def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None:
+    model, drive = load_robot("kuka-iiwa7-r800"), DriveSet.parse("viscous,coulomb,offset")
+    robot = InstalledRobot.ideal(model).with_drive(drive, np.tile([0.5, 0.8, 0.1], 7)).tilted(roll, 0.0)
+    recording = robot.record(random_fourier(model, rng=1, duration=20.0, n_harmonics=8), 200.0).recording
+    study = run_study(model, [recording], options=StudyOptions(drive=drive, holdout="blocks:2s:3", checked=False))
+    assert ("mounting_askew" in {warning.code for warning in study.result.warnings}) is said

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import ResultError
+from asbuilt.identification.cause_evidence import TILTS
 from asbuilt.tables import Cell, Column, Shown, Table, significant, stacked
 from asbuilt.tables import share as percentage
 from asbuilt.validation.cause_fits import CauseFits, Step
@@ -65,6 +66,11 @@ class Attribution:
     findings: tuple[str, ...]
     sentences: tuple[str, ...]
     values: dict[str, float]
+
+    @property
+    def tilt(self) -> float:
+        """Angle [rad] by which the robot seems to stand askew, zero where that is not among the causes chosen."""
+        return float(np.linalg.norm([self.values.get(name, 0.0) for name in TILTS])) if "mounting" in self.chosen else 0.0
 
     def share_table(self) -> Table:
         """Return the share of every cause in the squared CAD error of every joint, in percent, what is left, and the errors themselves."""

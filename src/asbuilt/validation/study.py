@@ -25,6 +25,7 @@ from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.mounting import find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
+from asbuilt.validation.attribution import attribute
 from asbuilt.validation.comparison import Comparison, compare
 from asbuilt.validation.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.validation.prediction import Validation, validate
@@ -34,6 +35,8 @@ Progress = Callable[[str, float], None]
 
 STANDING_ERROR = 0.5
 """Share of a joint's squared error at standstill from which it is said so."""
+ASKEW = np.deg2rad(0.5)
+"""Tilt of the mounting [rad] from which it is said so."""
 OVERFIT = 2.0
 """Held-out error of a joint, in multiples of its error on the data used, from which the fit is said not to generalise."""
 BEHIND_CAD = 1.05
@@ -142,8 +145,21 @@ def run_study(
         result = replace(
             result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=options.block_seconds)
         )
+        if options.mounting == "as_described":
+            result = _mounting_doubted(result)
     report("predict", 1.0)
     return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs)
+
+
+def _mounting_doubted(result: IdentificationResult) -> IdentificationResult:
+    tilt = attribute(result).tilt
+    if tilt < ASKEW:
+        return result
+    message = (
+        f"The robot seems to stand askew by {np.rad2deg(tilt):.1f} deg, which its description does not know and links then have to imitate. Check the mounting "
+        "or identify with --mounting estimate."
+    )
+    return replace(result, warnings=(*result.warnings, IdentificationWarning("mounting_askew", message)))
 
 
 def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
