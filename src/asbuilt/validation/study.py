@@ -39,6 +39,8 @@ ASKEW = np.deg2rad(0.5)
 """Tilt of the mounting [rad] from which it is said so."""
 OVERFIT = 2.0
 """Held-out error of a joint, in multiples of its error on the data used, from which the fit is said not to generalise."""
+NOTICEABLE = 0.1
+"""Held-out error of a joint, as a fraction of its own torque, below which that is not said."""
 BEHIND_CAD = 1.05
 """Held-out error of a joint as built, in multiples of that of CAD, from which CAD is said to predict better."""
 
@@ -94,8 +96,8 @@ def run_study(
 ) -> Study:
     """Identify a robot from recordings (or samples already prepared) and judge the result on what was held out.
 
-    Recordings go through one signal chain, whose open choices are made for the recordings to learn from; of a stream the first stretch is checked and chosen
-    by. Raises RecordingError where a check finds an error.
+    Recordings go through one signal chain, whose open choices follow the motion in all of them, so that none is cut short; of a stream the first stretch is
+    checked and chosen by. Raises RecordingError where a check finds an error.
     """
     options = options or StudyOptions()
     report = progress or (lambda what, fraction: None)
@@ -107,9 +109,13 @@ def run_study(
     for check in checks:
         check.raise_errors()
     report("filter", 0.0)
-    logged = [head for head in heads[: len(recordings)] if head is not None]
+    logged = [head for head in heads if head is not None]
     chain = options.chain.resolved(*logged) if logged else options.chain
-    cutoffs = _swept(model, logged, chain, options, report) if options.sweep_cutoff else None
+    cutoffs = (
+        _swept(model, [head for head in heads[: len(recordings)] if head is not None], chain, options, report)
+        if options.sweep_cutoff
+        else None
+    )
     if cutoffs is not None:
         chain = replace(chain, cutoff=cutoffs.chosen, parallel_cutoff=None)
     learning = [_prepared(item, chain) for item in recordings]
@@ -233,7 +239,7 @@ def _standstill(validation: Validation) -> list[IdentificationWarning]:
 def _generalisation(train: TorqueMetrics, validation: Validation) -> list[IdentificationWarning]:
     built, cad = validation.metrics_as_built, validation.metrics_cad
     found = []
-    worse = np.flatnonzero(built.rms > OVERFIT * train.rms)
+    worse = np.flatnonzero((built.rms > OVERFIT * train.rms) & (built.relative_error_per_joint > NOTICEABLE))
     if worse.size:
         listed = ", ".join(f"{built.joint_names[k]} {built.rms[k]:.3g} against {train.rms[k]:.3g}" for k in worse)
         found.append(
