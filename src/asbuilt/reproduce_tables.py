@@ -123,8 +123,9 @@ def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
         "figure3": "Figure 3, repeated: measured on the virtual robot and predicted from CAD",
         "figure4": "Figure 4, repeated: measured on the virtual robot and predicted as identified",
     }
-    for (kind, title), predicted in zip(titles.items(), (validation.predicted_cad, validation.predicted), strict=True):
-        files[kind] = save_figure(_figure(validation, predicted, title), folder / f"{kind}.png")
+    predictions = ((validation.predicted_cad, "CAD"), (validation.predicted, "identified"))
+    for (kind, title), (predicted, label) in zip(titles.items(), predictions, strict=True):
+        files[kind] = save_figure(_figure(validation, predicted, title, label), folder / f"{kind}.png")
     return files
 
 
@@ -172,7 +173,7 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
     }
 
 
-def _figure(validation: Validation, predicted: Any, title: str) -> Any:
+def _figure(validation: Validation, predicted: Any, title: str, label: str) -> Any:
     return torque_figure(
         validation.t,
         validation.measured[:, FIGURE_JOINTS],
@@ -180,4 +181,5 @@ def _figure(validation: Validation, predicted: Any, title: str) -> Any:
         joint_names=validation.joint_names[FIGURE_JOINTS],
         units=validation.units[FIGURE_JOINTS],
         title=title,
+        label=label,
     )
