@@ -1,0 +1,243 @@
+"""Commands that identify a robot, and judge and use what was identified."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli_options import (
+    AsJson,
+    Cutoff,
+    Decimate,
+    Drive,
+    Flip,
+    Gain,
+    Logs,
+    Out,
+    Preset,
+    Rate,
+    Result,
+    Robot,
+    Sheet,
+    Source,
+    answer,
+    described_robot,
+    listed_files,
+    one_of,
+    open_logs,
+    positive_number,
+    progress_bar,
+    read_logs,
+    read_result,
+    signal_chain,
+)
+from asbuilt.errors import UsageError
+from asbuilt.identification.methods import methods
+
+
+def identify(
+    robot: Robot,
+    log: Logs,
+    validate: Annotated[
+        list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording to judge by; repeat for more")
+    ] = None,
+    holdout: Annotated[
+        str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3")
+    ] = None,
+    drive: Drive = None,
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "auto",
+    undetermined: Annotated[
+        str, typer.Option("--undetermined", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
+    ] = "cad",
+    payload: Annotated[
+        list[Path] | None, typer.Option("--payload", metavar="LOG", help="a recording under load: what does the flange carry?")
+    ] = None,
+    mounting: Annotated[
+        str,
+        typer.Option(
+            "--mounting", metavar="HOW", help="gravity points as in the description (cad), or its direction is found too (estimate)"
+        ),
+    ] = "cad",
+    unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    cutoff: Annotated[
+        str | None, typer.Option("--cutoff", metavar="HZ|auto", help="low-pass cutoff; auto sweeps and judges by held-out torque")
+    ] = None,
+    decimate: Decimate = None,
+    preset: Preset = "default",
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.validation.payload_study import run_payload_study
+    from asbuilt.validation.study import StudyOptions, run_study
+    from asbuilt.writers.payload_tables import payload_document, payload_text
+    from asbuilt.writers.study_files import study_document, study_text, write_study
+
+    model, swept = described_robot(robot), cutoff == "auto"
+    options = StudyOptions(
+        drive=None if drive is None else "auto" if drive.strip() == "auto" else DriveSet.parse(drive),
+        method=one_of("--method", method, list(methods)),
+        chain=signal_chain(preset, None if swept else _cutoff(cutoff), decimate),
+        sweep_cutoff=swept,
+        holdout=holdout,
+        unexcited=one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
+        mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
+        checked=not unchecked,
+    )
+    with progress_bar() as report:
+        report("read", 0.0)
+        recordings = open_logs(model, log, rate, flip_torque, gain, torque_source, sheet)
+        others = open_logs(model, validate or [], rate, flip_torque, gain, torque_source, sheet)
+        study = run_study(model, recordings, validation=others, options=options, progress=report)
+        loaded = read_logs(model, payload or [], rate, flip_torque, gain, torque_source, sheet)
+        carried = run_payload_study(study.result, loaded, chain=options.chain) if loaded else None
+        files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
+    answer(
+        as_json,
+        lambda: study_document(study, files) | ({"payload": payload_document(carried)} if carried is not None else {}),
+        lambda: study_text(study) + (f"\n\n{payload_text(carried)}" if carried is not None else "") + listed_files(files),
+    )
+
+
+def _cutoff(text: str | None) -> float | None:
+    return None if text is None else positive_number("--cutoff", text)
+
+
+def validate(
+    result: Result,
+    log: Logs,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    decimate: Decimate = None,
+    preset: Preset = "default",
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Predict other recordings with an identified model, and with CAD beside it."""
+    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.validation.comparison import compare
+    from asbuilt.validation.prediction import validate as predict
+    from asbuilt.writers.study_files import write_validations
+    from asbuilt.writers.tabular import validate_document
+
+    identified = read_result(result)
+    recordings = read_logs(identified.model, log, rate, flip_torque, gain, torque_source, sheet)
+    chain = signal_chain(preset, cutoff, decimate)
+    validations = [predict(identified, prepare_samples(recording, chain)) for recording in recordings]
+    files = write_validations(out, identified, validations) if out is not None else {}
+    comparison = compare(identified, validation=validations)
+    answer(
+        as_json,
+        lambda: validate_document(identified, validations, files=files),
+        lambda: comparison.torque_table().as_text() + "\n" + comparison.verdict() + listed_files(files),
+    )
+
+
+def compare(
+    result: Result,
+    cad: Annotated[str | None, typer.Option("--cad", metavar="ROBOT", help="another description of the same robot to compare with")] = None,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option("--cad-tolerance", metavar="5%", help="how well CAD knows masses, centres and inertias: one fraction or three"),
+    ] = None,
+    other: Annotated[
+        Path | None, typer.Option("--with", metavar="RESULT2", help="a later result of the same robot: what changed since RESULT")
+    ] = None,
+    controller: Annotated[
+        Path | None, typer.Option("--controller", metavar="LOG", help="a recording with tau_ext: compare with the controller's own model")
+    ] = None,
+    holdout: Annotated[str, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by")] = "blocks:5s:3",
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    sheet: Sheet = None,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare CAD with the robot as built: what differs, what that costs in torque, which causes explain it; or two results of one robot."""
+    from asbuilt.identification.determination import determination
+    from asbuilt.validation.attribution import attribute
+    from asbuilt.validation.comparison import compare as compare_with
+    from asbuilt.validation.controller_model import compare_with_controller
+    from asbuilt.validation.drift import compare_results
+    from asbuilt.validation.significance import CadTolerance
+    from asbuilt.writers.compare_files import CadVerdict, with_files, write_comparison, write_drift
+
+    identified, files = read_result(result), {}
+    if sum(choice is not None for choice in (cad, other, controller)) > 1:
+        raise UsageError("--cad, --with and --controller are three different comparisons; give one of them")
+    if other is not None:
+        drift = compare_results(identified, read_result(other), labels=(str(result), str(other)))
+        files = write_drift(out, drift) if out is not None else {}
+        answer(as_json, lambda: with_files(drift.as_document(), files), lambda: drift.as_text() + listed_files(files))
+        return
+    if controller is not None:
+        recording = read_logs(identified.model, [controller], rate, flip_torque, None, None, sheet)[0]
+        beside = compare_with_controller(identified, recording, holdout=holdout)
+        files = write_drift(out, beside.difference) if out is not None else {}
+        answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
+        return
+    design = None if cad is None else described_robot(cad)
+    verdict = CadVerdict(
+        compare_with(identified, design, tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance)),
+        attribute(identified, design) if identified.evidence is not None else None,
+        determination(identified),
+    )
+    files = write_comparison(out, identified, verdict) if out is not None else {}
+    answer(as_json, lambda: with_files(verdict.as_document(), files), lambda: verdict.as_text() + listed_files(files))
+
+
+def payload(
+    result: Result,
+    log: Logs,
+    unloaded: Annotated[
+        list[Path] | None, typer.Option("--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more")
+    ] = None,
+    validate: Annotated[list[Path] | None, typer.Option("--validate", metavar="LOG", help="a loaded recording to judge by")] = None,
+    holdout: Annotated[
+        str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 or last:0.3, of the loaded recordings")
+    ] = None,
+    frame: Annotated[
+        str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
+    ] = None,
+    arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    decimate: Decimate = None,
+    preset: Preset = "default",
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find what the flange carries: mass, centre and inertia, from recordings under load."""
+    from asbuilt.validation.payload_study import run_payload_study
+    from asbuilt.writers.payload_tables import payload_document, payload_text
+    from asbuilt.writers.tabular import write_json
+
+    identified = read_result(result)
+    read = [read_logs(identified.model, logs or [], rate, flip_torque, gain, torque_source, sheet) for logs in (log, unloaded, validate)]
+    found = run_payload_study(
+        identified,
+        *read,
+        chain=signal_chain(preset, cutoff, decimate),
+        holdout=holdout,
+        frame=frame,
+        arm=one_of("--arm", arm, ("refined", "frozen")),
+    )
+    files = {"payload": write_json(out / "payload.json", payload_document(found))} if out is not None else {}
+    answer(as_json, lambda: payload_document(found, files), lambda: payload_text(found) + listed_files(files))

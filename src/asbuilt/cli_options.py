@@ -1,0 +1,210 @@
+"""What the commands share: the types of their options, how they read what these name, and how they answer."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from asbuilt.errors import ResultError, UsageError
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
+    from asbuilt.experiment.long_recordings import RecordingStream
+    from asbuilt.experiment.recording import Recording
+    from asbuilt.experiment.signal_chain import SignalChain
+    from asbuilt.identification.result import IdentificationResult
+
+Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
+Log = Annotated[Path, typer.Argument(metavar="LOG", help="a recording: .csv .parquet .npz .mat .h5 or a ROS 2 bag")]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
+Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
+AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write")]
+Drive = Annotated[
+    str | None,
+    typer.Option(
+        "--drive",
+        metavar="LIST",
+        help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto",
+    ),
+]
+Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")]
+Flip = Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")]
+Gain = Annotated[str | None, typer.Option("--gain", metavar="G1,G2,...", help="torque per logged unit, one for all joints or one each")]
+Source = Annotated[str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")]
+Sheet = Annotated[Path | None, typer.Option("--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs")]
+Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="low-pass cutoff (default: chosen from the recording)")]
+Decimate = Annotated[int | None, typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering")]
+Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")]
+
+
+def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
+    """Print the document or the text on stdout."""
+    if as_json:
+        from asbuilt.writers.tabular import json_text
+
+        sys.stdout.write(json_text(document()))
+    else:
+        sys.stdout.write(text().rstrip("\n") + "\n")
+    sys.stdout.flush()
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Yield `report(what, fraction)`; draws a bar on stderr where that is a terminal, for anything that takes over a second."""
+    if not sys.stderr.isatty():
+        yield lambda what, fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True)
+    tasks: dict[str, Any] = {}
+
+    def report(what: str, fraction: float) -> None:
+        stage = what.split(":", maxsplit=1)[0]
+        if stage not in tasks:
+            for task in tasks.values():
+                bar.update(task, completed=1.0)
+            tasks[stage] = bar.add_task(what, total=1.0)
+        bar.update(tasks[stage], description=what, completed=fraction)
+
+    with bar:
+        yield report
+
+
+def described_robot(robot: str) -> RobotModel:
+    """Return the robot that a name or a path describes."""
+    from asbuilt.description.load import load_robot
+
+    return load_robot(robot)
+
+
+def robot_as_built(robot: str) -> RobotModel:
+    """Return a described robot, or an identified one as built where a result is given."""
+    if Path(robot).suffix.lower() != ".json":
+        return described_robot(robot)
+    from asbuilt.writers.robot_toml import as_built_model
+
+    return as_built_model(read_result(Path(robot)))
+
+
+def read_result(path: Path) -> IdentificationResult:
+    """Read a result file; raises `ResultError` where it cannot be read."""
+    from asbuilt.identification.result import IdentificationResult
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise ResultError(
+            f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt identify --out DIR` writes"
+        ) from None
+    return IdentificationResult.from_json(text)
+
+
+def read_logs(
+    model: RobotModel,
+    logs: Sequence[Path],
+    rate: float | None,
+    flip_torque: bool,
+    gain: str | None,
+    torque_source: str | None,
+    sheet: Path | None,
+) -> list[Recording]:
+    """Read recordings as the options say."""
+    from asbuilt.experiment.readers import read_recordings
+
+    return read_recordings(list(logs), **_reading(model, rate, flip_torque, gain, torque_source, sheet))
+
+
+def open_logs(
+    model: RobotModel,
+    logs: Sequence[Path],
+    rate: float | None,
+    flip_torque: bool,
+    gain: str | None,
+    torque_source: str | None,
+    sheet: Path | None,
+) -> list[Recording | RecordingStream]:
+    """Read recordings, those too long to be held excepted."""
+    from asbuilt.experiment.long_recordings import open_recordings
+
+    return open_recordings(list(logs), **_reading(model, rate, flip_torque, gain, torque_source, sheet))
+
+
+def _reading(
+    model: RobotModel, rate: float | None, flip_torque: bool, gain: str | None, torque_source: str | None, sheet: Path | None
+) -> dict[str, Any]:
+    from asbuilt.experiment.recording import TORQUE_SOURCES
+
+    return {
+        "model": model,
+        "sheet": sheet,
+        "rate": rate,
+        "flip_torque": flip_torque,
+        "gain": _gains(gain),
+        "torque_source": one_of("--torque-source", torque_source, TORQUE_SOURCES) if torque_source else None,
+    }
+
+
+def _gains(text: str | None) -> list[float] | None:
+    if text is None:
+        return None
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UsageError(
+            f"--gain takes numbers separated by commas, got {text!r}; for example --gain 14.87,13.26,11.13,10.62,11.03,11.47"
+        ) from None
+
+
+def signal_chain(preset: str, cutoff: float | None, decimate: int | None) -> SignalChain:
+    """Return the named signal chain, with the cutoff [Hz] and decimation given in place of its own."""
+    from dataclasses import replace
+
+    from asbuilt.experiment.signal_chain import SignalChain
+
+    chain = SignalChain.preset(preset)
+    return replace(chain, cutoff=cutoff or chain.cutoff, decimate=decimate or chain.decimate)
+
+
+def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
+    """Return a value that is among the known (what it stands for, where these are a mapping); raises `UsageError` otherwise."""
+    if value not in known:
+        raise UsageError(f"{option} {value!r} is not one of {', '.join(known)}")
+    return known[value] if isinstance(known, Mapping) else value
+
+
+def number_list(option: str, text: str | None) -> tuple[float, ...]:
+    """Return the numbers of a list separated by commas, none where there is no text; raises `UsageError` on anything else."""
+    try:
+        return tuple(float(part) for part in (text or "").split(",") if part.strip())
+    except ValueError:
+        raise UsageError(f"{option} takes numbers separated by commas, got {text!r}") from None
+
+
+def positive_number(option: str, text: str) -> float:
+    """Return a positive finite number; raises `UsageError` on anything else."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise UsageError(f"{option} takes a positive number, got {text!r}")
+    return value
+
+
+def path_texts(files: Mapping[str, Path]) -> dict[str, str]:
+    """Return paths as text, by kind."""
+    return {kind: str(path) for kind, path in files.items()}
+
+
+def listed_files(files: Mapping[str, Path]) -> str:
+    """Return the lines that say which files were written, empty where none were."""
+    lines = [f"  {kind:<11} {path}" for kind, path in files.items()]
+    return "\n".join(["", "", "written:", *lines]) if lines else ""

@@ -1,0 +1,203 @@
+"""Commands about recordings: check them, find what their channels mean, record a virtual robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli_options import (
+    AsJson,
+    Cutoff,
+    Drive,
+    Flip,
+    Gain,
+    Logs,
+    Rate,
+    Robot,
+    Sheet,
+    Source,
+    answer,
+    described_robot,
+    listed_files,
+    number_list,
+    one_of,
+    progress_bar,
+    read_logs,
+    robot_as_built,
+    signal_chain,
+)
+from asbuilt.errors import UsageError
+
+
+def check(
+    robot: Robot,
+    log: Logs,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    torque_source: Source = None,
+    sheet: Sheet = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is wrong with a recording before it is used."""
+    from asbuilt.experiment.checks import check_recording
+    from asbuilt.writers.tabular import check_document
+
+    model = described_robot(robot)
+    recordings = read_logs(model, log, rate, flip_torque, gain, torque_source, sheet)
+    checks = [check_recording(model, recording) for recording in recordings]
+    answer(as_json, lambda: check_document(model, checks), lambda: "\n\n".join(found.as_text() for found in checks))
+    if not all(found.ok for found in checks):
+        raise typer.Exit(1)
+
+
+def gains(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
+    loaded: Annotated[list[Path], typer.Option("--loaded", metavar="LOG", help="a recording with the payload; repeat for more")],
+    mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
+    com: Annotated[
+        str | None, typer.Option("--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known")
+    ] = None,
+    frame: Annotated[
+        str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
+    ] = None,
+    drive: Drive = None,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    gain: Gain = None,
+    sheet: Sheet = None,
+    cutoff: Cutoff = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find the torque per ampere (or the factor on a logged torque) of every drive from a payload of known mass."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.identification.torque_gains import identify_gains
+    from asbuilt.writers.drive_tables import gains_document, gains_text
+
+    model = described_robot(robot)
+    bare, under = (read_logs(model, logs, rate, flip_torque, gain, "current", sheet) for logs in (log, loaded))
+    chain = signal_chain("default", cutoff, None).resolved(*bare, *under)
+    found = identify_gains(
+        model,
+        [prepare_samples(recording, chain) for recording in bare],
+        [prepare_samples(recording, chain) for recording in under],
+        mass=mass,
+        com=None if com is None else _centre(com),
+        drive=None if drive is None else DriveSet.parse(drive),
+        frame=frame,
+    )
+    answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
+
+
+def channels(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")],
+    motor: Annotated[list[Path], typer.Option("--motor", metavar="LOG", help="the same with motor torques, in the same order")],
+    motor_gain: Annotated[
+        str | None, typer.Option("--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors")
+    ] = None,
+    rate: Rate = None,
+    flip_torque: Flip = False,
+    sheet: Sheet = None,
+    motor_sheet: Annotated[Path | None, typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs")] = None,
+    cutoff: Cutoff = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
+    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.identification.two_channels import identify_two_channels
+    from asbuilt.writers.drive_tables import channels_document, channels_text
+
+    model = described_robot(robot)
+    sensors = read_logs(model, log, rate, flip_torque, None, "sensor", sheet)
+    motors = read_logs(model, motor, rate, flip_torque, motor_gain, "motor", motor_sheet or sheet)
+    chain = signal_chain("default", cutoff, None).resolved(*sensors)
+    found = identify_two_channels(model, *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)))
+    answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
+
+
+def _centre(text: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != 3:
+        raise UsageError(f"--com takes three numbers separated by commas, got {text!r}; for example --com 0,0,0.05")
+    return values
+
+
+def simulate(
+    robot: Annotated[
+        str,
+        typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote"),
+    ],
+    motion: Annotated[
+        Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
+    ] = None,
+    preset: Annotated[str, typer.Option("--preset", metavar="NAME", help="the robot and its sensors: ideal, lab or factory")] = "ideal",
+    tool: Annotated[
+        str | None, typer.Option("--tool", metavar="KG@X,Y,Z", help="a ball of this mass, its centre in the axes of --at [m]")
+    ] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME", help="link or frame that carries the tool (default: the last link)")
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option("--free", metavar="HOW", help="no motion, let go: drop (at rest), free (without friction), step (of a controller)"),
+    ] = None,
+    start: Annotated[str | None, typer.Option("--start", metavar="Q1,Q2,...", help="pose in which --free begins [rad, m]")] = None,
+    engine: Annotated[
+        str, typer.Option("--engine", metavar="NAME", help="mujoco (controlled, in physics) or inverse-dynamics (follows exactly)")
+    ] = "mujoco",
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of the recording (default: the preset's)")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="length of the random motion (20) or of --free (3)")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="LOG", help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Record a virtual robot along a motion, or let a robot go; the parameters it was made with are written beside the recording."""
+    from asbuilt.description.tool import tool_from_text
+    from asbuilt.excitation.motion_csv import read_motion
+    from asbuilt.excitation.random_motion import random_fourier
+    from asbuilt.experiment.simulation import InstalledRobot, with_body
+    from asbuilt.writers.recording_files import simulate_document, write_simulation
+
+    one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
+    one_of("--preset", preset, ("ideal", "lab", "factory"))
+    carried = None if tool is None else tool_from_text(tool)
+    model = robot_as_built(robot)
+    if free is not None:
+        from asbuilt.experiment.free_motion import run_free
+        from asbuilt.writers.free_motion_files import free_motion_document, free_motion_text, write_free_motion
+
+        let_go = model if carried is None else with_body(model, carried, at)
+        freed = run_free(
+            let_go, one_of("--free", free, ("drop", "step", "free")), duration=duration or 3.0, start=number_list("--start", start) or None
+        )
+        files = write_free_motion(out or Path("free.csv"), freed)
+        answer(as_json, lambda: free_motion_document(freed, files), lambda: free_motion_text(freed) + listed_files(files))
+        return
+    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=duration or 20.0)
+    if engine == "mujoco":
+        from asbuilt.experiment.virtual_robot import VirtualRobot
+
+        virtual = VirtualRobot.preset(preset, model, rng=seed, tool=carried, at=at)
+        with progress_bar() as report:
+            simulated = virtual.logging(rate).record(moved, rng=seed, progress=lambda fraction: report("move", fraction))
+    else:
+        if preset == "factory":
+            raise UsageError("--engine inverse-dynamics knows no preset 'factory'; it has ideal and lab")
+        machine = InstalledRobot.typical(model, rng=seed) if preset == "lab" else InstalledRobot.ideal(model)
+        simulated = (machine if carried is None else machine.with_tool(carried, at)).record(moved, rate or 1000.0, rng=seed)
+    files = write_simulation(out or Path("recording.csv"), simulated)
+    answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + listed_files(files))

@@ -1,0 +1,33 @@
+"""Commands that tell a whole story: the 2015 paper and the demonstration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli_options import AsJson, Out, answer, listed_files, progress_bar
+
+
+def reproduce(out: Out = None, as_json: AsJson = False) -> None:
+    """Redo the 2015 paper that asbuilt grew from, table by table and figure by figure."""
+    from asbuilt.reproduce import reproduce as redo
+    from asbuilt.reproduce_tables import reproduction_document, reproduction_text, write_reproduction
+
+    with progress_bar() as report:
+        redone = redo(progress=report)
+        files = write_reproduction(out, redone) if out is not None else {}
+    answer(as_json, lambda: reproduction_document(redone, files), lambda: reproduction_text(redone) + listed_files(files))
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write")] = Path("asbuilt-demo"),
+    as_json: AsJson = False,
+) -> None:
+    """Run the whole story on bundled data: move, record, identify, validate, compare, export, report."""
+    from asbuilt.demo import demo_document, demo_text, run_demo
+
+    with progress_bar() as report:
+        story = run_demo(out, progress=report)
+    answer(as_json, lambda: demo_document(story), lambda: demo_text(story))
