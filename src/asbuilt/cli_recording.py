@@ -39,16 +39,30 @@ def check(
     gain: Gain = None,
     torque_source: Source = None,
     sheet: Sheet = None,
+    information: Annotated[
+        bool, typer.Option("--information/--no-information", help="say how much of the attainable information it carries (takes seconds)")
+    ] = True,
     as_json: AsJson = False,
 ) -> None:
     """Say what is wrong with a recording before it is used."""
+    from asbuilt.experiment.attainment import recorded_information
     from asbuilt.experiment.checks import check_recording
     from asbuilt.writers.tabular import check_document
 
     model = described_robot(robot)
     recordings = read_logs(model, log, rate, flip_torque, gain, torque_source, sheet)
     checks = [check_recording(model, recording) for recording in recordings]
-    answer(as_json, lambda: check_document(model, checks), lambda: "\n\n".join(found.as_text() for found in checks))
+    carried = [
+        recorded_information(model, recording) if information and found.ok else None
+        for recording, found in zip(recordings, checks, strict=True)
+    ]
+    answer(
+        as_json,
+        lambda: check_document(model, checks, carried),
+        lambda: "\n\n".join(
+            found.as_text() + (f"\n{part.as_text()}" if part is not None else "") for found, part in zip(checks, carried, strict=True)
+        ),
+    )
     if not all(found.ok for found in checks):
         raise typer.Exit(1)
 

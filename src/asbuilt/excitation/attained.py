@@ -18,6 +18,8 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array, read_only
 
 MOST_SAMPLES = 20000
+ROUNDS = 3
+"""Rounds in which the bound is tightened: a recording is judged to a few per cent, a design more sharply."""
 
 
 class JointStates(Protocol):
@@ -83,4 +85,4 @@ def information_efficiency(model: RobotModel, drive: DriveSet, samples: JointSta
 def _bound(model: RobotModel, drive: DriveSet) -> tuple[BaseParameters, InformationBound]:
     base = find_base_parameters(model, drive)
     limits = MotionBounds.assumed(model)
-    return base, information_bound(model, Information.of(model, base), limits, torque=MotionBounds.of(model).torque)
+    return base, information_bound(model, Information.of(model, base), limits, torque=MotionBounds.of(model).torque, rounds=ROUNDS)

@@ -15,6 +15,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.experiment.attainment import Attainment
 from asbuilt.experiment.checks import RecordingCheck
 from asbuilt.identification.determination import determination
 from asbuilt.identification.metrics import TorqueMetrics
@@ -101,8 +102,9 @@ def validate_document(
     }
 
 
-def check_document(model: RobotModel, checks: Sequence[RecordingCheck]) -> dict[str, Any]:
-    """Return what `asbuilt check --json` prints."""
+def check_document(model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()) -> dict[str, Any]:
+    """Return what `asbuilt check --json` prints; `information` is None where a recording was not judged."""
+    parts = list(carried) or [None] * len(checks)
     return {
         "robot": model.name,
         "ok": all(check.ok for check in checks),
@@ -114,8 +116,9 @@ def check_document(model: RobotModel, checks: Sequence[RecordingCheck]) -> dict[
                 "rate": _number(check.rate),
                 "duration": check.duration,
                 "findings": [asdict(finding) for finding in check.findings],
+                "information": None if part is None else part.as_document(),
             }
-            for check in checks
+            for check, part in zip(checks, parts, strict=True)
         ],
     }
 
