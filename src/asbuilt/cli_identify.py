@@ -61,6 +61,12 @@ def identify(
             "--mounting", metavar="HOW", help="gravity points as in the description (cad), or its direction is found too (estimate)"
         ),
     ] = "cad",
+    errors: Annotated[
+        str,
+        typer.Option(
+            "--errors", metavar="HOW", help="standard errors from time blocks: by formula (blocks) or by drawing them (bootstrap)"
+        ),
+    ] = "blocks",
     unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
     rate: Rate = None,
     flip_torque: Flip = False,
@@ -88,6 +94,7 @@ def identify(
         method=one_of("--method", method, list(methods)),
         chain=signal_chain(preset, None if swept else _cutoff(cutoff), decimate),
         sweep_cutoff=swept,
+        errors=one_of("--errors", errors, ("blocks", "bootstrap")),
         holdout=holdout,
         unexcited=one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
         mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),

@@ -9,9 +9,10 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.errors import IdentifiabilityError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.samples import Samples
 from asbuilt.identification.bootstrap import block_bootstrap
+from asbuilt.identification.identify import identify
 from asbuilt.identification.least_squares import fit_least_squares
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate
 from asbuilt.identification.uncertainty import block_uncertainty
@@ -62,3 +63,18 @@ def test_an_estimator_that_mostly_refuses_is_reported(information: SquareRootInf
 
     with pytest.raises(IdentifiabilityError, match="refused"):
         block_bootstrap(information, refuses, n_draws=5)
+
+
+def test_identify_takes_its_errors_from_the_draws() -> None:
+    model, drive, rng = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset"), np.random.default_rng(5)
+    t = np.arange(6000) / 100.0
+    q = np.column_stack([np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t), np.cos(1.7 * t) - 0.4 * np.sin(4.3 * t)])
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    base = find_base_parameters(model, drive)
+    tau = (observation_matrix(model, q, qd, qdd, drive=drive, columns=base.columns) @ np.ones(base.n_base)).reshape(q.shape)
+    samples = Samples(t, q, qd, qdd, tau + rng.normal(size=q.shape), rate=100.0, joint_names=model.joint_names)
+    blocks, drawn = (identify(model, samples, base=base, errors=errors, block_seconds=2.0) for errors in ("blocks", "bootstrap"))
+    np.testing.assert_array_equal(blocks.estimates, drawn.estimates)
+    assert np.median(drawn.std_errors / blocks.std_errors) == pytest.approx(1.0, abs=0.3)
+    with pytest.raises(UsageError, match="information alone"):
+        identify(model, samples, base=base, method="huber", errors="bootstrap")

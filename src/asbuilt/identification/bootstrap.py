@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
+from asbuilt.identification.least_squares import Estimate
 from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.uncertainty import Uncertainty
 
 Array = NDArray[np.float64]
 Seed = np.random.Generator | int | None
@@ -84,3 +86,18 @@ def block_bootstrap(
             f"the estimator refused {refused} of {n_draws} draws of {n} blocks; single blocks carry what others do not: record longer"
         )
     return Bootstrap(np.array(estimates))
+
+
+def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap) -> Uncertainty:
+    """Return the scatter of the draws as the errors of an estimate, no variance smaller than the textbook one.
+
+    Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement makes too small.
+    """
+    n = information.n_blocks
+    textbook = np.diag(estimate.covariance)
+    covariance = drawn.covariance * n / (n - 1.0)
+    swell = np.sqrt(np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0))
+    covariance = covariance * np.outer(swell, swell)
+    told = textbook > 0
+    share = float(np.exp(np.mean(np.log(textbook[told] / np.diag(covariance)[told])))) if told.any() else 1.0
+    return Uncertainty(covariance, information.n_samples * share, "bootstrap", n)

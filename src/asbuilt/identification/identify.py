@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameter
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.identification.bootstrap import block_bootstrap, bootstrap_uncertainty
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
 from asbuilt.identification.evidence import Evidence, Unexcited
 from asbuilt.identification.least_squares import Estimate
@@ -47,6 +48,7 @@ def identify(
     method: str = "wls",
     base: BaseParameters | None = None,
     unexcited: Unexcited = "toward_prior",
+    errors: Literal["blocks", "bootstrap"] = "blocks",
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> IdentificationResult:
@@ -78,6 +80,16 @@ def identify(
             block_seconds,
             threads,
         )
+    uncertainty = None
+    if errors == "bootstrap":
+        if estimator.needs != "information" or found.drive.needs_load:
+            raise UsageError(
+                f"bootstrap errors need an estimator that reads the information alone, such as wls or consistent; {method} needs {estimator.needs}"
+            )
+        drawn = block_bootstrap(
+            information, lambda seen: estimator.estimate(Evidence(model, seen, None, cad, unexcited, block_seconds)).beta
+        )
+        uncertainty = bootstrap_uncertainty(information, estimate, drawn)
     source = ", ".join(information.sources)
     measured = []
     for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
@@ -95,6 +107,7 @@ def identify(
         train=measured[0],
         cad=measured[1],
         provenance=tuple(dict.fromkeys(line for batch in batches for line in batch.provenance)),
+        uncertainty=uncertainty,
     )
 
 
@@ -129,13 +142,14 @@ def conclude(
     train: TorqueMetrics | None = None,
     cad: TorqueMetrics | None = None,
     provenance: tuple[str, ...] = (),
+    uncertainty: Uncertainty | None = None,
 ) -> IdentificationResult:
     """Make a result of an estimate: errors, physical consistency, verdicts.
 
     Without `train` and `cad` both come from the information alone, as for recordings larger than memory; the largest error is then unknown.
     """
     base, design = information.base, design_values(model, information.base)
-    uncertainty = block_uncertainty(estimate.information or information, estimate)
+    uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
     poor = _poorly_determined(information, estimate, uncertainty, design)
     parameters = tuple(
         IdentifiedParameter(

@@ -28,7 +28,7 @@ MOST_LEVERAGE = 0.999
 class Uncertainty:
     """Hold the covariance (p, p) of an estimate, and how many independent samples the recording is worth.
 
-    `method` is `"blocks"`, or `"textbook"` where there were too few blocks; `n_blocks` is how many there were.
+    `method` is `"blocks"` (or `"bootstrap"`), or `"textbook"` where there were too few blocks; `n_blocks` is how many there were.
     """
 
     covariance: Array

@@ -50,7 +50,7 @@ class StudyOptions:
     """Say how to identify: drive terms (None: by torque source; "auto": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
 
     `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands;
-    `sweep_cutoff` chooses the low-pass cutoff by held-out error.
+    `sweep_cutoff` chooses the low-pass cutoff by held-out error; `errors` come from time blocks by formula, or by drawing them.
     """
 
     drive: DriveSet | Literal["auto"] | None = None
@@ -61,6 +61,7 @@ class StudyOptions:
     mounting: Literal["as_described", "estimate"] = "as_described"
     block_seconds: float | None = None
     sweep_cutoff: bool = False
+    errors: Literal["blocks", "bootstrap"] = "blocks"
     checked: bool = True
     threads: int | None = None
 
@@ -136,6 +137,7 @@ def run_study(
         base=find_base_parameters(model, chosen.drive),
         method=options.method,
         unexcited=options.unexcited,
+        errors=options.errors,
         block_seconds=options.block_seconds,
         threads=options.threads,
     )
