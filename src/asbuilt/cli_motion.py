@@ -69,7 +69,10 @@ def excite(
         int, typer.Option("--perturbed", metavar="N", help="hold the torque limit for N other robots, masses 10 % off")
     ] = 0,
     starts: Annotated[int, typer.Option("--starts", metavar="N", help="local searches")] = 24,
-    time_limit: Annotated[float, typer.Option("--time-limit", metavar="S", help="be done after this time, with the best so far")] = 25.0,
+    time_limit: Annotated[
+        float,
+        typer.Option("--time-limit", metavar="S", help="end the search after this time; bounds and refinement take some seconds more"),
+    ] = 18.0,
     seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")] = 1000.0,
     program: Annotated[

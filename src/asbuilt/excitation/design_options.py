@@ -42,7 +42,7 @@ class DesignOptions:
     spread: float = 0.1
     starts: int = 24
     seed: int = 0
-    time_limit: float = 25.0
+    time_limit: float = 18.0
 
     def __post_init__(self) -> None:
         if self.parametrisation not in PARAMETRISATIONS:
