@@ -16,6 +16,7 @@ from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.readers import read_recordings
 
 DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
@@ -93,23 +94,83 @@ def test_wrong_terms_say_what_is_right(capsys, tmp_path, drive, said):
     assert said in err
 
 
-def test_gains_of_a_robot_that_logs_amperes(capsys, tmp_path):
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A UR10e without and with 4 kg that logs amperes, 10 N m each."""
+    folder = tmp_path_factory.mktemp("pair")
     plain = DriveSet.parse("viscous,coulomb,offset")
-    bare = log(tmp_path / "bare.csv", "ur10e", driven([0.5, 1.0, 0.1], plain, 0.1))
     chi = bundled_robot("ur10e").parameters.copy()
     chi[-10:] += LinkInertia.from_com(4.0, [0.06, 0.03, 0.05], 0.01 * np.eye(3)).parameters
 
     def loaded(model, *state):
         return driven([0.5, 1.0, 0.1], plain, 0.1)(model.with_parameters(chi), *state)
 
-    carried = log(tmp_path / "loaded.csv", "ur10e", loaded, seed=3)
-    command = ("gains", "ur10e", bare, "--loaded", carried, "--mass", "4", "--frame", bundled_robot("ur10e").link_names[-1])
-    found = document(capsys, *command)
-    np.testing.assert_allclose(found["gains"], 10.0, rtol=0.05)
-    status, out, _ = call(capsys, *command)
+    bare = log(folder / "bare.csv", "ur10e", driven([0.5, 1.0, 0.1], plain, 0.1))
+    return bare, log(folder / "loaded.csv", "ur10e", loaded, seed=3)
+
+
+def weighing(pair: tuple[Path, Path]) -> tuple[object, ...]:
+    return ("gains", "ur10e", pair[0], "--loaded", pair[1], "--mass", "4", "--frame", bundled_robot("ur10e").link_names[-1])
+
+
+@pytest.mark.parametrize(
+    ("sheet", "gain", "flip", "sign"),
+    [
+        (None, None, False, 1),
+        ("gains = [20, 5, 8, 9, 11, 12]", None, False, 1),
+        (None, "7", False, 1),
+        ("gains = 20", "7,8,9,10,11,12", False, 1),
+        ("gains = 20", None, True, -1),
+        ("sign = -1", "7", False, -1),
+        ("sign = [-1, 1, 1, 1, 1, 1]\ngains = 8", None, False, [-1, 1, 1, 1, 1, 1]),
+        ("sign = -1\ngains = 8", "-3", True, 1),
+    ],
+)
+def test_gains_pasted_into_the_next_command_are_right(capsys, tmp_path, pair, sheet, gain, flip, sign):
+    described = [] if sheet is None else ["--sheet", tmp_path / "sheet.toml"]
+    (tmp_path / "sheet.toml").write_text(sheet or "")
+    turned = ["--flip-torque"] if flip else []
+    found = document(capsys, *weighing(pair), *described, *turned, *([] if gain is None else [f"--gain={gain}"]))
+    np.testing.assert_allclose(np.array(found["gains"]) * sign, 10.0, rtol=0.05)
+    np.testing.assert_allclose(np.array(found["in_use"]) * found["factors"], found["gains"])
+
+    pasted = document(capsys, *weighing(pair), *described, *turned, found["option"])
+    assert np.all(np.abs(np.array(pasted["factors"]) - 1.0) < 0.01 * np.array(pasted["factor_std_errors"]))
+    (tmp_path / "corrected.toml").write_text(
+        "\n".join([*(line for line in (sheet or "").split("\n") if "gains" not in line), found["sheet"]])
+    )
+    written = document(capsys, *weighing(pair), "--sheet", tmp_path / "corrected.toml", *turned)
+    np.testing.assert_allclose(written["factors"], pasted["factors"])
+
+    torque, amperes = (
+        read_recordings(
+            [pair[0]],
+            model=bundled_robot("ur10e"),
+            sheet=tmp_path / "sheet.toml" if options else None,
+            flip_torque=bool(options) and flip,
+            **options,
+        )[0].tau
+        for options in ({"gain": found["gain"]}, {})
+    )
+    np.testing.assert_allclose(torque, 10.0 * amperes, rtol=0.05)
+
+
+def test_gains_are_printed_as_option_and_sheet_line(capsys, pair):
+    status, out, _ = call(capsys, *weighing(pair), "--gain", "5")
     assert status == 0
-    assert "--gain" in out
-    assert call(capsys, *command, "--com", "1,2")[0] == 2
+    assert "\n  --gain=" in out
+    assert "\n  gains = [" in out
+    assert call(capsys, *weighing(pair), "--com", "1,2")[0] == 2
+
+
+def test_recordings_scaled_by_different_gains_are_refused(capsys, tmp_path, pair):
+    (pair[0].parent / "loaded.toml").write_text("gains = 3")
+    try:
+        status, _, err = call(capsys, *weighing(pair))
+    finally:
+        (pair[0].parent / "loaded.toml").unlink()
+    assert status == 2
+    assert "give the same to all" in err
 
 
 def test_sensor_and_motor_together(capsys, tmp_path):

@@ -86,10 +86,13 @@ def gains(
     cutoff: Cutoff = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find the torque per ampere (or the factor on a logged torque) of every drive from a payload of known mass."""
+    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass, and print the --gain that uses it.
+
+    Gains of a sheet or of --gain scale the torques as usual; what is printed stands in their place.
+    """
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.experiment.signal_chain import prepare_samples
-    from asbuilt.identification.torque_gains import identify_gains
+    from asbuilt.identification.torque_gains import gains_in_use, identify_gains
     from asbuilt.writers.drive_tables import gains_document, gains_text
 
     model = described_robot(robot)
@@ -103,6 +106,7 @@ def gains(
         com=None if com is None else _centre(com),
         drive=None if drive is None else DriveSet.parse(drive),
         frame=frame,
+        in_use=gains_in_use([*bare, *under]),
     )
     answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
 

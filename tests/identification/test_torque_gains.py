@@ -62,6 +62,24 @@ def test_the_scale_is_that_of_the_mass(pair):
     np.testing.assert_allclose(two, 2.0 * one, rtol=1e-5)
 
 
+def test_a_torque_of_the_wrong_sign_has_a_negative_gain(pair):
+    signs = np.array([1, -1, 1, 1, -1, 1, 1])
+    turned = [replace(samples, tau=samples.tau * signs) for samples in pair]
+    straight, found = (identify_gains(ROBOT, *samples, mass=3.0, drive=DRIVE) for samples in (pair, turned))
+    np.testing.assert_allclose(found.gains, signs * straight.gains, rtol=1e-5)
+    assert np.all(found.determined)
+    assert "opposite sign at" in " ".join(found.sentences())
+
+
+def test_gains_stand_in_place_of_those_in_use(pair):
+    used = np.linspace(5.0, 20.0, 7)
+    logged = identify_gains(ROBOT, *pair, mass=3.0, drive=DRIVE)
+    scaled = identify_gains(ROBOT, *(replace(samples, tau=samples.tau * used) for samples in pair), mass=3.0, drive=DRIVE, in_use=used)
+    np.testing.assert_allclose(scaled.gains, logged.gains, rtol=1e-5)
+    np.testing.assert_allclose(scaled.std_errors, logged.std_errors, rtol=1e-2)
+    np.testing.assert_allclose(scaled.factors * used, scaled.gains)
+
+
 def test_wrong_calls_are_refused(pair):
     with pytest.raises(UsageError, match="positive"):
         identify_gains(ROBOT, *pair, mass=0.0)

@@ -43,7 +43,8 @@ def read_recording(
     """Read one recording from a file, a ROS 2 bag, a recording sheet that lists files, or files of one quantity each.
 
     With `model` the columns come in the order of its joints, found by name where the log has names. `rate` [Hz] makes the clock where the log has
-    none; `gain` (one or per joint) and `torque_source` override the sheet's; `flip_torque` turns the sign of what the log and the sheet give.
+    none; `gain` (torque per logged unit, one or per joint) and `torque_source` stand in place of the sheet's; `flip_torque` turns the sign of what the log, the
+    sheet and `gain` give.
 
     Raises
     ------
@@ -170,7 +171,7 @@ def apply_sheet(
     gain: ArrayLike | None = None,
     torque_source: TorqueSource | None = None,
 ) -> Recording:
-    """Apply sign, gains, torque source and time windows; arguments override the sheet, and `flip_torque` turns the sign that results."""
+    """Apply sign, gains, torque source and time windows; `gain` stands in place of the sheet's gains, and `flip_torque` turns the sign that results."""
     source = torque_source or sheet.torque_source
     if source is not None:
         recording = replace(recording, torque_source=source)
@@ -181,7 +182,7 @@ def apply_sheet(
         if np.all(signs < 0):
             recording = recording.flipped()
         elif np.any(signs < 0):
-            recording = recording.scaled(np.broadcast_to(signs, (recording.n_joints,)))
+            recording = replace(recording.scaled(signs), gains=recording.gains)
     factor = gain if gain is not None else sheet.gains
     if factor is not None:
         recording = recording.scaled(factor)

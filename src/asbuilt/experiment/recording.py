@@ -24,7 +24,8 @@ class Recording:
     `t` (N,) s; `q`, `tau` and, where logged, `qd`, `qdd` (N, n) in rad or m, N m or N, and their derivatives, column k belonging to
     `joint_names[k]`; `tau` is positive in the direction in which the drive pushes the joint. `torque_source` says what measured it: a joint torque
     "sensor", a "motor"-side estimate, a "current" (times a gain) or "unknown". `extra` keeps other quantities of shape (N,) or (N, m) under
-    their role names, such as `tau_ext`. `notes` says in sentences what the reader assumed or changed.
+    their role names, such as `tau_ext`. `notes` says in sentences what the reader assumed or changed. `gains` is what the logged torques were multiplied by,
+    one per joint, None where they were left as logged; signs are not among them.
 
     Values may be NaN and times may run back: that is what `check_recording` looks for.
 
@@ -50,6 +51,7 @@ class Recording:
     torque_source: TorqueSource = "unknown"
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Array] = field(default_factory=dict)
+    gains: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         t = _read_only(self.t, "t", self.source)
@@ -123,7 +125,8 @@ class Recording:
         if not np.all(np.isfinite(gains)) or np.any(gains == 0):
             raise RecordingError(f"{self.source}: gains must be finite and not zero, got {gains.tolist()}")
         listed = ", ".join(f"{g:g}" for g in gains)
-        return replace(self, tau=self.tau * gains, notes=(*self.notes, f"torques were multiplied by {listed}"))
+        total = tuple((gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist())
+        return replace(self, tau=self.tau * gains, notes=(*self.notes, f"torques were multiplied by {listed}"), gains=total)
 
     def reordered(self, names: Sequence[str]) -> Recording:
         """Return the recording with columns in the order of `names`, every one of which it must have; other joints are dropped."""
@@ -140,6 +143,7 @@ class Recording:
             qdd=None if self.qdd is None else self.qdd[:, order],
             joint_names=tuple(names),
             extra=extra,
+            gains=None if self.gains is None else tuple(self.gains[k] for k in order),
         )
 
     def renamed(self, names: Sequence[str]) -> Recording:

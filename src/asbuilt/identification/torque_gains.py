@@ -17,6 +17,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.experiment.recording import Recording
 from asbuilt.identification.payload import payload_frame
 from asbuilt.identification.rows import stretches
 from asbuilt.identification.triangular import GrowingFactor, triangular_factor
@@ -37,16 +38,19 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueGains:
-    """Hold the factor (n,) by which each joint's logged torque is to be multiplied, with standard errors from one time block to another.
+    """Hold the torque (n,) that one logged unit of each joint stands for [N m per unit], with standard errors from one time block to another.
 
-    `known` says what of the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and found parts together, in the order
-    of `LinkInertia`. `determined` (n,) is False where these recordings do not tell the gain, and the gain NaN where they leave it wholly open; `payload_share` (n,) is how much of the torque under load the payload makes
-    up, RMS: where it is small the gain hangs on parameters shared with other joints, and errors of the friction model move it.
+    `in_use` (n,) are the gains that the torques had been multiplied by when these were found, ones where they were left as logged; `factors` says by how much
+    they were off. `known` says what of the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and found parts together, in the order
+    of `LinkInertia`. `determined` (n,) is False where these recordings do not tell the gain, and the gain NaN where they leave it wholly open; `payload_share` (n,) is how much
+    of the torque under load the payload makes up, RMS: where it is small the gain hangs on parameters shared with other joints, and errors of the friction
+    model move it.
     """
 
     joint_names: tuple[str, ...]
     gains: Array
     std_errors: Array
+    in_use: Array
     determined: NDArray[np.bool_]
     payload_share: Array
     known: tuple[str, ...]
@@ -54,26 +58,63 @@ class TorqueGains:
     payload: Array
     sources: tuple[str, ...]
 
+    @property
+    def factors(self) -> Array:
+        """By how much the torques in use are to be multiplied, (n,); ones where the gains in use are right."""
+        return self.gains / self.in_use
+
+    @property
+    def factor_std_errors(self) -> Array:
+        """Standard errors of the factors, (n,)."""
+        return self.std_errors / np.abs(self.in_use)
+
+    @property
+    def to_use(self) -> Array:
+        """Gains (n,) that stand in place of those in use: the ones found, and where these recordings do not tell one, the one in use."""
+        return np.where(self.determined, self.gains, self.in_use)
+
     def sentences(self) -> tuple[str, ...]:
         """Say what holds of the gains."""
         said = [f"known of the payload: {', '.join(self.known)}; found beside the gains: {self._found()}"]
-        untold = [name for name, told in zip(self.joint_names, self.determined, strict=True) if not told]
+        untold = self._named(~self.determined)
         if untold:
             said.append(
-                f"not told by these recordings: {', '.join(untold)}; the payload hardly loads these joints, or what it loads them with was left open"
+                f"not told by these recordings: {untold}; the payload hardly loads these joints, or what it loads them with was left open. They keep the gain in use"
             )
-        faint = [name for name, share in zip(self.joint_names, self.payload_share, strict=True) if share < FAINT]
+        turned = self.determined & (self.factors < 0)
+        if turned.any():
+            said.append(
+                f"the torque in use has the opposite sign at {'every joint' if turned.all() else self._named(turned)}; the gains below turn it, so leave sign and "
+                "--flip-torque as they are"
+            )
+        faint = self._named(self.payload_share < FAINT)
         if faint:
             said.append(
-                f"the payload makes up less than {100 * FAINT:.0f} % of the torque of {', '.join(faint)}: these gains hang on parameters shared with other joints, and "
+                f"the payload makes up less than {100 * FAINT:.0f} % of the torque of {faint}: these gains hang on parameters shared with other joints, and "
                 "on the friction model more than their standard errors say"
             )
         return tuple(said)
+
+    def _named(self, chosen: NDArray[np.bool_]) -> str:
+        return ", ".join(name for name, named in zip(self.joint_names, chosen, strict=True) if named)
 
     def _found(self) -> str:
         body = LinkInertia(self.payload)
         centre = ", ".join(f"{value:.3g}" for value in self.payload[6:9] / self.payload[9])
         return f"mass {body.mass:.4g} kg, centre ({centre}) m in {self.frame}"
+
+
+def gains_in_use(recordings: Sequence[Recording]) -> Array:
+    """Return the gains (n,) that all of these recordings were multiplied by when read, ones where they were left as logged; raises UsageError where they differ."""
+    each = [np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains) for recording in recordings]
+    for recording, gains in zip(recordings, each, strict=True):
+        if not np.array_equal(gains, each[0]):
+            listed = ", ".join(f"{gain:g}" for gain in each[0])
+            raise UsageError(
+                f"{recording.source} was multiplied by gains {', '.join(f'{gain:g}' for gain in gains)}, {recordings[0].source} by {listed}; give the same to all, "
+                "by --gain or in their sheets"
+            )
+    return each[0]
 
 
 def identify_gains(
@@ -86,8 +127,11 @@ def identify_gains(
     inertia_about_com: ArrayLike | None = None,
     drive: DriveSet | None = None,
     frame: str | None = None,
+    in_use: ArrayLike | None = None,
 ) -> TorqueGains:
     """Find gains g with `g_k i_k = Y_k beta` without and `g_k i_k = Y_k beta + P_k phi` with a payload, i being the torque as logged.
+
+    Where the samples' torques were multiplied by gains already, these are `in_use` (see `gains_in_use`): what is found stands in their place, not beside them.
 
     beta, g and what is not known of phi are found together, with `i_k = (Y_k beta + P_k phi) / g_k` least wrong in the logged unit, where the noise is; solved for
     columns `-i_k` instead, noise in i pulls every gain toward zero. The scale of everything comes from what is known of phi: the mass must be, and alone it is
@@ -120,15 +164,17 @@ def identify_gains(
     with one_blas_thread():
         gains, payload = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
-    told = np.isfinite(scatter) & (scatter < UNTOLD * np.abs(gains)) & (gains > 0)
+    told = np.isfinite(scatter) & (scatter < UNTOLD * np.abs(gains))
     open_ended = ~(scatter < np.abs(gains))
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
+    used = np.ones(model.n_joints) if in_use is None else np.broadcast_to(np.asarray(in_use, dtype=np.float64), (model.n_joints,)).copy()
     labels = ["mass", *(["centre of mass"] if com is not None else []), *(["inertia"] if inertia_about_com is not None else [])]
     return TorqueGains(
         joint_names=model.joint_names,
-        gains=gains,
-        std_errors=scatter,
+        gains=used * gains,
+        std_errors=np.abs(used) * scatter,
+        in_use=used,
         determined=told,
         payload_share=share,
         known=tuple(labels),
@@ -173,7 +219,7 @@ class _Problem:
         p = self._p
         free = np.concatenate([np.ones(p, dtype=bool), ~known])
         theta = np.concatenate([np.zeros(p), given])
-        inverse = np.ones(self._n) if start is None else 1.0 / start
+        inverse = self._signs(rows, theta, free) if start is None else 1.0 / start
         sigma = np.ones(self._n)
         for iteration in range(ITERATIONS):
             scaled = [r * [[*([g] * (p + 10)), 1.0]] / s for r, g, s in zip(rows, inverse, sigma, strict=True)]
@@ -198,6 +244,17 @@ class _Problem:
         if not np.all(np.isfinite(inverse)):
             raise IdentifiabilityError("the recordings leave the gains open; carry a heavier payload, and move the joints that carry it")
         return 1.0 / inverse, theta[p:]
+
+    def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
+        """Return the sign of each gain (n,), from the fit linear in the gains, `-i_k g_k + Y_k beta + P_k phi = 0`, whose sizes noise pulls toward zero."""
+        matrix, target = [], []
+        for k, r in enumerate(rows):
+            own = np.zeros((len(r), self._n))
+            own[:, k] = -r[:, -1]
+            size = float(np.linalg.norm(r[:, -1])) or 1.0
+            matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
+            target.append(-r[:, :-1] @ theta / size)
+        return np.where(_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0, -1.0, 1.0)
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
         """Return the RMS torque of the payload over the RMS torque of the loaded recordings, (n,)."""

@@ -50,12 +50,18 @@ def drives_text() -> str:
 
 
 def gains_document(found: TorqueGains) -> dict[str, Any]:
-    """Return gains as plain data."""
+    """Return gains as plain data; `gain` is the list that stands in place of those in use, `option` and `sheet` the same as text."""
     return {
         "joints": list(found.joint_names),
         "gains": [_number(value) for value in found.gains],
         "std_errors": [_number(value) for value in found.std_errors],
+        "in_use": found.in_use.tolist(),
+        "factors": [_number(value) for value in found.factors],
+        "factor_std_errors": [_number(value) for value in found.factor_std_errors],
         "determined": found.determined.tolist(),
+        "gain": [float(value) for value in _listed(found).split(",")],
+        "option": f"--gain={_listed(found)}",
+        "sheet": _sheet_line(found),
         "payload_share": [_number(value) for value in found.payload_share],
         "known": list(found.known),
         "frame": found.frame,
@@ -66,17 +72,50 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
 
 
 def gains_text(found: TorqueGains) -> str:
-    """Return gains as a table with what they rest on, and the option that uses them."""
+    """Return gains as a table with what they rest on, and the option and the line of a recording sheet that put them to use."""
     rows = [
-        (name, plus_minus(float(gain), float(error)), f"{100 * share:.0f}" if share >= 0.0 else "-", "yes" if told else "NO")
-        for name, gain, error, share, told in zip(
-            found.joint_names, found.gains, found.std_errors, found.payload_share, found.determined, strict=True
+        (
+            name,
+            f"{used:g}",
+            plus_minus(float(factor), float(factor_error)),
+            plus_minus(float(gain), float(error)),
+            f"{100 * share:.0f}" if share >= 0.0 else "-",
+            "yes" if told else "NO",
+        )
+        for name, used, factor, factor_error, gain, error, share, told in zip(
+            found.joint_names,
+            found.in_use,
+            found.factors,
+            found.factor_std_errors,
+            found.gains,
+            found.std_errors,
+            found.payload_share,
+            found.determined,
+            strict=True,
         )
     ]
-    columns = (Column("joint"), Column("torque per logged unit"), Column("payload in torque", "%", "right"), Column("told"))
-    notes = [f"[{number}] {sentence[0].upper()}{sentence[1:]}." for number, sentence in enumerate(found.sentences(), start=1)]
-    option = "Use them with --gain " + ",".join(f"{gain:.4g}" for gain in found.gains)
-    return "\n".join([Table(columns, tuple(rows)).as_text().rstrip(), *notes, *([option] if found.determined.all() else [])])
+    columns = (
+        Column("joint"),
+        Column("gain in use", align="right"),
+        Column("off by"),
+        Column("torque per logged unit"),
+        Column("payload in torque", "%", "right"),
+        Column("told"),
+    )
+    lines = [Table(columns, tuple(rows)).as_text().rstrip()]
+    lines += [f"[{number}] {sentence[0].upper()}{sentence[1:]}." for number, sentence in enumerate(found.sentences(), start=1)]
+    if found.determined.any():
+        lines += ["In place of the gains in use, give the next command", f"  --gain={_listed(found)}"]
+        lines += ["or write into the recording sheet", f"  {_sheet_line(found)}"]
+    return "\n".join(lines)
+
+
+def _listed(found: TorqueGains) -> str:
+    return ",".join(f"{gain:.5g}" for gain in found.to_use)
+
+
+def _sheet_line(found: TorqueGains) -> str:
+    return f"gains = [{_listed(found).replace(',', ', ')}]"
 
 
 def _number(value: float) -> float | None:
