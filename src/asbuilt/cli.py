@@ -10,6 +10,7 @@ import typer
 
 from asbuilt.cli_identify import compare, identify, payload, validate
 from asbuilt.cli_motion import excite, program
+from asbuilt.cli_options import with_options_spread
 from asbuilt.cli_recording import channels, check, gains, simulate
 from asbuilt.cli_robot import base, drives, export, robots, show, view
 from asbuilt.cli_story import demo, reproduce
@@ -44,7 +45,7 @@ for command in (
     reproduce,
     demo,
 ):
-    app.command()(command)
+    app.command()(with_options_spread(command))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -10,29 +11,19 @@ import typer
 
 from asbuilt.cli_options import (
     AsJson,
-    Cutoff,
-    Decimate,
     Drive,
-    Flip,
-    Gain,
+    Filtering,
     Logs,
     Out,
-    Preset,
-    Rate,
+    Reading,
     Result,
     Robot,
-    Sheet,
-    Source,
     answer,
     described_robot,
     listed_files,
     one_of,
-    open_logs,
-    positive_number,
     progress_bar,
-    read_logs,
     read_result,
-    signal_chain,
 )
 from asbuilt.errors import UsageError
 from asbuilt.identification.methods import methods
@@ -41,6 +32,7 @@ from asbuilt.identification.methods import methods
 def identify(
     robot: Robot,
     log: Logs,
+    *,
     validate: Annotated[
         list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording to judge by; repeat for more")
     ] = None,
@@ -68,16 +60,8 @@ def identify(
         ),
     ] = "blocks",
     unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    gain: Gain = None,
-    torque_source: Source = None,
-    sheet: Sheet = None,
-    cutoff: Annotated[
-        str | None, typer.Option("--cutoff", metavar="HZ|auto", help="low-pass cutoff; auto sweeps and judges by held-out torque")
-    ] = None,
-    decimate: Decimate = None,
-    preset: Preset = "default",
+    reading: Reading,
+    filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
@@ -88,11 +72,11 @@ def identify(
     from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.study_files import study_document, study_text, write_study
 
-    model, swept = described_robot(robot), cutoff == "auto"
+    model, swept = described_robot(robot), filtering.cutoff == "auto"
     options = StudyOptions(
         drive=None if drive is None else "auto" if drive.strip() == "auto" else DriveSet.parse(drive),
         method=one_of("--method", method, list(methods)),
-        chain=signal_chain(preset, None if swept else _cutoff(cutoff), decimate),
+        chain=replace(filtering, cutoff=None if swept else filtering.cutoff).chain(),
         sweep_cutoff=swept,
         errors=one_of("--errors", errors, ("blocks", "bootstrap")),
         holdout=holdout,
@@ -102,10 +86,10 @@ def identify(
     )
     with progress_bar() as report:
         report("read", 0.0)
-        recordings = open_logs(model, log, rate, flip_torque, gain, torque_source, sheet)
-        others = open_logs(model, validate or [], rate, flip_torque, gain, torque_source, sheet)
+        recordings = reading.open(model, log)
+        others = reading.open(model, validate)
         study = run_study(model, recordings, validation=others, options=options, progress=report)
-        loaded = read_logs(model, payload or [], rate, flip_torque, gain, torque_source, sheet)
+        loaded = reading.read(model, payload)
         carried = run_payload_study(study.result, loaded, chain=options.chain) if loaded else None
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
     answer(
@@ -115,21 +99,12 @@ def identify(
     )
 
 
-def _cutoff(text: str | None) -> float | None:
-    return None if text is None else positive_number("--cutoff", text)
-
-
 def validate(
     result: Result,
     log: Logs,
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    gain: Gain = None,
-    torque_source: Source = None,
-    sheet: Sheet = None,
-    cutoff: Cutoff = None,
-    decimate: Decimate = None,
-    preset: Preset = "default",
+    *,
+    reading: Reading,
+    filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
@@ -141,8 +116,8 @@ def validate(
     from asbuilt.writers.tabular import validate_document
 
     identified = read_result(result)
-    recordings = read_logs(identified.model, log, rate, flip_torque, gain, torque_source, sheet)
-    chain = signal_chain(preset, cutoff, decimate)
+    recordings = reading.read(identified.model, log)
+    chain = filtering.chain()
     validations = [predict(identified, prepare_samples(recording, chain)) for recording in recordings]
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
@@ -155,6 +130,7 @@ def validate(
 
 def compare(
     result: Result,
+    *,
     cad: Annotated[str | None, typer.Option("--cad", metavar="ROBOT", help="another description of the same robot to compare with")] = None,
     cad_tolerance: Annotated[
         str | None,
@@ -167,9 +143,7 @@ def compare(
         Path | None, typer.Option("--controller", metavar="LOG", help="a recording with tau_ext: compare with the controller's own model")
     ] = None,
     holdout: Annotated[str, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by")] = "blocks:5s:3",
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    sheet: Sheet = None,
+    reading: Reading,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
@@ -191,7 +165,7 @@ def compare(
         answer(as_json, lambda: with_files(drift.as_document(), files), lambda: drift.as_text() + listed_files(files))
         return
     if controller is not None:
-        recording = read_logs(identified.model, [controller], rate, flip_torque, None, None, sheet)[0]
+        recording = reading.read(identified.model, [controller])[0]
         beside = compare_with_controller(identified, recording, holdout=holdout)
         files = write_drift(out, beside.difference) if out is not None else {}
         answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
@@ -209,6 +183,7 @@ def compare(
 def payload(
     result: Result,
     log: Logs,
+    *,
     unloaded: Annotated[
         list[Path] | None, typer.Option("--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more")
     ] = None,
@@ -220,14 +195,8 @@ def payload(
         str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
     ] = None,
     arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    gain: Gain = None,
-    torque_source: Source = None,
-    sheet: Sheet = None,
-    cutoff: Cutoff = None,
-    decimate: Decimate = None,
-    preset: Preset = "default",
+    reading: Reading,
+    filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
@@ -237,11 +206,11 @@ def payload(
     from asbuilt.writers.tabular import write_json
 
     identified = read_result(result)
-    read = [read_logs(identified.model, logs or [], rate, flip_torque, gain, torque_source, sheet) for logs in (log, unloaded, validate)]
+    read = [reading.read(identified.model, logs) for logs in (log, unloaded, validate)]
     found = run_payload_study(
         identified,
         *read,
-        chain=signal_chain(preset, cutoff, decimate),
+        chain=filtering.chain(),
         holdout=holdout,
         frame=frame,
         arm=one_of("--arm", arm, ("refined", "frozen")),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -15,12 +19,12 @@ from asbuilt.errors import ResultError, UsageError
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
     from asbuilt.experiment.long_recordings import RecordingStream
+    from asbuilt.experiment.readers import ReadingOptions
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal_chain import SignalChain
     from asbuilt.identification.result import IdentificationResult
 
 Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
-Log = Annotated[Path, typer.Argument(metavar="LOG", help="a recording: .csv .parquet .npz .mat .h5 or a ROS 2 bag")]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
@@ -33,14 +37,102 @@ Drive = Annotated[
         help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto",
     ),
 ]
-Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")]
-Flip = Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")]
-Gain = Annotated[str | None, typer.Option("--gain", metavar="G1,G2,...", help="torque per logged unit, one for all joints or one each")]
-Source = Annotated[str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")]
-Sheet = Annotated[Path | None, typer.Option("--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs")]
-Cutoff = Annotated[float | None, typer.Option("--cutoff", metavar="HZ", help="low-pass cutoff (default: chosen from the recording)")]
-Decimate = Annotated[int | None, typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering")]
-Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The options that say how logs are read."""
+
+    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")] = None
+    flip_torque: Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")] = False
+    gain: Annotated[
+        str | None,
+        typer.Option(
+            "--gain",
+            metavar="G1,G2,...",
+            help="torque per logged unit, one for all joints or one each; stands in place of the sheet's gains",
+        ),
+    ] = None
+    torque_source: Annotated[str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")] = None
+    sheet: Annotated[Path | None, typer.Option("--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs")] = None
+
+    def read(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording]:
+        """Return the recordings of a robot, none where no logs are given."""
+        from asbuilt.experiment.readers import read_recordings
+
+        return read_recordings(logs or [], **self._options(model))
+
+    def open(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording | RecordingStream]:
+        """Return the recordings of a robot, those too long to be held as streams."""
+        from asbuilt.experiment.long_recordings import open_recordings
+
+        return open_recordings(logs or [], **self._options(model))
+
+    def _options(self, model: RobotModel) -> ReadingOptions:
+        from asbuilt.experiment.recording import TORQUE_SOURCES
+
+        return {
+            "model": model,
+            "sheet": self.sheet,
+            "rate": self.rate,
+            "flip_torque": self.flip_torque,
+            "gain": number_list("--gain", self.gain) or None,
+            "torque_source": None if self.torque_source is None else one_of("--torque-source", self.torque_source, TORQUE_SOURCES),
+        }
+
+
+@dataclass(frozen=True)
+class Filtering:
+    """The options that choose the signal chain."""
+
+    cutoff: Annotated[
+        str | None,
+        typer.Option(
+            "--cutoff",
+            metavar="HZ",
+            help="low-pass cutoff (default: chosen from the recording); of identify also auto: held-out torque judges",
+        ),
+    ] = None
+    decimate: Annotated[int | None, typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering")] = None
+    preset: Annotated[str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")] = "default"
+
+    def chain(self) -> SignalChain:
+        """Return the named signal chain, with the cutoff and decimation given in place of its own."""
+        from asbuilt.experiment.signal_chain import SignalChain
+
+        chain = SignalChain.preset(self.preset)
+        cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
+        return replace(chain, cutoff=cutoff, decimate=chain.decimate if self.decimate is None else self.decimate)
+
+
+def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command as typer wants it: in place of each parameter that is a group of options (`Reading`, `Filtering`), the options of that group."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, type[Any]] = {name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)}
+    parameters = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name in groups:
+            parameters += _options(groups[name])
+        else:
+            parameters.append(parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(command)
+    def spread(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    spread.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    spread.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return spread
+
+
+def _options(group: type[Any]) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
+        for field in fields(group)
+    ]
 
 
 def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
@@ -107,72 +199,6 @@ def read_result(path: Path) -> IdentificationResult:
     return IdentificationResult.from_json(text)
 
 
-def read_logs(
-    model: RobotModel,
-    logs: Sequence[Path],
-    rate: float | None,
-    flip_torque: bool,
-    gain: str | None,
-    torque_source: str | None,
-    sheet: Path | None,
-) -> list[Recording]:
-    """Read recordings as the options say."""
-    from asbuilt.experiment.readers import read_recordings
-
-    return read_recordings(list(logs), **_reading(model, rate, flip_torque, gain, torque_source, sheet))
-
-
-def open_logs(
-    model: RobotModel,
-    logs: Sequence[Path],
-    rate: float | None,
-    flip_torque: bool,
-    gain: str | None,
-    torque_source: str | None,
-    sheet: Path | None,
-) -> list[Recording | RecordingStream]:
-    """Read recordings, those too long to be held excepted."""
-    from asbuilt.experiment.long_recordings import open_recordings
-
-    return open_recordings(list(logs), **_reading(model, rate, flip_torque, gain, torque_source, sheet))
-
-
-def _reading(
-    model: RobotModel, rate: float | None, flip_torque: bool, gain: str | None, torque_source: str | None, sheet: Path | None
-) -> dict[str, Any]:
-    from asbuilt.experiment.recording import TORQUE_SOURCES
-
-    return {
-        "model": model,
-        "sheet": sheet,
-        "rate": rate,
-        "flip_torque": flip_torque,
-        "gain": _gains(gain),
-        "torque_source": one_of("--torque-source", torque_source, TORQUE_SOURCES) if torque_source else None,
-    }
-
-
-def _gains(text: str | None) -> list[float] | None:
-    if text is None:
-        return None
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise UsageError(
-            f"--gain takes numbers separated by commas, got {text!r}; for example --gain 14.87,13.26,11.13,10.62,11.03,11.47"
-        ) from None
-
-
-def signal_chain(preset: str, cutoff: float | None, decimate: int | None) -> SignalChain:
-    """Return the named signal chain, with the cutoff [Hz] and decimation given in place of its own."""
-    from dataclasses import replace
-
-    from asbuilt.experiment.signal_chain import SignalChain
-
-    chain = SignalChain.preset(preset)
-    return replace(chain, cutoff=cutoff or chain.cutoff, decimate=decimate or chain.decimate)
-
-
 def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
     """Return a value that is among the known (what it stands for, where these are a mapping); raises `UsageError` otherwise."""
     if value not in known:
@@ -180,12 +206,18 @@ def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) ->
     return known[value] if isinstance(known, Mapping) else value
 
 
-def number_list(option: str, text: str | None) -> tuple[float, ...]:
-    """Return the numbers of a list separated by commas, none where there is no text; raises `UsageError` on anything else."""
+def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
+    """Return the numbers of a list separated by commas, none where there is no text; raises `UsageError` unless all are finite, and `count` of them."""
+    if text is None:
+        return ()
     try:
-        return tuple(float(part) for part in (text or "").split(",") if part.strip())
+        values = tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise UsageError(f"{option} takes numbers separated by commas, got {text!r}") from None
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)) or len(values) != (count or len(values)):
+        example = ",".join(map(str, range(1, (count or 3) + 1)))
+        raise UsageError(f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for example {option} {example}")
+    return values
 
 
 def positive_number(option: str, text: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,24 +10,18 @@ import typer
 
 from asbuilt.cli_options import (
     AsJson,
-    Cutoff,
     Drive,
-    Flip,
-    Gain,
+    Filtering,
     Logs,
-    Rate,
+    Reading,
     Robot,
-    Sheet,
-    Source,
     answer,
     described_robot,
     listed_files,
     number_list,
     one_of,
     progress_bar,
-    read_logs,
     robot_as_built,
-    signal_chain,
 )
 from asbuilt.errors import UsageError
 
@@ -34,11 +29,8 @@ from asbuilt.errors import UsageError
 def check(
     robot: Robot,
     log: Logs,
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    gain: Gain = None,
-    torque_source: Source = None,
-    sheet: Sheet = None,
+    *,
+    reading: Reading,
     information: Annotated[
         bool, typer.Option("--information/--no-information", help="say how much of the attainable information it carries (takes seconds)")
     ] = True,
@@ -50,7 +42,7 @@ def check(
     from asbuilt.writers.tabular import check_document
 
     model = described_robot(robot)
-    recordings = read_logs(model, log, rate, flip_torque, gain, torque_source, sheet)
+    recordings = reading.read(model, log)
     checks = [check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
@@ -72,6 +64,7 @@ def gains(
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
     loaded: Annotated[list[Path], typer.Option("--loaded", metavar="LOG", help="a recording with the payload; repeat for more")],
     mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
+    *,
     com: Annotated[
         str | None, typer.Option("--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known")
     ] = None,
@@ -79,11 +72,8 @@ def gains(
         str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
     ] = None,
     drive: Drive = None,
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    gain: Gain = None,
-    sheet: Sheet = None,
-    cutoff: Cutoff = None,
+    reading: Reading,
+    filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
     """Find the torque per ampere (per logged unit) of every drive from a payload of known mass, and print the --gain that uses it.
@@ -96,14 +86,15 @@ def gains(
     from asbuilt.writers.drive_tables import gains_document, gains_text
 
     model = described_robot(robot)
-    bare, under = (read_logs(model, logs, rate, flip_torque, gain, "current", sheet) for logs in (log, loaded))
-    chain = signal_chain("default", cutoff, None).resolved(*bare, *under)
+    currents = replace(reading, torque_source=reading.torque_source or "current")
+    bare, under = (currents.read(model, logs) for logs in (log, loaded))
+    chain = filtering.chain().resolved(*bare, *under)
     found = identify_gains(
         model,
         [prepare_samples(recording, chain) for recording in bare],
         [prepare_samples(recording, chain) for recording in under],
         mass=mass,
-        com=None if com is None else _centre(com),
+        com=number_list("--com", com, 3) or None,
         drive=None if drive is None else DriveSet.parse(drive),
         frame=frame,
         in_use=gains_in_use([*bare, *under]),
@@ -115,14 +106,13 @@ def channels(
     robot: Robot,
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")],
     motor: Annotated[list[Path], typer.Option("--motor", metavar="LOG", help="the same with motor torques, in the same order")],
+    *,
     motor_gain: Annotated[
         str | None, typer.Option("--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors")
     ] = None,
-    rate: Rate = None,
-    flip_torque: Flip = False,
-    sheet: Sheet = None,
     motor_sheet: Annotated[Path | None, typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs")] = None,
-    cutoff: Cutoff = None,
+    reading: Reading,
+    filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
     """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
@@ -131,21 +121,11 @@ def channels(
     from asbuilt.writers.drive_tables import channels_document, channels_text
 
     model = described_robot(robot)
-    sensors = read_logs(model, log, rate, flip_torque, None, "sensor", sheet)
-    motors = read_logs(model, motor, rate, flip_torque, motor_gain, "motor", motor_sheet or sheet)
-    chain = signal_chain("default", cutoff, None).resolved(*sensors)
+    sensors = replace(reading, torque_source=reading.torque_source or "sensor").read(model, log)
+    motors = replace(reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet).read(model, motor)
+    chain = filtering.chain().resolved(*sensors)
     found = identify_two_channels(model, *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)))
     answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
-
-
-def _centre(text: str) -> list[float]:
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 3:
-        raise UsageError(f"--com takes three numbers separated by commas, got {text!r}; for example --com 0,0,0.05")
-    return values
 
 
 def simulate(

@@ -39,7 +39,7 @@ def test_what_the_filters_leave_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
     chain = SignalChain(cutoff=5.0).resolved(whole)
     samples = prepare_samples(whole, chain)
-    stream = replace(RecordingStream(log, model), chunk_samples=2500)
+    stream = replace(RecordingStream(log, {"model": model}), chunk_samples=2500)
     pieces = stream.prepared(chain)
     np.testing.assert_allclose(pieces.filtered_times, samples.filtered_times, atol=1e-9)
     for name in ("tau", "q", "qd", "qdd"):
@@ -51,7 +51,7 @@ def test_what_the_filters_leave_is_that_of_the_whole(model, log):
 
 
 def test_the_beginning_is_the_head_and_it_can_be_gone_through_again(model, log):
-    stream = replace(RecordingStream(log, model), chunk_samples=5000)
+    stream = replace(RecordingStream(log, {"model": model}), chunk_samples=5000)
     assert stream.head.n_samples == 12_001
     assert [sum(part.n_samples for part in stream) for _ in range(2)] == [12_001, 12_001]
     assert stream.source == str(log)
@@ -63,7 +63,7 @@ def test_only_long_files_are_streamed(model, log, monkeypatch):
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
     opened = open_recordings([log], model=model)[0]
     assert isinstance(opened, RecordingStream)
-    assert opened.model is model
+    assert opened.options["model"] is model
     assert not is_long(log.parent)
     assert not is_long(log.with_suffix(".npz"))
 
@@ -74,4 +74,4 @@ def test_file_without_samples_is_refused(model, tmp_path):
         {"t": pl.Series([], dtype=pl.Float64)} | {f"{x}_{k}": pl.Series([], dtype=pl.Float64) for x in ("q", "tau") for k in range(7)}
     ).write_parquet(path)
     with pytest.raises(RecordingError, match="no samples"):
-        _ = RecordingStream(path, model).head
+        _ = RecordingStream(path, {"model": model}).head

@@ -39,7 +39,7 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
     chain = SignalChain().resolved(whole)
     options = StudyOptions(chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3")
     one = run_study(model, [whole], options=options)
-    other = run_study(model, [RecordingStream(log, model, chunk_samples=4000)], options=options)
+    other = run_study(model, [RecordingStream(log, {"model": model}, chunk_samples=4000)], options=options)
     size = np.abs(one.result.estimates).max()
     np.testing.assert_allclose(other.result.estimates, one.result.estimates, atol=0.02 * size)
     np.testing.assert_allclose(other.validations[0].metrics_as_built.rms, one.validations[0].metrics_as_built.rms, rtol=0.02)

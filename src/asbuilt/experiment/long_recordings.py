@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import polars as pl
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.formats.parquet import scan_parquet
-from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, grouped_files, read_recording
-from asbuilt.experiment.recording import Recording, TorqueSource
+from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, ReadingOptions, grouped_files, read_recording
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
-from asbuilt.experiment.sheet import RecordingSheet
 from asbuilt.experiment.signal_chain import SignalChain, stream_samples
 from asbuilt.experiment.streaming import stream_recording
 
@@ -37,20 +36,15 @@ COLUMNS = ("t", "q", "qd", "qdd", "tau", "tau_raw")
 
 @dataclass(frozen=True, eq=False)
 class RecordingStream:
-    """Name a recording that is read in stretches, as often as it is gone through; options are those of `read_recording`.
+    """Name a recording that is read in stretches, as often as it is gone through.
 
-    >>> stream = RecordingStream(Path("hour.parquet"), rate=1000.0)
+    >>> stream = RecordingStream(Path("hour.parquet"), {"rate": 1000.0})
     >>> stream.source
     'hour.parquet'
     """
 
     path: Path
-    model: RobotModel | None = None
-    sheet: PathLike | RecordingSheet | None = None
-    rate: float | None = None
-    flip_torque: bool = False
-    gain: ArrayLike | None = None
-    torque_source: TorqueSource | None = None
+    options: ReadingOptions = field(default_factory=ReadingOptions)
     chunk_samples: int = CHUNK
 
     @property
@@ -63,16 +57,7 @@ class RecordingStream:
         return self._read(self.chunk_samples)
 
     def _read(self, chunk_samples: int) -> Iterator[Recording]:
-        return stream_recording(
-            self.path,
-            model=self.model,
-            sheet=self.sheet,
-            rate=self.rate,
-            flip_torque=self.flip_torque,
-            gain=self.gain,
-            torque_source=self.torque_source,
-            chunk_samples=chunk_samples,
-        )
+        return stream_recording(self.path, chunk_samples=chunk_samples, **self.options)
 
     @cached_property
     def head(self) -> Recording:
@@ -126,23 +111,10 @@ def is_long(path: Path) -> bool:
     return path.stat().st_size > LONG
 
 
-def open_recordings(
-    paths: Sequence[PathLike],
-    *,
-    model: RobotModel | None = None,
-    sheet: PathLike | RecordingSheet | None = None,
-    rate: float | None = None,
-    flip_torque: bool = False,
-    gain: ArrayLike | None = None,
-    torque_source: TorqueSource | None = None,
-) -> list[Recording | RecordingStream]:
+def open_recordings(paths: Sequence[PathLike], **options: Unpack[ReadingOptions]) -> list[Recording | RecordingStream]:
     """Read recordings as `read_recordings` does, but leave those too long to be held as streams."""
-    opened: list[Recording | RecordingStream] = []
-    for group in grouped_files([Path(path) for path in paths]):
-        if len(group) == 1 and is_long(group[0]):
-            opened.append(RecordingStream(group[0], model, sheet, rate, flip_torque, gain, torque_source))
-        else:
-            opened.append(
-                read_recording(group, model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
-            )
-    return opened
+    groups = grouped_files([Path(path) for path in paths])
+    return [
+        RecordingStream(group[0], options) if len(group) == 1 and is_long(group[0]) else read_recording(group, **options)
+        for group in groups
+    ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +29,17 @@ from asbuilt.experiment.sheet import RecordingSheet, read_sheet, sheet_beside
 PathLike = str | Path
 TEXT_SUFFIXES = {".csv", ".txt", ".tsv", ".dat"}
 SUFFIXES = (*sorted(TEXT_SUFFIXES), ".parquet", ".npz", ".mat", ".h5", ".hdf5", ".db3", ".mcap")
+
+
+class ReadingOptions(TypedDict, total=False):
+    """The options of `read_recording`, for those who pass them on."""
+
+    model: RobotModel | None
+    sheet: PathLike | RecordingSheet | None
+    rate: float | None
+    flip_torque: bool
+    gain: ArrayLike | None
+    torque_source: TorqueSource | None
 
 
 def read_recording(
@@ -69,24 +81,12 @@ def read_recording(
     return apply_sheet(recording, described, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
 
 
-def read_recordings(
-    paths: Sequence[PathLike],
-    *,
-    model: RobotModel | None = None,
-    sheet: PathLike | RecordingSheet | None = None,
-    rate: float | None = None,
-    flip_torque: bool = False,
-    gain: ArrayLike | None = None,
-    torque_source: TorqueSource | None = None,
-) -> list[Recording]:
+def read_recordings(paths: Sequence[PathLike], **options: Unpack[ReadingOptions]) -> list[Recording]:
     """Read several recordings; files whose names differ in the quantity alone (`run_positions.csv`, `run_efforts.csv`) are one recording.
 
     Options are those of `read_recording` and hold for all.
     """
-    return [
-        read_recording(group, model=model, sheet=sheet, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
-        for group in grouped_files([Path(path) for path in paths])
-    ]
+    return [read_recording(group, **options) for group in grouped_files([Path(path) for path in paths])]
 
 
 def read_table(path: Path, sheet: RecordingSheet) -> Table:

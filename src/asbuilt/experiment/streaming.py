@@ -5,33 +5,32 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Unpack
 
 import numpy as np
 import polars as pl
-from numpy.typing import ArrayLike
 
-from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.formats.delimited import bad_cell, find_dialect, scan_delimited, without_blank_lines
 from asbuilt.experiment.formats.parquet import scan_parquet, seconds
 from asbuilt.experiment.formats.table import Array, Table
 from asbuilt.experiment.layout import find_layout
-from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, apply_sheet, build_recording, clock_origin, find_sheet, read_recording
-from asbuilt.experiment.recording import Recording, TorqueSource
+from asbuilt.experiment.readers import (
+    TEXT_SUFFIXES,
+    PathLike,
+    ReadingOptions,
+    apply_sheet,
+    build_recording,
+    clock_origin,
+    find_sheet,
+    read_recording,
+)
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.sheet import RecordingSheet
 
 
 def stream_recording(
-    path: PathLike,
-    *,
-    model: RobotModel | None = None,
-    sheet: PathLike | RecordingSheet | None = None,
-    rate: float | None = None,
-    flip_torque: bool = False,
-    gain: ArrayLike | None = None,
-    torque_source: TorqueSource | None = None,
-    chunk_samples: int = 200_000,
-    overlap: int = 0,
+    path: PathLike, *, chunk_samples: int = 200_000, overlap: int = 0, **options: Unpack[ReadingOptions]
 ) -> Iterator[Recording]:
     """Read a recording in stretches of `chunk_samples`, each led in by the last `overlap` samples of the one before.
 
@@ -48,21 +47,20 @@ def stream_recording(
     path = Path(path)
     if not path.exists():
         raise RecordingError(f"recording {path} does not exist")
-    described, notes = find_sheet(path, sheet)
+    described, notes = find_sheet(path, options.get("sheet"))
     suffix = path.suffix.lower()
     blank = described.separator == " " or (suffix in TEXT_SUFFIXES and find_dialect(path).separator == "")
     if described.files.position is not None or blank or (suffix != ".parquet" and suffix not in TEXT_SUFFIXES):
-        whole = read_recording(
-            path, model=model, sheet=described, rate=rate, flip_torque=flip_torque, gain=gain, torque_source=torque_source
-        )
-        yield from _cut(whole, chunk_samples, overlap)
+        yield from _cut(read_recording(path, **(options | {"sheet": described})), chunk_samples, overlap)
         return
     source = str(path)
-    layout = find_layout(source, _column_names(path, described), model=model, sheet=described)
+    layout = find_layout(source, _column_names(path, described), model=options.get("model"), sheet=described)
     layout = replace(
         layout, quantities={k: v for k, v in layout.quantities.items() if k in {"position", "velocity", "acceleration", "torque"}}
     )
-    rate = rate if rate is not None else described.rate
+    rate = options.get("rate")
+    if rate is None:
+        rate = described.rate
     windowless = described.model_copy(update={"windows": []})
     origin: float | None = None
     start = 0.0
@@ -74,7 +72,11 @@ def stream_recording(
             start = float(t[0]) - origin
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
         chunk = apply_sheet(
-            replace(chunk, notes=(*notes, *chunk.notes)), windowless, flip_torque=flip_torque, gain=gain, torque_source=torque_source
+            replace(chunk, notes=(*notes, *chunk.notes)),
+            windowless,
+            flip_torque=options.get("flip_torque", False),
+            gain=options.get("gain"),
+            torque_source=options.get("torque_source"),
         )
         if described.windows:
             keep = np.zeros(chunk.n_samples, dtype=bool)
