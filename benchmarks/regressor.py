@@ -2,45 +2,19 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 import pinocchio as pin
 
 from asbuilt.description.load import load_robot
-from asbuilt.description.model import RobotModel
 from asbuilt.dynamics import newton_euler
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
+from peer import best, pinocchio_model
 
 ROBOT = "kuka-iiwa7-r800"
 BLOCK = 2048
 LONG = 32768
-
-
-def best(work: Callable[[], object], n_samples: int, repeats: int) -> float:
-    """Return the shortest of several runs [microseconds per sample]; the first call, which compiles, does not count."""
-    work()
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times) / n_samples * 1e6
-
-
-def pinocchio_model(model: RobotModel) -> pin.Model:
-    """Build the same chain in Pinocchio."""
-    built, after = pin.Model(), pin.SE3.Identity()
-    for i, joint in enumerate(model.joints):
-        number = built.addJoint(i, pin.JointModelRZ(), after * pin.SE3(np.array(joint.before)), joint.name)
-        after = pin.SE3(np.array(joint.after))
-        inertia = model.links[i].inertia
-        xx, xy, xz, yy, yz, zz, mx, my, mz, m = inertia.parameters
-        built.appendBodyToJoint(number, pin.Inertia.FromDynamicParameters(np.array([m, mx, my, mz, xx, xy, yy, xz, yz, zz])), after)
-    return built
 
 
 def measure() -> dict[str, float | str]:
