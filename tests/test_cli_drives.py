@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from asbuilt.cli import main
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.dynamics.drive_torque import drive_torque
@@ -17,22 +14,10 @@ from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
+from command_line import call, document
 
 DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
-
-
-def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return int(end.value.code or 0), out, err
-
-
-def document(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
-    status, out, err = call(capsys, *arguments, "--json")
-    assert status == 0, err
-    return json.loads(out)
 
 
 def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:

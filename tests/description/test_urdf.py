@@ -11,17 +11,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import right_angle
 from asbuilt.description.urdf import read_urdf
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-
-SHARED_URDFS = [
-    "iiwa14.urdf",
-    "kuka_lwr4.urdf",
-    "kuka_lwr4_cogimon.urdf",
-    "lbrstack_iiwa7.urdf",
-    "lbrstack_med7.urdf",
-    "ur10.urdf",
-    "ur10e.urdf",
-    "xarm7.urdf",
-]
+from shared_urdfs import SHARED_URDFS
 
 
 def straightened_text(text: str) -> str:

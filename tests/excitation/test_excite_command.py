@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from asbuilt.cli import main
 from asbuilt.description.load import load_robot
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motion_csv import read_motion
+from command_line import call
 
 FIELDS = {
     "robot",
@@ -29,13 +29,6 @@ FIELDS = {
 }
 
 
-def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in ("excite", *arguments)])
-    out, err = capsys.readouterr()
-    return int(end.value.code or 0), out, err
-
-
 @pytest.mark.parametrize(
     ("robot", "options"),
     [
@@ -48,7 +41,7 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, s
 def test_json_has_the_promised_fields_and_the_file_holds_the_motion(capsys, tmp_path: Path, robot: str, options) -> None:
     file = tmp_path / "motion.csv"
     status, out, err = call(
-        capsys, robot, "--duration", 8, "--starts", 1, "--time-limit", 2, "--rate", 200, "--out", file, "--json", *options
+        capsys, "excite", robot, "--duration", 8, "--starts", 1, "--time-limit", 2, "--rate", 200, "--out", file, "--json", *options
     )
     assert status == 0, err
     document = json.loads(out)
@@ -67,7 +60,7 @@ def test_json_has_the_promised_fields_and_the_file_holds_the_motion(capsys, tmp_
 
 def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
     status, out, _ = call(
-        capsys, "two-link", "--duration", 6, "--harmonics", 3, "--starts", 1, "--time-limit", 2, "--out", tmp_path / "m.csv"
+        capsys, "excite", "two-link", "--duration", 6, "--harmonics", 3, "--starts", 1, "--time-limit", 2, "--out", tmp_path / "m.csv"
     )
     assert status == 0
     for said in ("D-efficiency", "condition number", "nearest joint", "std err", "m.csv"):
@@ -91,7 +84,7 @@ def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
     ],
 )
 def test_wrong_usage_is_one_message(capsys, tmp_path: Path, options, status: int, said: str) -> None:
-    found, out, err = call(capsys, "two-link", "--time-limit", 1, "--out", tmp_path / "m.csv", *options)
+    found, out, err = call(capsys, "excite", "two-link", "--time-limit", 1, "--out", tmp_path / "m.csv", *options)
     assert (found, out) == (status, "")
     assert said in err
     assert err.count("\n") == 1
@@ -104,13 +97,11 @@ def test_an_earlier_result_leaves_less_to_find(capsys, tmp_path: Path) -> None:
         ("simulate", "two-link", "--engine", "inverse-dynamics", "--preset", "lab", "--duration", 10, "--rate", 250, "--out", log),
         ("identify", "two-link", log, "--unchecked", "--drive", "viscous,coulomb,offset", "--out", folder),
     ):
-        with pytest.raises(SystemExit) as end:
-            main([str(argument) for argument in arguments])
-        assert not end.value.code, capsys.readouterr().err
-    capsys.readouterr()
+        assert call(capsys, *arguments)[0] == 0
     result = json.loads((folder / "result.json").read_text())
     status, out, err = call(
         capsys,
+        "excite",
         "two-link",
         "--given",
         folder / "result.json",

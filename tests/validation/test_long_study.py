@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import polars as pl
 import pytest
 
-from asbuilt.cli import main
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.random_motion import random_fourier
@@ -18,6 +15,7 @@ from asbuilt.experiment.readers import read_recording
 from asbuilt.experiment.signal_chain import SignalChain
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.validation.study import StudyOptions, run_study
+from command_line import document
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +46,6 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
 
 def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
-    with pytest.raises(SystemExit) as ended:
-        main(["identify", "kuka-iiwa7-r800", str(log), "--holdout", "blocks:5s:3", "--json"])
-    assert ended.value.code == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = document(capsys, "identify", "kuka-iiwa7-r800", log, "--holdout", "blocks:5s:3")
     assert any("read in stretches" in line for line in answer["provenance"])
     assert answer["validation"][0]["relative_error"] < 0.1

@@ -15,7 +15,7 @@ from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.validation.study import Study, StudyOptions, default_drive, run_study
+from asbuilt.validation.study import Study, StudyOptions, run_study
 
 UR10E_SHEET = """
 header = false
@@ -37,9 +37,9 @@ def recordings() -> list[Recording]:
 
 
 def test_drive_terms_follow_the_torque_source() -> None:
-    assert default_drive("sensor").keys == ("viscous", "coulomb", "offset")
-    assert "armature" in default_drive("current").keys
-    assert "armature" in default_drive("motor").keys
+    assert DriveSet.default("sensor").keys == ("viscous", "coulomb", "offset")
+    assert "armature" in DriveSet.default("current").keys
+    assert "armature" in DriveSet.default("motor").keys
 
 
 def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording]) -> None:

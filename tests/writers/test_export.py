@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from reload_oracle import as_if_identified, mujoco_torques, pinocchio_torques
 
-from asbuilt.cli import main
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, RobotModel
@@ -24,6 +23,7 @@ from asbuilt.identification.result import IdentificationResult, IdentifiedParame
 from asbuilt.writers.export import export_result
 from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.urdf import urdf_text
+from command_line import call
 
 ALL = "armature,viscous,coulomb,offset"
 
@@ -78,14 +78,6 @@ def test_every_export_gives_the_identified_torques(name: str, request: pytest.Fi
         ["gcc", "-std=c99", f"-D{prefix}_SELF_TEST", str(places["c"]), "-o", str(program), "-lm", "-Werror", "-Wall"], check=True
     )
     subprocess.run([str(program)], check=True, capture_output=True)
-
-
-def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Run a command in this process; returns exit status, stdout, stderr."""
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return int(end.value.code or 0), out, err
 
 
 def arm_urdf(folder: Path) -> Path:

@@ -9,18 +9,11 @@ from typing import Any
 
 import pytest
 
-from asbuilt.cli import main
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.sheet import read_sheet
-
-
-def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    out, err = capsys.readouterr()
-    return int(end.value.code or 0), out, err
+from command_line import call
 
 
 def motion_file(robot: str, folder: Path, duration: float = 4.0) -> Path:

@@ -13,17 +13,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, InertiaError
 from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.urdf_edit import edited_urdf
-
-FILES = (
-    "iiwa14.urdf",
-    "kuka_lwr4.urdf",
-    "kuka_lwr4_cogimon.urdf",
-    "lbrstack_iiwa7.urdf",
-    "lbrstack_med7.urdf",
-    "ur10.urdf",
-    "ur10e.urdf",
-    "xarm7.urdf",
-)
+from shared_urdfs import SHARED_URDFS
 
 ARM = """<?xml version='1.0' encoding='ISO-8859-1'?>\r
 <!-- <inertial> in a comment, \xe9, stays -->\r
@@ -84,7 +74,7 @@ def check_reloads(content: bytes, model: RobotModel, *, tolerance: float) -> Non
         assert there.drive.coulomb == joint.drive.coulomb
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", SHARED_URDFS)
 def test_descriptions_of_strangers(shared: Path, name: str) -> None:
     path = shared / "models" / name
     original = path.read_bytes()
@@ -100,7 +90,7 @@ def test_descriptions_of_strangers(shared: Path, name: str) -> None:
     assert rounds == (edited.literal_difference.max() > 1e-9) == (name in ("ur10.urdf", "ur10e.urdf", "xarm7.urdf"))
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", SHARED_URDFS)
 def test_a_robot_as_described_gives_its_file_back(shared: Path, name: str) -> None:
     path = shared / "models" / name
     assert edited_urdf(path, read_urdf(path)).content == path.read_bytes()

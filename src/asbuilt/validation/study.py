@@ -16,7 +16,7 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.long_recordings import RecordingStream
-from asbuilt.experiment.recording import Recording, TorqueSource
+from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.cause_evidence import gather_evidence
@@ -80,11 +80,6 @@ class Study:
     validations: tuple[Validation, ...]
     comparison: Comparison
     cutoffs: CutoffSweep | None = None
-
-
-def default_drive(source: TorqueSource) -> DriveSet:
-    """Return the drive terms that a torque of this source calls for: a sensor behind the gear does not feel the rotor's inertia."""
-    return DriveSet.default(source)
 
 
 def run_study(
@@ -173,7 +168,7 @@ def _mounting_doubted(result: IdentificationResult) -> IdentificationResult:
 def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
     if not recordings:
         raise UsageError("a cutoff can be chosen for recordings only; these samples are filtered already")
-    drive = options.drive if isinstance(options.drive, DriveSet) else default_drive(recordings[0].torque_source)
+    drive = options.drive if isinstance(options.drive, DriveSet) else DriveSet.default(recordings[0].torque_source)
     return sweep_cutoffs(model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report)
 
 
