@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.dynamics.lanes import LANES, LARGEST_ANGLE, compiled
+from asbuilt.dynamics.lanes import LANES, LARGEST_ANGLE
 from asbuilt.dynamics.recursion import BLOCK, trigonometry
 
 
@@ -48,9 +48,3 @@ def test_not_a_number_stays_one():
     angles[3] = np.nan
     sine, cosine = sine_and_cosine(angles)
     assert np.flatnonzero(np.isnan(sine)).tolist() == np.flatnonzero(np.isnan(cosine)).tolist() == [3]
-
-
-def test_a_function_that_cannot_be_cached_is_compiled_all_the_same():
-    namespace = {}
-    exec("def twice(x):\n    return 2 * x", namespace)
-    assert compiled(namespace["twice"])(3) == 6

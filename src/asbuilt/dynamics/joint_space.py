@@ -7,7 +7,8 @@ Sample-major arrays come in and go out flat; a call works on samples start ... s
 
 from __future__ import annotations
 
-from asbuilt.dynamics.lanes import LANES, compiled, load, splat, store
+from asbuilt.dynamics.compilation import compiled
+from asbuilt.dynamics.lanes import LANES, load, splat, store
 from asbuilt.dynamics.recursion import BLOCK, DEPTH, READ, REVOLUTE, STATE, WRITE, cross, gather, move_screws, scratch, trigonometry
 
 

@@ -2,7 +2,6 @@
 
 `load`, `store` and `splat` make lanes; `+ - *` work between lanes and with numbers; a product feeding a sum may be fused.
 Every lane sees the same operations, so a result does not depend on which samples share a vector.
-Numba's cache watches the file of the function it compiled, not this one: after a change here, touch `kernels.py`.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -10,28 +9,20 @@ Numba's cache watches the file of the function it compiled, not this one: after 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core.datamodel import models
 from numba.extending import intrinsic, lower_builtin, register_model, type_callable
+
+from asbuilt.dynamics.compilation import compiled
 
 LANES = 8
 
 _DOUBLE, _INTEGER = ir.DoubleType(), ir.IntType(64)
 _VECTOR, _INTEGERS = ir.VectorType(_DOUBLE, LANES), ir.VectorType(_INTEGER, LANES)
 _FUSED = ("contract",)
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on first call, release the interpreter lock, keep the machine code on disk where any folder can be written."""
-    try:
-        made: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:
-        made = njit(nogil=True, error_model="numpy")(function)
-    return made
 
 
 class LanesType(types.Type):

@@ -3,7 +3,7 @@
 A block of `BLOCK` samples travels down the tree in scratch memory that fits the first-level cache, one row per quantity. Each link has a
 slot of rows there: angular velocity w, angular acceleration dw and acceleration a of its origin less gravity, in link axes, then one
 screw (z, m) per joint above it: the angular velocity and the velocity of the link origin that a unit rate of that joint causes.
-All positions in scratch memory are counted in doubles. Numba's cache of `kernels.py` does not watch this file: after a change here, touch that one.
+All positions in scratch memory are counted in doubles.
 """
 
 # mypy: allow-untyped-defs
@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.model import ROOT, Geometry, RobotModel
-from asbuilt.dynamics.lanes import LANES, LARGEST_ANGLE, compiled, exceeds, load, load_every, sine_cosine, splat, store
+from asbuilt.dynamics.compilation import compiled
+from asbuilt.dynamics.lanes import LANES, LARGEST_ANGLE, exceeds, load, load_every, sine_cosine, splat, store
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.dynamics.batches import flat
-from asbuilt.dynamics.lanes import LANES, compiled, load, splat, store
+from asbuilt.dynamics.compilation import compiled
+from asbuilt.dynamics.lanes import LANES, load, splat, store
 from asbuilt.dynamics.recursion import (
     AFTER,
     BEFORE,

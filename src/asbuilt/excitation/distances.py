@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from asbuilt.dynamics.lanes import compiled
+from asbuilt.dynamics.compilation import compiled
 from asbuilt.excitation.motion import Array
 
 PARALLEL = 1e-12

@@ -1,0 +1,39 @@
+"""Machine code kept on disk from run to run, and made anew when any of the source it was made from changes."""
+
+# mypy: allow-untyped-calls
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile on first call, release the interpreter lock, keep the machine code on disk where any folder can be written.
+
+    Numba takes kept code for current as long as the file of the function itself is unchanged, though functions of other files are inlined into
+    it. Here the sources of all compiled functions beside this file count too; where Numba does not let them, nothing is kept.
+    """
+    try:
+        made: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+        index = made._cache._cache_file
+        index._source_stamp = (index._source_stamp, source_digest(Path(__file__).parent))
+    except (RuntimeError, AttributeError):
+        made = njit(nogil=True, error_model="numpy")(function)
+    return made  # type: ignore[no-any-return]
+
+
+@cache
+def source_digest(folder: Path) -> str:
+    """Return a digest of all Python files of a folder that compile anything."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.py")):
+        source = path.read_bytes()
+        if b"compiled" in source or b"numba" in source:
+            digest.update(hashlib.sha256(source).digest())
+    return digest.hexdigest()
