@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.description.cad import CadLink
+from asbuilt.description.finite import finite_number
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link
 from asbuilt.description.rotation import Array
@@ -61,7 +61,7 @@ def read_cad_table(
         raise DescriptionError(
             f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and products='tensor' or 'integral'"
         )
-    lines, decimal_comma = _cells(path)
+    lines, decimal_point = _cells(path)
     columns, factors = _columns(path, lines[0][1], mass_unit, length_unit)
     parts: dict[str, list[tuple[str, LinkInertia]]] = {}
     warnings: dict[str, list[str]] = {}
@@ -69,7 +69,10 @@ def read_cad_table(
         place = f"{path}, line {number}"
         if len(cells) < len(lines[0][1]):
             raise DescriptionError(f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns")
-        values = {name: _number(cells[columns[name]], f"{place}: {name}", decimal_comma) * factors[name] for name in DIMENSION}
+        values = {
+            name: finite_number(cells[columns[name]].strip().replace(",", decimal_point), f"{place}: {name}") * factors[name]
+            for name in DIMENSION
+        }
         link = cells[columns["link"]].strip()
         inertia = _inertia(values, about, products)
         if placements is not None and link in placements:
@@ -98,7 +101,8 @@ def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkIner
     return LinkInertia.from_com(mass, com, tensor) if about == "com" else LinkInertia.from_origin(mass, mass * com, tensor)
 
 
-def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], bool]:
+def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
+    """Return the numbered lines, and what a comma in a number stands for: a decimal point, unless commas separate the cells."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
@@ -109,7 +113,7 @@ def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], bool]:
     lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     if len(lines) < 2:
         raise DescriptionError(f"{path}: the table has no rows; expected a header and one row per part")
-    return lines, separator != ","
+    return lines, "," if separator == "," else "."
 
 
 def _columns(path: Path, header: list[str], mass_unit: str, length_unit: str) -> tuple[dict[str, int], dict[str, float]]:
@@ -139,14 +143,3 @@ def _columns(path: Path, header: list[str], mass_unit: str, length_unit: str) ->
     if missing:
         raise DescriptionError(f"{path}: column {', '.join(missing)} is missing; found {', '.join(cell.strip() for cell in header)}")
     return columns, factors
-
-
-def _number(cell: str, place: str, decimal_comma: bool) -> float:
-    text = cell.strip().replace(",", ".") if decimal_comma else cell.strip()
-    try:
-        value = float(text)
-    except ValueError:
-        raise DescriptionError(f"{place} is {cell.strip()!r}; it must be a number") from None
-    if not math.isfinite(value):
-        raise DescriptionError(f"{place} is {text}; it must be finite")
-    return value

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.description.dh import DHRow, robot_from_dh
+from asbuilt.description.finite import finite_number
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import JointKind, RobotModel
 from asbuilt.errors import DescriptionError
@@ -73,14 +74,7 @@ def _check_columns(path: Path, columns: list[str]) -> None:
 
 def _row(place: str, cells: dict[str, str]) -> DHRow:
     def number(column: str) -> float:
-        text = cells.get(column, "0")
-        try:
-            value = float(text)
-        except ValueError:
-            raise DescriptionError(f"{place}: {column} is {text!r}; it must be a number") from None
-        if not math.isfinite(value):
-            raise DescriptionError(f"{place}: {column} is {text}; it must be finite")
-        return value
+        return finite_number(cells.get(column, "0"), f"{place}: {column}")
 
     kind = cells.get("kind", "revolute").lower()
     if kind not in KINDS:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import math
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,6 +11,7 @@ from xml.etree.ElementTree import Element, ParseError
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import fromstring
 
+from asbuilt.description.finite import finite_number
 from asbuilt.errors import DescriptionError
 
 LARGEST_DESCRIPTION = 50_000_000
@@ -82,7 +82,7 @@ def number(element: Element, attribute: str, place: str, default: float | None =
     """Return a finite number from an attribute; raises `DescriptionError` where it is missing (without default), no number or not finite."""
     if default is not None and element.get(attribute) is None:
         return default
-    return _finite(required(element, attribute, place), f"{place}: {attribute} of <{element.tag}>")
+    return finite_number(required(element, attribute, place), f"{place}: {attribute} of <{element.tag}>")
 
 
 def numbers(element: Element, attribute: str, count: int, place: str) -> list[float]:
@@ -92,17 +92,7 @@ def numbers(element: Element, attribute: str, count: int, place: str) -> list[fl
     cells = text.split()
     if len(cells) != count:
         raise DescriptionError(f"{what} is {text!r}; expected {count} numbers separated by blanks")
-    return [_finite(cell, what) for cell in cells]
-
-
-def _finite(text: str, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise DescriptionError(f"{what} is {text!r}; it must be a number") from None
-    if not math.isfinite(value):
-        raise DescriptionError(f"{what} is {text}; it must be finite")
-    return value
+    return [finite_number(cell, what) for cell in cells]
 
 
 def close_match(name: str, known: Iterable[str]) -> str:
