@@ -133,10 +133,11 @@ def export(
         bool,
         typer.Option("--nearest", help="where no real bodies and drives have the identified parameters, write the nearest that can be"),
     ] = False,
+    force: Annotated[bool, typer.Option("--force", help="with --nearest: write it though it predicts the recordings badly")] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write the identified robot for other software."""
     from asbuilt.writers.export import export_result
 
-    exported = export_result(read_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original, nearest=nearest)
+    exported = export_result(read_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original, nearest=nearest, force=force)
     answer(as_json, exported.as_document, exported.as_text)

@@ -17,9 +17,11 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import DescriptionError, InertiaError, UsageError
 from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.identification.metrics import torque_metrics
 from asbuilt.identification.result import IdentificationResult, IdentifiedParameter
+from asbuilt.validation.study import StudyOptions, run_study
 from asbuilt.writers.export import export_result
 from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.urdf import urdf_text
@@ -118,10 +120,18 @@ def test_command_refuses_without_writing(tmp_path: Path, capsys: pytest.CaptureF
     target = tmp_path / "robot.xml"
     status, out, err = call(capsys, "export", stored, "--mjcf", target, "--json")
     assert (status, out) == (1, "")
-    assert "joint 2: armature is -" in err
+    assert "Izz2 + 0.796 mx2" in err
+    assert "standard errors below zero" in err
+    assert "kg;" not in err
     assert "--nearest" in err
     assert not target.exists()
-    assert call(capsys, "export", stored, "--mjcf", target, "--nearest")[0] == 0
+    status, _, err = call(capsys, "export", stored, "--mjcf", target, "--nearest")
+    assert status == 1
+    assert "times that of the identified one" in err
+    assert "--method consistent" in err
+    assert "--mounting estimate" in err
+    assert not target.exists()
+    assert call(capsys, "export", stored, "--mjcf", target, "--nearest", "--force")[0] == 0
     assert load_robot(target).n_joints == 2
     status, _, err = call(capsys, "export", stored)
     assert status == 2
@@ -135,7 +145,7 @@ def test_friction_that_pushes_is_refused() -> None:
     model = bundled_robot("two-link")
     result = result_of(model, as_if_identified(model, 2))
     pushing = tuple(replace(p, estimate=-0.3) if p.name == "Fv1" else p for p in result.parameters)
-    with pytest.raises(InertiaError, match=r"joint 1: viscous friction is -0\.3"):
+    with pytest.raises(InertiaError, match=r"Fv1 is found to be -0\.300 \+/- 0\.010 \(base"):
         export_result(replace(result, parameters=pushing), mjcf="nowhere.xml")
     assert not Path("nowhere.xml").exists()
 
@@ -189,3 +199,25 @@ def test_a_study_leaves_the_edited_urdf_behind(tmp_path: Path, capsys: pytest.Ca
     files = json.loads(out)["files"]
     assert "the user's own" in Path(files["urdf"]).read_text()
     assert load_robot(files["urdf"]).joint_names == model.joint_names
+
+
+def test_the_nearest_robot_says_what_it_costs_on_the_recordings(shared: Path, tmp_path: Path) -> None:
+    """The Med 7 as identified is no robot; the nearest one predicts its held-out blocks as well, though not random motion, which neither knows."""
+    model = load_robot(shared / "models" / "lbrstack_med7.urdf")
+    log = read_recordings([shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"], model=model, rate=100.0, flip_torque=True)
+    study = run_study(model, log, options=StudyOptions(holdout="blocks:5s:3"))
+    with pytest.raises(InertiaError, match=r"standard errors below zero") as refused:
+        export_result(study.result, toml=tmp_path / "robot.toml")
+    assert "mass is" not in str(refused.value)
+    exported = export_result(study.result, toml=tmp_path / "robot.toml", nearest=True)
+    assert exported.cost is not None
+    np.testing.assert_allclose(exported.cost.identified, study.result.validation[0].rms, rtol=1e-6)
+    assert np.all(exported.cost.stand_in < 1.4 * exported.cost.identified)
+    assert "as written" in exported.as_text()
+    assert "In random motion, where no recording was" in exported.as_text()
+    short = read_recordings([shared / "data" / "kuka_lwr4" / "measurements_1.npz"], model=load_robot(shared / "models" / "kuka_lwr4.urdf"))
+    other = run_study(load_robot(shared / "models" / "kuka_lwr4.urdf"), short, options=StudyOptions(holdout="blocks:5s:3")).result
+    with pytest.raises(InertiaError, match=r"lwr_6_joint: 0\.\d+ N m RMS in place of"):
+        export_result(other, toml=tmp_path / "other.toml", nearest=True)
+    assert not (tmp_path / "other.toml").exists()
+    assert export_result(other, toml=tmp_path / "other.toml", nearest=True, force=True).cost is not None

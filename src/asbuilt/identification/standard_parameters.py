@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import clarabel
 import numpy as np
@@ -41,8 +42,8 @@ class StandardParameters:
     """Hold the standard parameters of a whole robot: `parameters` (n_standard,), and the base parameters `beta` (p,) that they give.
 
     `exact` says whether beta is the one asked for, `possible` whether all links are real bodies (and, where the nearest was asked for, all drives passive).
-    `torque_rms` (n,) [N m or N] is what the difference from the beta asked for costs in random motion, beside `torque_rms_of_motion` (n,), the torque itself. `part`
-    is the largest t with `P_i >= t P0_i` for every link, P0 being CAD; `smallest_eigenvalue` that of all pseudo-inertias; `divergence` (n,) is the entropic
+    `torque_rms` (n,) [N m or N] is what the difference from the beta asked for costs in random motion, beside `torque_rms_of_motion` (n,), the torque itself; `nearest_in` says
+    in which motion the torque of the nearest is. `part` is the largest t with `P_i >= t P0_i` for every link, P0 being CAD; `smallest_eigenvalue` that of all pseudo-inertias; `divergence` (n,) is the entropic
     distance of every link from CAD; `notes` say what CAD did not.
     """
 
@@ -55,6 +56,7 @@ class StandardParameters:
     divergence: Array
     torque_rms: Array
     torque_rms_of_motion: Array
+    nearest_in: Literal["random motion", "the data used"]
     notes: tuple[str, ...]
 
     @property
@@ -65,12 +67,12 @@ class StandardParameters:
             return "gives the identified torques exactly, with standard parameters next to CAD; the base parameters are NOT physically consistent: no real bodies have them"
         if self.exact:
             return f"gives the identified torques exactly, with real bodies, of all such the closest to CAD; {margin}"
-        cost = float(np.sqrt(np.mean(self.torque_rms**2)))
-        of = float(np.sqrt(np.mean(self.torque_rms_of_motion**2)))
-        return (
-            "no real bodies and passive drives give the identified torques exactly; "
-            f"these are the nearest that can be, {cost:.2g} N m RMS away in random motion (of {of:.3g} N m); {margin}"
-        )
+        away = "in the torque of the data used"
+        if self.nearest_in == "random motion":
+            cost = float(np.sqrt(np.mean(self.torque_rms**2)))
+            of = float(np.sqrt(np.mean(self.torque_rms_of_motion**2)))
+            away = f"{cost:.2g} N m RMS away in random motion (of {of:.3g} N m)"
+        return f"no real bodies and passive drives give the identified torques exactly; these are the nearest that can be, {away}; {margin}"
 
 
 def standard_parameters(
@@ -85,8 +87,8 @@ def standard_parameters(
     """Return real bodies for every link with `K chi = beta` exactly that are closest to CAD: least entropic divergence from it.
 
     Where no real bodies have beta, either beta is kept, with the impossible bodies closest to CAD in the metric there, or (`nearest`) the nearest possible beta takes its
-    place: least `(K chi - beta)^T A (K chi - beta)` with the `information` matrix A (p, p) of the estimate, or, where none is given, that of random motion (least RMS
-    torque difference); then again the bodies closest to CAD. The nearest has passive drives, too. Otherwise drive parameters that beta tells by themselves stay as they
+    place: least `(K chi - beta)^T A (K chi - beta)` with the `information` matrix A (p, p) of the data used (least weighted torque difference there), or, where none is
+    given, that of random motion (least RMS torque difference); then again the bodies closest to CAD. The nearest has passive drives, too. Otherwise drive parameters that beta tells by themselves stay as they
     are; an armature that shares a base parameter with a link is not negative.
 
     Convex throughout: a conic program for how deep inside `K chi = beta` leads, Newton's method for the closest (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020;
@@ -103,7 +105,8 @@ def standard_parameters(
     moving = np.any(coordinates.dependent[cad.non_negative] != 0.0, axis=1)
     shared = BodyBounds(drives.rows[moving], drives.offsets[moving], tuple(np.array(drives.labels)[moving]))
     told = drives.rows[~moving] @ (coordinates.kept @ asked)
-    motion, of_motion = _random_motion(model, base, asked)
+    motion = random_motion_rows(model, base)
+    of_motion = _joint_rms(motion @ asked, model.n_joints)
     with one_blas_thread():
         chi, part = deepest_inside(cad, coordinates, asked, shared)
         exact = part > EXACT_PART and not (nearest and np.any(told < 0.0))
@@ -116,7 +119,6 @@ def standard_parameters(
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         chi = _closest_above(cad, coordinates, chi, part, shared) if possible else _closest_in_metric(cad, coordinates, asked)
     kept = base.regrouping @ chi
-    _, difference = _random_motion(model, base, kept - asked)
     return StandardParameters(
         parameters=chi,
         beta=kept,
@@ -125,8 +127,9 @@ def standard_parameters(
         part=float(cad.relative_eigenvalues(chi).min()),
         smallest_eigenvalue=float(np.linalg.eigvalsh(pseudo_inertias(chi[: 10 * cad.n_links].reshape(-1, 10))).min()),
         divergence=cad.divergence(chi),
-        torque_rms=difference,
+        torque_rms=_joint_rms(motion @ (kept - asked), model.n_joints),
         torque_rms_of_motion=of_motion,
+        nearest_in="random motion" if information is None else "the data used",
         notes=cad.notes,
     )
 
@@ -195,8 +198,8 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
     return triangular_factor(np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))]))
 
 
-def _random_motion(model: RobotModel, base: BaseParameters, beta: Array) -> tuple[Array, Array]:
-    """Return the observation matrix (N n, p) of random motion, the same at every call, and the RMS torque (n,) of beta there."""
+def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
+    """Return the observation matrix (N n, p) of random motion within the limits of the robot, sample by sample, the same at every call."""
     rng = np.random.default_rng(RANDOM_SEED)
     limits = [joint.limits for joint in model.joints]
     reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
@@ -205,5 +208,8 @@ def _random_motion(model: RobotModel, base: BaseParameters, beta: Array) -> tupl
     shape = (RANDOM_STATES, model.n_joints)
     q = rng.uniform(low, high, shape)
     qd, qdd = rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape), rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape)
-    W = observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
-    return W, np.sqrt(np.mean((W @ beta).reshape(shape) ** 2, axis=0))
+    return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
+
+
+def _joint_rms(torque: Array, n_joints: int) -> Array:
+    return np.asarray(np.sqrt(np.mean(torque.reshape(-1, n_joints) ** 2, axis=0)))

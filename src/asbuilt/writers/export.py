@@ -13,26 +13,43 @@ from numpy.typing import NDArray
 from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.description.xml import described_text, outermost_tag
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.errors import DescriptionError, InertiaError, UsageError
+from asbuilt.identification.cad_prior import cad_prior
+from asbuilt.identification.impossibility import why_impossible
 from asbuilt.identification.result import IdentificationResult
+from asbuilt.identification.standard_parameters import StandardParameters, random_motion_rows
+from asbuilt.tables import significant
+from asbuilt.validation.significance import chi_square
+from asbuilt.validation.stand_in import BADLY, StandIn, stand_in
 from asbuilt.writers.c_code import write_c
 from asbuilt.writers.mjcf import write_mjcf
-from asbuilt.writers.physical import refuse_impossible
+from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.robot_toml import as_built_model, as_built_parameters, write_robot_toml
 from asbuilt.writers.urdf import write_urdf
 
 Array = NDArray[np.float64]
 Place = str | os.PathLike[str]
 
+CURES = (
+    "Identify with real bodies imposed (identify --method consistent, or entropic), which the report then judges; let it find how the robot stands "
+    "(--mounting estimate), for free links imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate what those lack"
+)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Say which files were written, by kind, and for each what its reader must know."""
+    """Say which files were written, by kind, and for each what its reader must know.
+
+    `cost` holds a model that is only the nearest possible against the identified one, on the recordings; None where the identified torques are kept exactly, or the
+    result carries no evidence. `beyond` says how far apart the two are where no recording was.
+    """
 
     robot: str
     verdict: str
     files: dict[str, Path]
     notes: dict[str, tuple[str, ...]]
+    cost: StandIn | None = None
+    beyond: str = ""
 
     def as_document(self) -> dict[str, Any]:
         """Return the export as plain texts and lists."""
@@ -41,11 +58,16 @@ class Export:
             "verdict": self.verdict,
             "files": {kind: str(path) for kind, path in self.files.items()},
             "notes": {kind: list(notes) for kind, notes in self.notes.items()},
+            "cost": None if self.cost is None else self.cost.as_document(),
         }
 
     def as_text(self) -> str:
         """Return the files and notes, one a line."""
         lines = [f"{self.robot} as built: {self.verdict}"]
+        if self.cost is not None:
+            lines += ["", *self.cost.table().as_text().splitlines(), ""]
+        if self.beyond:
+            lines += [self.beyond, ""]
         for kind, path in self.files.items():
             lines += [f"  {kind:<9} {path}", *[f"            note: {note}" for note in self.notes.get(kind, ())]]
         return "\n".join(lines)
@@ -60,17 +82,18 @@ def export_result(
     c: Place | None = None,
     original: Place | None = None,
     nearest: bool = False,
+    force: bool = False,
 ) -> Export:
     """Write the identified robot into each file asked for; a `.c` file comes with its header.
 
     `original` is the URDF that is edited; by default the description the robot was identified with, where that was a URDF and is still there.
     Without one the URDF is written afresh, without shapes. The standard parameters are real bodies that give the identified torques exactly and are
-    closest to CAD; where there are none, `nearest` takes the real ones that lose least of the fit.
+    closest to CAD; where there are none, `nearest` takes the real ones whose torque on the data used differs least.
 
     Raises
     ------
     InertiaError
-        If no rigid bodies and drives can have this model; nothing is written then.
+        If no rigid bodies and drives can have this model, or the nearest that can predicts the recordings badly and `force` is not set; nothing is written then.
     UsageError
         If no file is asked for.
     """
@@ -79,7 +102,13 @@ def export_result(
     if original is not None and urdf is None:
         raise UsageError("--original is the URDF to edit, so it needs --urdf FILE to write")
     found, model = as_built_parameters(result, nearest=nearest), as_built_model(result, nearest=nearest)
-    refuse_impossible(model, "write the nearest possible robot (--nearest)")
+    if impossibilities(model):
+        raise InertiaError(
+            f"{result.robot} is not exported, for no robot can have this model: {_reasons(result, model)}. {CURES}; or write the nearest robot that can be (--nearest)"
+        )
+    cost = None if found.exact else stand_in(result, found.beta)
+    if not (found.exact or force):
+        _refuse_bad(result, found, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     carried = (*_left_out(result.base.drive), *_kept(result))
@@ -95,7 +124,48 @@ def export_result(
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = carried
-    return Export(result.robot, found.verdict, files, {kind: said for kind, said in notes.items() if said})
+    said_of = {kind: said for kind, said in notes.items() if said}
+    return Export(result.robot, found.verdict, files, said_of, cost, "" if found.exact else _beyond(result, found))
+
+
+def _reasons(result: IdentificationResult, model: RobotModel) -> str:
+    """Say which base parameters no robot has; where they alone are possible but for a drive or by rounding, what of the model is not."""
+    proof = why_impossible(result.base, cad_prior(result.model, result.base.drive), result.estimates, result.covariance)
+    return "; ".join(impossibilities(model)) if proof is None else proof.sentence
+
+
+def _refuse_bad(result: IdentificationResult, found: StandardParameters, cost: StandIn | None) -> None:
+    """Raise `InertiaError` where the nearest possible robot predicts the recordings badly."""
+    head = f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings badly"
+    if cost is not None:
+        if cost.bad or cost.worse_than_cad:
+            raise InertiaError(f"{head}: on {cost.judged_by}, {cost.complaint()}. {CURES}; or write it all the same (--nearest --force)")
+        return
+    grown = _error_growth(result, found.beta)
+    if grown > BADLY:
+        raise InertiaError(
+            f"{head}: its error on the data used is {significant(grown)} times that of the identified one. {CURES}; or write it all the same (--nearest --force)"
+        )
+
+
+def _error_growth(result: IdentificationResult, beta: Array) -> float:
+    """Return the weighted RMS torque error of other base parameters (p,) on the data used, in multiples of that of the estimate.
+
+    `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's own error: exact for least squares.
+    """
+    d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
+    return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
+
+
+def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
+    """Say how far apart the identified model and the one written are in random motion, and how sure the identified one is of itself there."""
+    W = random_motion_rows(result.model, result.base)
+    unsure = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
+    apart, of = (float(np.sqrt(np.mean(torque**2))) for torque in (found.torque_rms, found.torque_rms_of_motion))
+    return (
+        f"In random motion, where no recording was, the two are {significant(apart, 2)} N m RMS apart (of {significant(of)}); the standard error of the identified one "
+        f"is {significant(float(unsure), 2)} N m there."
+    )
 
 
 def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | None, tuple[str, ...]]:

@@ -25,6 +25,9 @@ Array = NDArray[np.float64]
 SAME_LENGTH = 1e-12
 """Letters are written for a length where they give it to within this [m]."""
 
+QUIETEST = 1e-6
+"""Noise of a joint, as a part of the largest, below which its weight grows no further: simulations have none."""
+
 INFORMATION_TOLERANCE = 1e-13
 """Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
 
@@ -35,13 +38,25 @@ _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 def as_built_parameters(result: IdentificationResult, *, nearest: bool = False) -> StandardParameters:
     """Return standard parameters of the whole robot as built, drives included: real bodies closest to CAD that give the identified torques exactly.
 
-    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones that lose least of the fit.
+    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose torque on the data used differs least, joints weighted by their noise.
     """
+    return standard_parameters(result.model, result.base, result.estimates, nearest=nearest, information=_torque_information(result))
+
+
+def _torque_information(result: IdentificationResult) -> Array:
+    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used: from the evidence, or else the inverse of the textbook covariance."""
+    if result.evidence is not None:
+        places = result.evidence.places(result.base.names)
+        quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
+        rows = [
+            factor[:, places] / max(float(sigma), quietest)
+            for factor, sigma in zip(result.evidence.whole(result.evidence.fitted), result.sigma, strict=True)
+        ]
+        return np.asarray(sum(R.T @ R for R in rows))
     covariance = np.array(result.textbook_covariance)
     size = np.sqrt(np.diag(covariance))
     size[size == 0.0] = 1.0
-    information = np.linalg.pinv(covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True) / np.outer(size, size)
-    return standard_parameters(result.model, result.base, result.estimates, nearest=nearest, information=information)
+    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True) / np.outer(size, size))
 
 
 def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
