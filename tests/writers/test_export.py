@@ -136,8 +136,9 @@ def test_command_refuses_without_writing(tmp_path: Path, capsys: pytest.CaptureF
     status, _, err = call(capsys, "export", stored)
     assert status == 2
     assert "--urdf, --mjcf, --toml or --c" in err
-    assert call(capsys, "export", stored, "--c", tmp_path / "robot.cpp", "--nearest")[0] == 2
+    assert call(capsys, "export", stored, "--c", tmp_path / "robot.cpp", "--nearest", "--force")[0] == 2
     assert call(capsys, "export", stored, "--mjcf", target, "--original", target)[0] == 2
+    assert call(capsys, "export", stored, "--mjcf", target, "--force")[0] == 2
     assert call(capsys, "export", tmp_path / "nowhere.json", "--mjcf", target)[0] in (1, 2)
 
 

@@ -95,12 +95,16 @@ def export_result(
     InertiaError
         If no rigid bodies and drives can have this model, or the nearest that can predicts the recordings badly and `force` is not set; nothing is written then.
     UsageError
-        If no file is asked for.
+        If no file is asked for, or options do not go together.
     """
     if all(place is None for place in (urdf, mjcf, toml, c)):
         raise UsageError("nothing to export: name at least one file with --urdf, --mjcf, --toml or --c")
     if original is not None and urdf is None:
         raise UsageError("--original is the URDF to edit, so it needs --urdf FILE to write")
+    if force and not nearest:
+        raise UsageError(
+            "--force writes the nearest possible robot whatever it costs, so it needs --nearest; an impossible robot is never written"
+        )
     found, model = as_built_parameters(result, nearest=nearest), as_built_model(result, nearest=nearest)
     if impossibilities(model):
         raise InertiaError(
