@@ -14,7 +14,7 @@ from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.recursion import BLOCK
-from asbuilt.dynamics.regressor import RegressorPlan, joint_observations, joint_support, observation_matrix, regressor
+from asbuilt.dynamics.regressor import RegressorPlan, joint_support, observation_matrix, regressor
 from asbuilt.errors import UsageError
 
 ALL = DriveSet.parse("armature,viscous,coulomb,offset")
@@ -115,7 +115,7 @@ def test_joint_rows_put_back_in_place_are_the_observation_matrix(seed):
     columns = rng.permutation(60 + 6 * drive.columns_per_joint)[: rng.integers(1, 50)]
     rebuilt = np.zeros((BLOCK + 5, 6, columns.size))
     for k, (support, rows) in enumerate(
-        zip(joint_support(model, drive, columns), joint_observations(model, drive, columns, q, qd, qdd), strict=True)
+        zip(joint_support(model, drive, columns), RegressorPlan.of(model, drive, columns).evaluate(q, qd, qdd), strict=True)
     ):
         rebuilt[:, k, support] = rows.T
     whole = observation_matrix(model, q, qd, qdd, drive=drive)
@@ -202,5 +202,5 @@ def test_wrong_memory_is_refused():
 
 def test_no_columns_are_no_work():
     model, q, qd, qdd = drawn(0, 3)
-    assert [rows.shape for rows in joint_observations(model, NO_DRIVE, [], q, qd, qdd)] == [(0, 9)] * 3
+    assert [rows.shape for rows in RegressorPlan.of(model, NO_DRIVE, []).evaluate(q, qd, qdd)] == [(0, 9)] * 3
     assert observation_matrix(model, q, qd, qdd, columns=[]).shape == (27, 0)

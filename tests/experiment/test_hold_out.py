@@ -27,7 +27,6 @@ def test_blocks_count_from_where_the_recording_began_whatever_was_trimmed():
     trimmed = whole.between(7.8, 60.0)
     assert trimmed.origin == 7.0
     np.testing.assert_allclose(hold_out(trimmed, "blocks:5s:3")[1].t[0], 17.0)
-    assert trimmed.time_blocks(5.0)[0].t[-1] < 12.0
 
 
 def test_last_holds_the_last_share():
@@ -46,15 +45,6 @@ def test_no_held_out_torque_reaches_the_training_rows():
     )
     np.testing.assert_array_equal(other.filtered_torque, train.filtered_torque)
     assert np.min(np.abs(train.filtered_times[:, None] - held.t[None, ::500])) > samples.parallel.margin / 100.0 - 1e-9
-
-
-def test_time_blocks_tile_the_filtered_samples():
-    samples = made(parallel=design_parallel_filter(4.0, 100.0, 5), segments=((0, 1234), (1300, 6000)))
-    blocks = samples.time_blocks(5.0)
-    np.testing.assert_array_equal(np.concatenate([block.filtered_times for block in blocks]), samples.filtered_times)
-    np.testing.assert_array_equal(np.concatenate([block.filtered_torque for block in blocks]), samples.filtered_torque)
-    plain = made()
-    assert [block.n_samples for block in plain.time_blocks(7.0)] == [700] * 8 + [400]
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from asbuilt.writers.tabular import (
     base_document,
     identify_document,
     json_text,
-    metrics_table,
     prediction_table,
     validate_document,
     write_json,
@@ -80,8 +79,6 @@ def test_validation_tables(example: Any) -> None:
     validation = validate(example.result, example.held_out)
     document = json.loads(json_text(validate_document(example.result, [validation])))
     assert document["validation"][0]["rms"] == validation.metrics_as_built.rms.tolist()
-    table = metrics_table([("as built", validation.metrics_as_built), ("CAD", validation.metrics_cad)])
-    assert len(table.rows) == 8
     predicted = prediction_table(validation)
     assert len(predicted.rows) == len(validation.t)
     assert len(predicted.columns) == 13

@@ -18,11 +18,6 @@ def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:
     return (len(PARAMETER_NAMES) + drive.columns_per_joint) * model.n_joints
 
 
-def parameter_ids(model: RobotModel, drive: DriveSet = NO_DRIVE) -> NDArray[np.int64]:
-    """Return the ids of the standard parameters, 1 ... n_standard."""
-    return np.arange(1, parameter_count(model, drive) + 1)
-
-
 def parameter_names(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
     """Return the names of the standard parameters: `Ixx1 ... m1 Ixx2 ... mn`, then `Ia1 Fv1 Fc1 Fo1 Ia2 ...` as chosen."""
     numbers = range(1, model.n_joints + 1)

@@ -219,14 +219,3 @@ def regressor(model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, dr
     if np.shape(q) != (model.n_joints,):
         raise UsageError(f"q must be one sample of shape ({model.n_joints},), got {np.shape(q)}; observation_matrix takes many")
     return observation_matrix(model, q, qd, qdd, drive=drive)
-
-
-def joint_observations(
-    model: RobotModel, drive: DriveSet, columns: ArrayLike, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, out: Array | None = None
-) -> list[Array]:
-    """Return the rows of each joint without structural zeros, samples innermost: shape (n_support_k, n_samples) for joint k.
-
-    `joint_support` says which columns they are. `out` is reused memory from `RegressorPlan.buffer`; for millions of samples keep a `RegressorPlan`.
-    """
-    qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
-    return list(_planned(model, drive, columns).evaluate(qs, qds, qdds, out))

@@ -146,10 +146,6 @@ class Recording:
             gains=None if self.gains is None else tuple(self.gains[k] for k in order),
         )
 
-    def renamed(self, names: Sequence[str]) -> Recording:
-        """Return the recording with other joint names, in the order of its columns."""
-        return replace(self, joint_names=tuple(names))
-
     def between(self, start: float, stop: float) -> Recording:
         """Return the samples with `start <= t < stop` [s]."""
         return self.taken((self.t >= start) & (self.t < stop), f"no sample between {start:g} s and {stop:g} s")

@@ -116,42 +116,6 @@ class Samples:
         for a, b in self.segments:
             edges = np.flatnonzero(np.diff(np.concatenate([[0], mask[a:b].astype(np.int8), [0]]))) + a
             ranges.extend(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-        return self._taken(ranges)
-
-    def between(self, start: float, stop: float) -> Samples:
-        """Return the samples with `start <= t < stop` [s]."""
-        return self.select((self.t >= start) & (self.t < stop))
-
-    def outside(self, windows: Sequence[tuple[float, float]]) -> Samples:
-        """Return the samples whose instants lie in none of the half-open windows (start, stop) [s]."""
-        keep = np.ones(self.n_samples, dtype=bool)
-        for start, stop in windows:
-            keep &= (self.t < start) | (self.t >= stop)
-        return self.select(keep)
-
-    def time_blocks(self, seconds: float) -> list[Samples]:
-        """Divide into blocks of about `seconds` [s] whose filtered samples, put together, are exactly those of the whole, each once.
-
-        Blocks begin at multiples of `seconds` after `origin`. Where a parallel filter is still to come, each block brings along the `margin` samples
-        on either side that its own outputs need, so neighbouring blocks share inputs but no output.
-        """
-        if not seconds > 0:
-            raise UsageError(f"blocks must last longer than 0 s, got {seconds:g}")
-        blocks: dict[int, list[tuple[int, int]]] = {}
-        step = self.parallel.decimation if self.parallel else 1
-        margin = self.parallel.margin if self.parallel else 0
-        for a, b in self.segments:
-            centres = a + margin + step * np.arange(self._n_outputs(b - a))
-            number = np.floor((self.t[centres] - self.origin) / seconds + 1e-9).astype(int)
-            for k in np.unique(number).tolist():
-                own = centres[number == k]
-                blocks.setdefault(k, []).append((int(own[0]) - margin, int(own[-1]) + margin + 1))
-        return [self._taken(blocks[k]) for k in sorted(blocks)]
-
-    def _n_outputs(self, n_inputs: int) -> int:
-        return self.parallel.n_outputs(n_inputs) if self.parallel else n_inputs
-
-    def _taken(self, ranges: Sequence[tuple[int, int]]) -> Samples:
         if not ranges:
             raise RecordingError(f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and {self.t[-1]:g} s")
         stops = np.cumsum([b - a for a, b in ranges]).tolist()
@@ -170,6 +134,20 @@ class Samples:
             tau_raw=take(self.tau_raw),
             segments=segments,
         )
+
+    def between(self, start: float, stop: float) -> Samples:
+        """Return the samples with `start <= t < stop` [s]."""
+        return self.select((self.t >= start) & (self.t < stop))
+
+    def outside(self, windows: Sequence[tuple[float, float]]) -> Samples:
+        """Return the samples whose instants lie in none of the half-open windows (start, stop) [s]."""
+        keep = np.ones(self.n_samples, dtype=bool)
+        for start, stop in windows:
+            keep &= (self.t < start) | (self.t >= stop)
+        return self.select(keep)
+
+    def _n_outputs(self, n_inputs: int) -> int:
+        return self.parallel.n_outputs(n_inputs) if self.parallel else n_inputs
 
 
 def _read_only(value: ArrayLike) -> Array:

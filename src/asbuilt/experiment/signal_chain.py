@@ -103,11 +103,6 @@ class SignalChain:
         chains = [_resolved(self, *uniform_runs(recording, self.rate, self.max_gap)[:2])[0] for recording in recordings]
         return replace(max(chains, key=lambda chain: chain.cutoff or 0.0), velocity=self.velocity)
 
-    def overlap_samples(self, rate: float) -> int:
-        """Return on how many logged samples at `rate` [Hz] to either side a filtered sample depends; the chain must have a cutoff."""
-        plan = FilterPlan.of(self, rate)
-        return plan.reach + plan.shoulder
-
 
 def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> Samples:
     """Filter, differentiate, thin and trim a recording; each run of it without a gap or a rest becomes a segment.

@@ -28,7 +28,6 @@ Metric = Literal["entropic", "euclidean"]
 QUIETEST = 1e-5
 """Noise of a joint, as a fraction of its torque RMS, below which its weight grows no further: simulations have none, and programs round."""
 REWEIGHTINGS = 2
-WEIGHT_WHILE_WEIGHING = 100.0
 START_SLACK = 0.1
 """Where bounded drive parameters start, in units of their scale."""
 WEAKEST_BELIEF = 1.0

@@ -53,11 +53,6 @@ class Validation:
         return self.measured - self.predicted
 
     @property
-    def error_cad(self) -> Array:
-        """Measured torque minus the prediction by design, (N, n)."""
-        return self.measured - self.predicted_cad
-
-    @property
     def friction(self) -> Array:
         """Measured torque minus the rigid-body part of the prediction as built, (N, n): what the drives took."""
         return self.error + self.drive

@@ -18,7 +18,6 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.experiment.attainment import Attainment
 from asbuilt.experiment.checks import RecordingCheck
 from asbuilt.identification.determination import determination
-from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Column, Table
@@ -148,19 +147,6 @@ def identified_table(result: IdentificationResult) -> Table:
 def write_parameters_csv(path: str | os.PathLike[str], result: IdentificationResult) -> Path:
     """Write the base parameters of a result as CSV: id, name, expression, symbolic, unit, cad, estimate, std_error, determined."""
     return atomic_write(path, identified_table(result).as_csv())
-
-
-def metrics_table(metrics: Sequence[tuple[str, TorqueMetrics]]) -> Table:
-    """Return torque metrics, one row per joint, of several (what, metrics) such as ("as built", ...) and ("CAD", ...)."""
-    heads = tuple(Column(name) for name in ("parameters", "recording", "joint", "rms", "max_abs", "r_squared", "relative_error"))
-    rows = tuple(
-        (what, item.source, joint, float(rms), float(largest), float(r2), float(relative))
-        for what, item in metrics
-        for joint, rms, largest, r2, relative in zip(
-            item.joint_names, item.rms, item.max_abs, item.r_squared, item.relative_error_per_joint, strict=True
-        )
-    )
-    return Table(heads, rows)
 
 
 def prediction_table(validation: Validation) -> Table:

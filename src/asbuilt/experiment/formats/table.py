@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,10 +32,6 @@ class Table:
     def n_samples(self) -> int:
         """Number of rows."""
         return next(iter(self.columns.values())).size if self.columns else 0
-
-    def with_columns(self, columns: Mapping[str, Array]) -> Table:
-        """Return the table with other columns."""
-        return replace(self, columns=columns)
 
 
 def table_from_variables(source: str, variables: Mapping[str, Array]) -> Table:
