@@ -69,7 +69,7 @@ def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
         ("stribeck:velocity=fast", "name=number"),
         ("smooth_coulomb:width=0.1/0.2", "one per joint"),
         ("spring:joints=12", "names joint 12"),
-        ("auto,viscous", "unknown drive term 'auto'"),
+        ("auto,sprang", "did you mean 'spring'"),
     ],
 )
 def test_wrong_terms_say_what_is_right(capsys, tmp_path, drive, said):
@@ -120,7 +120,7 @@ def test_gains_pasted_into_the_next_command_are_right(capsys, tmp_path, pair, sh
     np.testing.assert_allclose(np.array(found["in_use"]) * found["factors"], found["gains"])
 
     pasted = document(capsys, *weighing(pair), *described, *turned, found["option"])
-    assert np.all(np.abs(np.array(pasted["factors"]) - 1.0) < 0.01 * np.array(pasted["factor_std_errors"]))
+    assert np.all(np.abs(np.array(pasted["factors"]) - 1.0) < 0.05 * np.array(pasted["factor_std_errors"]))
     (tmp_path / "corrected.toml").write_text(
         "\n".join([*(line for line in (sheet or "").split("\n") if "gains" not in line), found["sheet"]])
     )

@@ -67,6 +67,7 @@ def identify(
 ) -> None:
     """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
     from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.identification.drive_choice import is_auto
     from asbuilt.validation.payload_study import run_payload_study
     from asbuilt.validation.study import StudyOptions, run_study
     from asbuilt.writers.payload_tables import payload_document, payload_text
@@ -74,7 +75,7 @@ def identify(
 
     model, swept = described_robot(robot), filtering.cutoff == "auto"
     options = StudyOptions(
-        drive=None if drive is None else "auto" if drive.strip() == "auto" else DriveSet.parse(drive),
+        drive=None if drive is None else drive if is_auto(drive) else DriveSet.parse(drive),
         method=one_of("--method", method, list(methods)),
         chain=replace(filtering, cutoff=None if swept else filtering.cutoff).chain(),
         sweep_cutoff=swept,

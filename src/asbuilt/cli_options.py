@@ -34,7 +34,7 @@ Drive = Annotated[
     typer.Option(
         "--drive",
         metavar="LIST",
-        help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto",
+        help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto (auto,spring: chosen, with a spring)",
     ),
 ]
 

@@ -11,11 +11,11 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
-from asbuilt.description.model import DriveValues
+from asbuilt.description.model import DriveValues, JointLimits
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.readers import read_recordings
@@ -40,7 +40,9 @@ def elbow(**changes):
             6.0 / (k + 1), rng.uniform(-0.1, 0.1, 3), np.trace(square @ square.T) * np.eye(3) - square @ square.T
         )
         rows.append(DHRow(a=a, alpha=alpha, b=b, inertia=inertia))
-    return replace(robot_from_dh(rows, name="elbow"), **changes)
+    robot = robot_from_dh(rows, name="elbow")
+    joints = tuple(replace(joint, limits=JointLimits(velocity=3.0)) for joint in robot.joints)
+    return replace(robot, **({"joints": joints} | changes))
 
 
 def recorded(model, drive, values, *, seed=1, noise=0.02, duration=40.0, source="sensor"):
@@ -54,23 +56,23 @@ def recorded(model, drive, values, *, seed=1, noise=0.02, duration=40.0, source=
 
 def test_a_stribeck_velocity_comes_back_joint_by_joint():
     model = elbow()
-    truth = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.1/0.25/0.5,offset")
+    truth = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.05/0.1/0.2,offset")
     samples = recorded(model, truth, np.tile([0.5, 1.0, 1.5, 0.2], 3))
     found = fit_shapes(model, DriveSet.parse("viscous,coulomb,stribeck,offset"), [samples])
     assert found.drive.is_shaped
-    np.testing.assert_allclose(found.shapes[0].values, [0.1, 0.25, 0.5], rtol=0.1)
+    np.testing.assert_allclose(found.shapes[0].values, [0.05, 0.1, 0.2], rtol=0.1)
     assert np.all(found.shapes[0].told)
     assert "fitted by variable projection" in found.sentences(model.joint_names)[0]
 
 
 def test_two_shapes_come_back_together():
     model = elbow()
-    truth = DriveSet.parse("smooth_coulomb:width=0.1,power:exponent=2.5,offset")
+    truth = DriveSet.parse("smooth_coulomb:width=0.1,power:exponent=1.8,offset")
     samples = recorded(model, truth, np.tile([2.0, 0.5, 0.2], 3), noise=0.005)
     found = fit_shapes(model, DriveSet.parse("smooth_coulomb,power,offset"), [samples])
     values = {shape.term: shape.values for shape in found.shapes}
     np.testing.assert_allclose(values["smooth_coulomb"], 0.1, rtol=0.1)
-    np.testing.assert_allclose(values["power"], 2.5, rtol=0.1)
+    np.testing.assert_allclose(values["power"], 1.8, rtol=0.1)
 
 
 def test_a_shape_that_the_data_do_not_tell_keeps_its_default():
@@ -113,14 +115,38 @@ def test_a_coupled_wrist_comes_back():
     np.testing.assert_array_equal(stored.predict(samples).predicted, result.predict(samples).predicted)
 
 
-def test_the_choice_finds_what_was_put_in_and_where():
+@pytest.mark.parametrize(("velocity", "at_bound"), [(0.4, True), (0.7, False)])
+def test_what_fades_at_speed_is_no_stribeck_friction(velocity, at_bound):
     model = elbow()
-    truth = DriveSet.parse("viscous,coulomb,spring:joints=2,stribeck:velocity=0.2,offset")
-    values = np.tile([0.5, 1.0, 2.0, 3.0, 0.2], 3)
+    asked = DriveSet.parse("viscous,coulomb,stribeck,offset")
+    truth = DriveSet.parse(f"viscous,coulomb,stribeck:velocity={velocity},offset")
+    samples = recorded(model, truth, np.tile([0.5, 1.0, 1.5, 0.2], 3))
+    found = fit_shapes(model, asked, [samples]).shapes[0]
+    assert not found.told.any()
+    assert found.at_bound.all() == at_bound
+    np.testing.assert_allclose(found.highest, 0.3)
+    warnings = settle_drive(model, [samples], asked).warnings
+    assert any("friction there is of another kind" in warning for warning in warnings) == at_bound
+    assert "stribeck" not in choose_drive(model, [samples]).drive.keys
+
+
+def test_the_choice_finds_what_was_put_in_and_where():
+    model = elbow(gravity=np.array([0.0, 4.0, -9.0]))
+    truth = DriveSet.parse("viscous,coulomb,load_friction:joints=2,stribeck:joints=1/3:velocity=0.1,offset")
+    values = np.tile([0.5, 1.0, 2.0, 0.2, 0.2], 3)
     choice = choose_drive(model, [recorded(model, truth, values, noise=0.05)])
-    assert {"spring", "stribeck"} <= set(choice.drive.keys)
-    assert next(term for term in choice.drive.terms if term.key == "spring").is_at(1)
-    assert "chosen on held-out blocks" in choice.sentences[0]
+    assert {str(replace(term, **{shape.name: None for shape in term.shapes})) for term in choice.drive.terms} == {
+        "viscous",
+        "coulomb",
+        "load_friction:joints=2",
+        "stribeck:joints=1/3",
+        "offset",
+    }
+    stribeck = next(term for term in choice.drive.terms if term.key == "stribeck")
+    np.testing.assert_allclose([stribeck.at(k).value("velocity") for k in (0, 2)], 0.1, rtol=0.1)
+    assert "chosen beside viscous, coulomb, offset" in choice.sentences[0]
+    assert choice.gain.exceeds(3.0)
+    assert all(addition.taken == (addition.objection is None) for addition in choice.additions if addition.gain.exceeds(5.0))
     judged = recorded(model, truth, values, noise=0.05, seed=5)
     errors = [
         validate(identify(model, recorded(model, truth, values, noise=0.05), drive=drive), judged).metrics_as_built.rms
@@ -128,6 +154,38 @@ def test_the_choice_finds_what_was_put_in_and_where():
     ]
     assert np.all(errors[1] < errors[0])
     np.testing.assert_allclose(errors[1], 0.05, rtol=0.15)
+
+
+def test_viscous_friction_gives_way_to_a_power_of_speed():
+    model = elbow()
+    truth = DriveSet.parse("power:exponent=0.6,coulomb,offset")
+    choice = choose_drive(model, [recorded(model, truth, np.tile([1.0, 2.0, 0.2], 3))])
+    assert choice.drive.keys == ("coulomb", "power", "offset")
+    power = next(term for term in choice.drive.terms if term.key == "power")
+    np.testing.assert_allclose([power.at(k).value("exponent") for k in range(3)], 0.6, atol=0.06)
+
+
+def test_springs_are_for_those_who_ask():
+    model = elbow()
+    truth = DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
+    samples = recorded(model, truth, np.tile([0.5, 1.0, 0.2, 3.0], 3), noise=0.05)
+    assert "spring" not in choose_drive(model, [samples]).drive.keys
+    asked = settle_drive(model, [samples], "auto,spring:joints=2")
+    assert asked.drive == DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
+    with pytest.raises(UsageError, match="did you mean 'spring'"):
+        settle_drive(model, [samples], "auto,sprang")
+    with pytest.raises(UsageError, match="do not leave a choice"):
+        settle_drive(model, [samples], "viscous")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_friction_that_drives_is_not_believed(seed):
+    """Where speed sheds friction of the wrong sign, as an unmodelled effect would, no candidate takes it in."""
+    model = elbow()
+    truth = DriveSet.parse("viscous,coulomb,load_friction,offset")
+    choice = choose_drive(model, [recorded(model, truth, np.tile([0.5, 1.0, -0.05, 0.2], 3), seed=seed)])
+    assert "load_friction" not in choice.drive.keys
+    assert any("comes out negative" in (addition.objection or "") for addition in choice.additions)
 
 
 def test_the_defaults_stay_where_nothing_else_is_there():
@@ -138,7 +196,7 @@ def test_the_defaults_stay_where_nothing_else_is_there():
     assert "kept" in choice.sentences[0]
     short = choose_drive(model, [samples.between(0.0, 2.5)])
     assert short.drive == PLAIN
-    assert not short.trials
+    assert "too few to choose" in short.sentences[0]
 
 
 def test_parameters_at_the_motor():
@@ -167,6 +225,7 @@ def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
     )
     choice = choose_drive(model, [train])
     assert "load_friction" in choice.drive.keys
+    assert not {"spring", "balancer", "cubic"} & set(choice.drive.keys)
     plain, rich = (
         validate(identify(model, train, drive=drive), judged).metrics_as_built.rms for drive in (DriveSet.default("current"), choice.drive)
     )
@@ -174,14 +233,13 @@ def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
     assert np.all(rich[1:3] < 0.75 * plain[1:3])
 
 
-def test_springs_pay_on_a_recorded_med7(shared):
+def test_a_recorded_med7_keeps_its_defaults(shared):
+    """Its sensors see no gears, and what is left of the torque is the mounting, which no friction is."""
     model = load_robot(str(shared / "models" / "lbrstack_med7.urdf"))
     log = shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"
     samples = prepare_samples(read_recordings([log], model=model, rate=100.0, flip_torque=True)[0])
-    train, judged = hold_out(samples, "blocks:5s:3")
-    choice = choose_drive(model, [train], default=PLAIN)
-    plain, rich = (validate(identify(model, train, drive=drive), judged).metrics_as_built.rms for drive in (PLAIN, choice.drive))
-    assert np.exp(np.mean(np.log(rich / plain))) < 0.9
+    train, _ = hold_out(samples, "blocks:5s:3")
+    assert choose_drive(model, [train], default=PLAIN).drive == PLAIN
 
 
 def test_bundled_robots_accept_every_default():

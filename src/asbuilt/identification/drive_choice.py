@@ -1,10 +1,10 @@
-"""Which drive terms a recording supports, judged by time blocks held out."""
+"""Which drive terms a recording supports: credible as physics, and worth it on time blocks held out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,195 +13,301 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.errors import UsageError
+from asbuilt.identification.drive_candidates import CandidateColumns, Choice, Folds, Placed, candidates, chosen_drive
 from asbuilt.identification.drive_shapes import fit_shapes
 from asbuilt.identification.identify import LARGE_CONDITION
-from asbuilt.identification.least_squares import fit_least_squares, solve_factor
-from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
+from asbuilt.identification.least_squares import fit_least_squares
+from asbuilt.identification.square_root_information import accumulate_stream
 from asbuilt.identification.torque_prediction import carrying
-from asbuilt.identification.triangular import triangular_factor
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 
-CANDIDATES = ("smooth_coulomb", "stribeck", "power", "cubic", "asymmetric_viscous", "load_friction", "spring", "balancer", "armature")
-"""Terms that are tried beside the defaults."""
-STANDS_FOR = {"smooth_coulomb": "coulomb", "asymmetric_viscous": "viscous", "asymmetric_coulomb": "coulomb"}
-"""Terms that take the place of a simpler one."""
+AUTO = "auto"
 FOLDS = 8
-FEWEST_BLOCKS = 4
-"""With fewer time blocks nothing can be held out and the defaults stay."""
+OUTER_FOLDS = 6
+"""Folds on which the whole choice is repeated and judged."""
+FEWEST_BLOCKS = 6
+"""With fewer time blocks nothing can be held out twice and the defaults stay."""
 WORTH = 0.005
-"""A term is worth taking where it lowers the held-out error by this fraction, as a geometric mean over joints."""
+"""A term is worth taking at a joint where it lowers the joint's held-out error by this fraction,"""
 CERTAIN = 2.0
-"""and by this many standard errors from fold to fold."""
-HELPED = 0.02
-"""A joint whose held-out error a term lowers by this fraction keeps it, where it does not help all."""
-MOST_ADDED = 5
+"""and by this many standard errors from fold to fold, at the joint and over all joints;"""
+CERTAIN_TOGETHER = 1.0
+"""all terms together are worth taking where the choice, repeated without blocks that then judge it, lowers the error by one standard error."""
+MOST_PER_JOINT = 4
+MAY_BE_NEGATIVE = frozenset({"offset", "spring", "balancer"})
+"""Terms whose parameters have no sign; all others are inertia or friction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DriveTrial:
-    """Hold a set of drive terms and what it makes of blocks held out: RMS error per joint (n,) and, as `error`, its geometric mean.
+class Gain:
+    """By how much something lowers the torque error on blocks held out: the fall of the logarithm of the RMS error, its mean over folds (and joints) and the standard error from fold to fold."""
 
-    `bic` is the Bayesian information criterion on all blocks, less that of the defaults. `gain` is the fraction by which the error fell against the set it
-    was tried against, `gain_error` its standard error from fold to fold.
-    """
+    log: float
+    std_error: float
 
-    drive: DriveSet
-    n_parameters: int
-    rms: Array
-    error: float
-    bic: float
-    gain: float
-    gain_error: float
+    @classmethod
+    def between(cls, before: Array, after: Array) -> Gain:
+        """Return the gain from squared errors before and after, (folds,) or (folds, n)."""
+        logs = 0.5 * np.log(before / after).reshape(len(before), -1).mean(axis=1)
+        return cls(float(logs.mean()), float(np.std(logs, ddof=1) / np.sqrt(len(logs))))
+
+    @property
+    def fraction(self) -> float:
+        """Part of the error that it takes away."""
+        return -float(np.expm1(-self.log))
+
+    def exceeds(self, errors: float) -> bool:
+        """Whether the gain is larger than so many of its standard errors."""
+        return self.log > errors * self.std_error
+
+    def __str__(self) -> str:
+        return f"{100 * self.fraction:.1f} +- {100 * self.std_error * (1.0 - self.fraction):.1f} %"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Addition:
+    """A term at a joint (from 0) that was looked at, what it gains the joint there, and why it is not credible, if so; `taken` says whether it was."""
+
+    joint: int
+    term: str
+    gain: Gain
+    objection: str | None
+    taken: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveChoice:
-    """The drive terms chosen, with shapes stated, among `trials`; `sentences` say why, `warnings` what speaks against them."""
+    """The drive terms chosen, with shapes stated; `sentences` say why, `warnings` what speaks against them.
+
+    `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing was chosen among; `additions` are the terms that
+    were looked at beside the defaults and seemed to help.
+    """
 
     drive: DriveSet
-    trials: tuple[DriveTrial, ...] = ()
     sentences: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+    gain: Gain | None = None
+    additions: tuple[Addition, ...] = ()
 
 
-def settle_drive(model: RobotModel, samples: Sequence[Samples], drive: DriveSet | Literal["auto"] | None = None) -> DriveChoice:
-    """Return the drive terms to identify with: by torque source where `drive` is None, chosen where it is "auto", else as given with its shapes fitted.
+def settle_drive(model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None) -> DriveChoice:
+    """Return the drive terms to identify with: by torque source where `drive` is None, as given with its shapes fitted, or chosen where it is text such as "auto".
 
-    Fitted shapes are judged on held-out blocks against the set without them, and stay whatever comes of it; a warning says where they are worse.
+    "auto,spring:joints=2" has the terms beside auto in any case. Fitted shapes are judged on held-out blocks against the set without them, and stay whatever comes of it; a warning
+    says where they are worse.
     """
-    source = samples[0].torque_source
+    default = DriveSet.default(samples[0].torque_source)
     if drive is None:
-        return DriveChoice(DriveSet.default(source))
+        return DriveChoice(default)
     if isinstance(drive, str):
-        return choose_drive(model, samples)
-    if drive.is_shaped:
-        return DriveChoice(drive)
-    shaped = [term.key for term in drive.terms if term.free_shapes]
-    plain = drive.without(*shaped)
-    for key in shaped:
-        simple = STANDS_FOR.get(key)
-        if simple is not None and simple not in plain.keys:
-            plain = plain.with_term(available_terms()[simple])
-    found = fit_shapes(model, drive, samples)
-    pair = [accumulate_stream(model, find_base_parameters(model, each), samples) for each in (plain, found.drive)]
-    if pair[0].n_blocks < FEWEST_BLOCKS:
-        return DriveChoice(found.drive, (), found.sentences(model.joint_names))
-    before, after = (BlockJudge(model, information).trial(information.base.drive) for information in pair)
-    change = f"torque error on held-out blocks {100 * (after.error / before.error - 1):+.1f} % against {_named(plain)}"
-    warnings = (
-        () if after.error <= before.error else (f"Fitted {', '.join(shaped)} do not pay: {change}. Leave them out, or state their shapes.",)
-    )
-    return DriveChoice(found.drive, (before, after), (*found.sentences(model.joint_names), change), warnings)
+        return choose_drive(model, samples, default=default_with(default, drive))
+    return DriveChoice(drive) if drive.is_shaped else _shaped(model, samples, drive)
+
+
+def is_auto(text: str) -> bool:
+    """Whether a list of drive terms leaves the choice to the recording."""
+    return AUTO in [part.strip().lower() for part in text.split(",")]
+
+
+def default_with(default: DriveSet, text: str) -> DriveSet:
+    """Return the default set with the terms that stand beside auto in a list; raises UsageError where the list is not one of auto."""
+    parts = [part.strip() for part in text.split(",")]
+    if not is_auto(text):
+        raise UsageError(f"drive terms {text!r} do not leave a choice; give a DriveSet, or {AUTO!r}")
+    for term in DriveSet.parse([part for part in parts if part.lower() != AUTO]).terms:
+        default = default.with_term(term)
+    return default
 
 
 def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: DriveSet | None = None) -> DriveChoice:
-    """Choose drive terms by the error on held-out time blocks, starting from those that the torque source calls for.
+    """Choose drive terms joint by joint: those that are credible there and lower the error on held-out time blocks, beside those the torque source calls for.
 
-    One pass gives the square-root information of all candidates together, shapes fitted to the same samples beforehand; then the term that lowers
-    the held-out error most, as a geometric mean over joints, is added while it is worth it: by two standard errors from fold to fold, and where BIC agrees.
-    A term goes to all joints or to those alone that it helps. The blocks of a fold are neighbours, so that residuals which last do not leak. Where the motion
-    hardly tells the defaults apart (scaled condition number above 200) they stay.
+    Credible are the terms that declare themselves so for the torque source (springs and balancers never do: a robot has them or not), with shapes inside their credible range
+    (where the best value lies at its end, the term is not what its name says) and friction that brakes: every parameter of the term positive, and none of the
+    others turned negative. The term must lower the joint's error and that of all joints by two standard errors from fold to fold. Then the whole choice is repeated
+    without some blocks, which judge it: unless the error falls by more than one standard error there, the defaults stay (the one-standard-error rule: of models that cannot
+    be told apart, the simplest). Where the motion hardly tells the defaults apart (scaled condition number above 200), or the recording is too short, they stay too.
+
+    Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4 (one standard error); Varma and Simon, BMC
+    Bioinformatics 7, 2006 (nested choice).
     """
     start = default if default is not None else DriveSet.default(samples[0].torque_source)
+    start = start if start.is_shaped else fit_shapes(model, start, samples).drive
     plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     if plain.n_blocks < FEWEST_BLOCKS:
-        said = f"drive terms {start}: {plain.n_blocks} time blocks are too few to choose among more by holding some out"
-        return DriveChoice(start, (), (said,))
+        said = f"drive terms {_named(start)} kept: {plain.n_blocks} time blocks are too few to choose among more by holding some out"
+        return DriveChoice(start, (said,))
     fitted = fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base))
     condition = fitted.solution.scaled_condition_number
     if not condition <= LARGE_CONDITION:
         said = (
-            f"drive terms {start}: the motion hardly tells these apart (scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer "
+            f"drive terms {_named(start)} kept: the motion hardly tells these apart (scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer "
             "sets were not tried; record a richer motion"
         )
-        return DriveChoice(start, (), (said,))
+        return DriveChoice(start, (said,))
     loaded = carrying(model, plain.base, fitted.beta)
-    wide = start
-    for key in CANDIDATES:
-        if key not in start.keys:
-            term = available_terms()[key]
-            if term.free_shapes:
-                term = next(t for t in fit_shapes(loaded, start.with_term(term), samples).drive.terms if t.key == key)
-            wide = wide.with_term(term)
-    information = accumulate_stream(loaded, find_base_parameters(model, wide), samples)
-    judge = BlockJudge(model, information)
-    trials = [judge.trial(start)]
-    chosen = start
-    for _ in range(MOST_ADDED):
-        tried = [
-            trial for key in CANDIDATES if key not in chosen.keys and key in wide.keys for trial in _tried(judge, model, chosen, wide, key)
-        ]
-        if not tried:
-            break
-        trials += tried
-        worthy = [trial for trial in tried if trial.gain > CERTAIN * trial.gain_error] or tried
-        best = min(worthy, key=lambda trial: trial.error)
-        previous = judge.trial(chosen)
-        if best.gain < max(WORTH, CERTAIN * best.gain_error) or best.bic >= previous.bic:
-            break
-        chosen = best.drive
-    return _concluded(model, samples, start, chosen, trials, judge, loaded)
+    tried = candidates(model, start, samples[0].torque_source, samples)
+    with one_blas_thread():
+        columns = CandidateColumns(loaded, plain.base, tried, samples, 1.0 / fitted.sigma)
+        if columns.n_blocks < FEWEST_BLOCKS:
+            return DriveChoice(start, (f"drive terms {_named(start)} kept: {columns.n_blocks} time blocks are too few to hold some out",))
+        every = np.arange(columns.n_blocks)
+        choice, additions = _chosen(columns, every)
+        gain = _nested_gain(columns, every) if choice else None
+    return _concluded(loaded, samples, start, columns, choice, gain, additions)
 
 
-def _tried(judge: BlockJudge, model: RobotModel, chosen: DriveSet, wide: DriveSet, key: str) -> list[DriveTrial]:
-    """Try a term at all joints, then at those alone whose held-out error it lowered."""
-    every = judge.trial(_with(model, chosen, wide, key, None), against=chosen)
-    helped = np.flatnonzero(every.rms < (1.0 - HELPED) * judge.trial(chosen).rms)
-    if helped.size in (0, model.n_joints):
-        return [every]
-    some = tuple(int(k) + 1 for k in helped)
-    return [every, judge.trial(_with(model, chosen, wide, key, some), against=chosen)]
+def _chosen(columns: CandidateColumns, blocks: Indices) -> tuple[Choice, list[Addition]]:
+    """Return the candidates that these blocks support, and what was looked at on the way."""
+    folds = Folds(columns, blocks, FOLDS)
+    choice: Choice = ()
+    looked: dict[tuple[int, str], Addition] = {}
+    open_joints = list(range(columns.model.n_joints))
+    for _ in range(MOST_PER_JOINT):
+        found = [_best_at(columns, folds, choice, k, looked) for k in open_joints]
+        added = tuple(placed for placed in found if placed is not None)
+        choice, open_joints = (*choice, *added), [joint for joint, _ in added]
+    return choice, list(looked.values())
 
 
-def _with(model: RobotModel, chosen: DriveSet, wide: DriveSet, key: str, joints: tuple[int, ...] | None) -> DriveSet:
-    term = next(term for term in wide.terms if term.key == key)
-    simple = next((term for term in chosen.terms if term.key == STANDS_FOR.get(key)), None)
-    if simple is not None:
-        left = tuple(k + 1 for k in range(model.n_joints) if simple.is_at(k) and joints is not None and k + 1 not in joints)
-        chosen = chosen.without(simple.key)
-        chosen = chosen.with_term(replace(simple, joints=left)) if left else chosen
-    return chosen.with_term(replace(term, joints=joints))
+def _best_at(columns: CandidateColumns, folds: Folds, choice: Choice, joint: int, looked: dict[tuple[int, str], Addition]) -> Placed | None:
+    """Return the credible term that lowers the held-out error most at a joint, None where none is worth it; what was looked at is noted."""
+    before = folds.fit(choice)
+    there = [columns.tried[c].term for k, c in choice if k == joint]
+    taken = {term.key for term in there} | {term.stands_for for term in there if term.stands_for}
+    best: tuple[float, Placed, str] | None = None
+    for key in dict.fromkeys(each.key for each in columns.tried):
+        shaped = [c for c, each in enumerate(columns.tried) if each.key == key]
+        stands_for = columns.tried[shaped[0]].term.stands_for
+        if key in taken or stands_for in taken:
+            continue
+        placed = min(((joint, c) for c in shaped), key=lambda at: float(np.log(folds.fit((*choice, at)).held_out).mean()))
+        after = folds.fit((*choice, placed))
+        own = Gain.between(before.held_out[:, joint], after.held_out[:, joint])
+        together = Gain.between(before.held_out, after.held_out)
+        if own.fraction < WORTH or not own.exceeds(CERTAIN_TOGETHER):
+            continue
+        objection = _objection(columns, before.parameters, after.parameters, placed)
+        looked[joint, key] = Addition(joint, key, own, objection, False)
+        if objection is None and own.exceeds(CERTAIN) and together.exceeds(CERTAIN) and (best is None or together.log > best[0]):
+            best = (together.log, placed, key)
+    if best is None:
+        return None
+    looked[joint, best[2]] = replace(looked[joint, best[2]], taken=True)
+    return best[1]
+
+
+def _objection(columns: CandidateColumns, before: Array, after: Array, placed: Placed) -> str | None:
+    """Say why a term at a joint is not credible: `before` and `after` (folds, P) are the parameters learnt without and with it."""
+    candidate = columns.tried[placed[1]]
+    if candidate.at_bound:
+        shape = candidate.term.free_shapes or candidate.term.shapes
+        return f"its best {shape[0].name} lies at an end of the credible range"
+    if np.any(after[:, columns.own_places(placed)] <= 0.0):
+        return "a parameter of it comes out negative"
+    for key, places in columns.drive_places(placed[0]).items():
+        if key not in MAY_BE_NEGATIVE and np.any((after[:, places] < 0.0) & (before[:, places] >= 0.0)):
+            return f"{key} would become negative beside it"
+    return None
+
+
+def _nested_gain(columns: CandidateColumns, blocks: Indices) -> Gain:
+    """Return what the choice gains on blocks that have no part in it, the choice repeated on the others."""
+    before: list[Array] = []
+    after: list[Array] = []
+    for fold in np.array_split(blocks, min(OUTER_FOLDS, len(blocks))):
+        rest = np.setdiff1d(blocks, fold)
+        before.append(columns.squared_error(columns.learnt((), rest), fold))
+        after.append(columns.squared_error(columns.learnt(_chosen(columns, rest)[0], rest), fold))
+    return Gain.between(np.array(before), np.array(after))
 
 
 def _concluded(
-    model: RobotModel,
+    loaded: RobotModel,
     samples: Sequence[Samples],
     start: DriveSet,
-    chosen: DriveSet,
-    trials: list[DriveTrial],
-    judge: BlockJudge,
-    loaded: RobotModel,
+    columns: CandidateColumns,
+    choice: Choice,
+    gain: Gain | None,
+    additions: Sequence[Addition],
 ) -> DriveChoice:
-    before, after = judge.trial(start), judge.trial(chosen)
-    if chosen == start:
-        rivals = [trial for trial in trials if trial.drive != start]
-        best = min(rivals, key=lambda trial: trial.error)
-        said = (
-            f"drive terms {start} kept: on held-out blocks the best of {len(rivals)} richer sets ({_named(best.drive)}) lowers the torque error "
-            f"by {100 * best.gain:.1f} +- {100 * best.gain_error:.1f} %"
-        )
-        return DriveChoice(start, tuple(trials), (said,))
-    free = DriveSet(tuple(replace(available_terms()[term.key], joints=term.joints) if term.shapes else term for term in chosen.terms))
-    refitted = fit_shapes(loaded, free, samples)
-    if refitted.drive != chosen:
-        again = BlockJudge(model, accumulate_stream(loaded, find_base_parameters(model, refitted.drive), samples)).trial(refitted.drive)
-        if again.error < after.error:
-            chosen, after = refitted.drive, replace(again, bic=after.bic)
-            trials.append(after)
-    per_joint = ", ".join(f"{name} {100 * (r - 1):+.0f} %" for name, r in zip(model.joint_names, after.rms / before.rms, strict=True))
-    sentences = [
-        f"drive terms {_named(chosen)} chosen on held-out blocks: torque error {100 * (after.error / before.error - 1):+.1f} % against "
-        f"{_named(start)} ({per_joint}); BIC {after.bic - before.bic:+.0f}"
+    names = loaded.joint_names
+    refused = [
+        f"{each.term} at {names[each.joint]} ({each.gain}; {each.objection})"
+        for each in additions
+        if each.objection is not None and each.gain.exceeds(CERTAIN)
     ]
-    if refitted.shapes:
-        sentences.append(f"fitted shapes: {','.join(str(term) for term in chosen.terms if term.shapes)}")
-    return DriveChoice(chosen, tuple(trials), tuple(sentences))
+    objections = (f"not credible, so left out: {'; '.join(refused)}",) if refused else ()
+    if gain is None:
+        said = f"drive terms {_named(start)} kept: of {len(columns.tried)} others none is credible and surely lowers the torque error on held-out blocks"
+        return DriveChoice(start, (said, *objections), (), None, tuple(additions))
+    chosen = _refined(loaded, samples, chosen_drive(start, columns.tried, choice, loaded.n_joints))
+    added = ", ".join(
+        f"{each.term} at {names[each.joint]} ({each.gain})" for each in sorted(additions, key=lambda a: a.joint) if each.taken
+    )
+    if not gain.exceeds(CERTAIN_TOGETHER):
+        said = f"drive terms {_named(start)} kept: chosen anew without some blocks, richer ones lower the torque error there by {gain} only ({added})"
+        return DriveChoice(start, (said, *objections), (), gain, tuple(replace(each, taken=False) for each in additions))
+    sentences = [
+        f"drive terms {_named(chosen)} chosen beside {_named(start)}; each lowers its joint's torque error on held-out blocks: {added}; the choice made anew "
+        f"without the blocks that judge it, all joints: {gain}"
+    ]
+    shaped = ",".join(str(term) for term in chosen.terms if term.shapes)
+    return DriveChoice(chosen, (*sentences, *((f"fitted shapes: {shaped}",) if shaped else ()), *objections), (), gain, tuple(additions))
+
+
+def _refined(loaded: RobotModel, samples: Sequence[Samples], chosen: DriveSet) -> DriveSet:
+    """Return the set with the shapes of its terms refined between the values tried, where the data tell them."""
+    free = DriveSet(tuple(replace(available_terms()[term.key], joints=term.joints) if term.shapes else term for term in chosen.terms))
+    if free.is_shaped:
+        return chosen
+    for found in fit_shapes(loaded, free, samples).shapes:
+        term = next(term for term in chosen.terms if term.key == found.term)
+        rough = [term.at(k).value(found.shape.name) for k in range(loaded.n_joints)]
+        values = tuple(value if told else coarse for value, told, coarse in zip(found.values, found.told, rough, strict=True))
+        chosen = chosen.with_term(term.with_shapes({found.shape.name: values}))
+    return chosen
+
+
+def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:
+    """Return a set with its shapes fitted, and what held-out blocks say of that against the set without these terms."""
+    shaped = [term for term in drive.terms if term.free_shapes]
+    plain = drive.without(*(term.key for term in shaped))
+    for term in shaped:
+        if term.stands_for is not None and term.stands_for not in plain.keys:
+            plain = plain.with_term(available_terms()[term.stands_for])
+    found = fit_shapes(model, drive, samples)
+    warnings = found.warnings(model.joint_names)
+    both = [_judged(model, samples, each) for each in (plain, found.drive)]
+    if both[0] is None or both[1] is None:
+        return DriveChoice(found.drive, found.sentences(model.joint_names), warnings)
+    gain = Gain.between(both[0], both[1])
+    change = f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against {_named(plain)}"
+    if gain.fraction < 0:
+        listed = ", ".join(term.key for term in shaped)
+        warnings = (*warnings, f"Fitted {listed} do not pay: {change}. Leave them out, or state their shapes.")
+    return DriveChoice(found.drive, (*found.sentences(model.joint_names), change), warnings, gain)
+
+
+def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:
+    """Return squared errors per sample on held-out folds, (folds, n), None where there are too few blocks."""
+    information = accumulate_stream(model, find_base_parameters(model, drive), samples)
+    if information.n_blocks < FEWEST_BLOCKS:
+        return None
+    prior = np.zeros(information.base.n_base)
+    weights = 1.0 / fit_least_squares(information, weights="joint", prior=prior).sigma
+    errors = []
+    for fold in np.array_split(np.arange(information.n_blocks), min(FOLDS, information.n_blocks)):
+        learnt = information.select(np.setdiff1d(np.arange(information.n_blocks), fold))
+        held = information.select(fold)
+        errors.append(held.residual_energy(fit_least_squares(learnt, weights=weights, prior=prior).beta) / held.n_samples)
+    return np.array(errors)
 
 
 def _named(drive: DriveSet) -> str:
@@ -210,93 +316,3 @@ def _named(drive: DriveSet) -> str:
         term.key + ("" if term.joints is None else f" (joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))})")
         for term in drive.terms
     )
-
-
-class BlockJudge:
-    """Judge any subset of the drive terms of some square-root information by time blocks held out, without going back to the samples."""
-
-    def __init__(self, model: RobotModel, information: SquareRootInformation) -> None:
-        self._model, self._information = model, information
-        base = information.base
-        self._first = 10 * model.n_joints
-        prior = base.values(np.nan_to_num(parameter_values(model, base.drive), nan=0.0))
-        self._prior = np.where(base.columns < self._first, prior, 0.0)
-        self._weights = 1.0 / fit_least_squares(information, weights="joint", prior=self._prior).sigma
-        n_folds = min(FOLDS, information.n_blocks)
-        self._folds = np.array_split(np.arange(information.n_blocks), n_folds)
-        self._training = [
-            [triangular_factor(np.delete(factors, fold, axis=0).reshape(-1, factors.shape[-1])) for factors in information.factors]
-            for fold in self._folds
-        ]
-        self._held = [
-            [triangular_factor(factors[fold].reshape(-1, factors.shape[-1])) for factors in information.factors] for fold in self._folds
-        ]
-        self._counts = np.array([sum(information.blocks[b].n_samples for b in fold) for fold in self._folds])
-        self._known: dict[str, tuple[Array, Array, int]] = {}
-        self._reference: float | None = None
-
-    def trial(self, drive: DriveSet, against: DriveSet | None = None) -> DriveTrial:
-        """Return what a set makes of held-out blocks; `against` is the set that its gain is measured from. The first set sets the zero of BIC."""
-        held, energy, p = self._errors(drive)
-        n = self._information.n_samples
-        rms = np.sqrt(held.sum(axis=0) / self._counts.sum())
-        gain, gain_error = 0.0, 0.0
-        if against is not None:
-            other = self._errors(against)[0]
-            gain = 1.0 - float(np.exp(np.mean(0.5 * np.log(held.sum(axis=0) / other.sum(axis=0)))))
-            steps = np.mean(0.5 * np.log(held / other), axis=1)
-            gain_error = float(np.std(steps, ddof=1) / np.sqrt(len(steps)))
-        bic = self._independent * float(np.sum(np.log(energy / n))) + p * float(np.log(self._independent * self._model.n_joints))
-        if self._reference is None:
-            self._reference = bic
-        return DriveTrial(drive, p, rms, float(np.exp(np.mean(np.log(rms)))), bic - self._reference, gain, gain_error)
-
-    @property
-    def _independent(self) -> float:
-        """Samples that are independent, taken as two per second: residuals last, and BIC would otherwise take every column."""
-        return min(float(self._information.n_samples), 2.0 * self._information.duration)
-
-    def _errors(self, drive: DriveSet) -> tuple[Array, Array, int]:
-        """Return squared errors held out (folds, n) and on all blocks (n,), and how many parameters the set has."""
-        key = str(drive)
-        if key not in self._known:
-            keep = self._mask(drive)
-            with one_blas_thread():
-                held = []
-                for training, judged in zip(self._training, self._held, strict=True):
-                    held.append(self._squared(judged, self._solved(training, keep)))
-                factors = self._information.joint_factors
-                energy = self._squared(factors, self._solved(factors, keep))
-            self._known[key] = (np.array(held), energy, int(keep.sum()))
-        return self._known[key]
-
-    def _mask(self, drive: DriveSet) -> Mask:
-        """Return which base parameters a subset of the terms has; one that stands for a simpler term shares its columns."""
-        base = self._information.base
-        wide = base.drive
-        letters = [(k, letter) for k in range(self._model.n_joints) for letter in wide.letters]
-        kept = {(k, letter) for term in drive.terms for letter in term.letters for k in range(self._model.n_joints) if term.is_at(k)}
-        for term in drive.terms:
-            simple = STANDS_FOR.get(term.key)
-            if simple is not None and simple in wide.keys and not term.shapes:
-                shared = available_terms()[simple].letters
-                kept |= {(k, letter) for letter in shared for k in range(self._model.n_joints) if term.is_at(k)}
-        return np.array([c < self._first or letters[c - self._first] in kept for c in base.columns.tolist()])
-
-    def _solved(self, factors: Sequence[Array], keep: Mask) -> Array:
-        information, p = self._information, int(keep.sum())
-        place = np.cumsum(keep) - 1
-        rows = np.zeros((sum(len(factor) for factor in factors), p + 1))
-        top = 0
-        for support, factor, weight in zip(information.support, factors, self._weights, strict=True):
-            own = keep[support]
-            rows[top : top + len(factor), place[support[own]]] = weight * factor[:, :-1][:, own]
-            rows[top : top + len(factor), p] = weight * factor[:, -1]
-            top += len(factor)
-        beta = np.zeros(len(keep))
-        beta[keep] = solve_factor(triangular_factor(rows), information.n_samples * information.n_joints, self._prior[keep]).x
-        return beta
-
-    def _squared(self, factors: Sequence[Array], beta: Array) -> Array:
-        errors = [factor @ np.append(-beta[s], 1.0) for s, factor in zip(self._information.support, factors, strict=True)]
-        return np.array([float(error @ error) for error in errors])

@@ -30,7 +30,9 @@ REFINEMENTS = 10
 """then so many golden sections about the best of each joint."""
 TOLD = 30.0
 """A shape is told where it lowers the squared error of its joint by this fraction, divided by the number of filtered samples (an F of 30 for white residuals, of a
-few for correlated ones); elsewhere it keeps its default."""
+few for correlated ones), and where the least error lies within the credible range; elsewhere it keeps its default."""
+AT_BOUND = 0.02
+"""A value this share of the range from one of its ends is said to sit there."""
 SLOWEST_SHARE = 0.03
 """A speed is looked for above the slowest samples of a joint, this share of those that move."""
 CYCLES = 10
@@ -44,13 +46,19 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedShape:
-    """The values of a shape, one per joint, the fraction of the squared error that the term takes away there, and where the data told the value."""
+    """The values of a shape, one per joint, the fraction of the squared error that the term takes away there, and where the data told the value.
+
+    `at_bound` says where the data would like a value at an end of the credible range, or beyond it, `lowest` to `highest` (n,): there the term is not what its name says.
+    """
 
     term: str
     shape: Shape
     values: tuple[float, ...]
     reduction: Array
     told: NDArray[np.bool_]
+    at_bound: NDArray[np.bool_]
+    lowest: Array
+    highest: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,20 +80,37 @@ class ShapeFit:
             said.append(f"{found.shape.name} of {found.term}, fitted by variable projection: {listed}{unit}")
         return tuple(said)
 
+    def warnings(self, joint_names: Sequence[str]) -> tuple[str, ...]:
+        """Say where a term is not what its name says, a sentence per shape."""
+        said = []
+        for found in self.shapes:
+            bounded = [
+                f"{name} ({low:.3g} to {high:.3g}{f' {found.shape.unit}' if found.shape.unit else ''})"
+                for name, low, high, there in zip(joint_names, found.lowest, found.highest, found.at_bound, strict=True)
+                if there
+            ]
+            if bounded:
+                said.append(
+                    f"The {found.shape.name} that fits {found.term} best lies at an end of its credible range at {', '.join(bounded)}: the friction there is of another kind. "
+                    "It keeps its default; leave the term out there (:joints=...) or state the value."
+                )
+        return tuple(said)
+
 
 def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> ShapeFit:
     """Fit the shapes that are not stated, joint by joint, each to the least squared error that remains after all linear parameters of its joint.
 
     For joint k and shape s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint k, links free for each joint (a little freer than
-    the robot is, so that no joint waits for another). The range is searched whole, then refined, because the error has several minima. The load of load-dependent
-    terms is that of `model`.
+    the robot is, so that no joint waits for another). The parameter of the term is held positive, friction that brakes, unless the simpler term that it stands for is beside
+    it, of which it may take away. The credible range of the shape is searched whole, then refined, because the error has several minima. The load
+    of load-dependent terms is that of `model`.
 
     Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection.
     """
     found: dict[tuple[str, str], FittedShape] = {}
     current = drive
     free = [(term.key, shape) for term in drive.terms for shape in term.free_shapes]
-    chosen = _thinned(model, samples)
+    chosen = thinned(model, samples)
     with one_blas_thread():
         for _ in range(CYCLES if len(free) > 1 else 1):
             before = {place: np.array(each.values) for place, each in found.items()}
@@ -102,7 +127,8 @@ def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -
     return ShapeFit(current, tuple(found.values()))
 
 
-def _thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
+def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
+    """Return the time blocks of samples that fits of drive terms look at: all, or of long recordings every so many."""
     every = list(stretches(model, samples))
     step = max(1, -(-sum(each.n_outputs for each in every) // MOST_SAMPLES))
     return every[::step]
@@ -111,11 +137,12 @@ def _thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
 def _fit_one(model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape, chosen: Sequence[Stretch]) -> FittedShape:
     n = model.n_joints
     remaining = _Remaining(model, others, chosen)
+    braking = term.stands_for not in others.keys
 
     def error(values: Array) -> Array:
-        return remaining.with_term(term.with_shapes({shape.name: tuple(float(value) for value in values)}))
+        return remaining.with_term(term.with_shapes({shape.name: tuple(float(value) for value in values)}), positive=braking)
 
-    lowest, highest = _range(shape, chosen, n)
+    lowest, highest = credible_range(model, shape, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen])
     logarithmic = shape.lower > 0.0
     first, last = (np.log(lowest), np.log(highest)) if logarithmic else (lowest, highest)
 
@@ -139,22 +166,32 @@ def _fit_one(model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape,
     worse = least > errors.min(axis=0)
     values = np.where(worse, real(grid[best, every]), values)
     reduction = 1.0 - np.minimum(least, errors.min(axis=0)) / np.maximum(remaining.energy, np.finfo(np.float64).tiny)
-    told = reduction > TOLD / sum(each.n_outputs for each in chosen)
+    margin = AT_BOUND * (last - first)
+    placed = np.log(values) if logarithmic else values
+    lowers = reduction > TOLD / sum(each.n_outputs for each in chosen)
+    at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
+    told = lowers & ~at_bound
     stated = tuple(float(f"{value:.4g}") for value in np.where(told, values, shape.default))
-    return FittedShape(term.key, shape, tuple(min(max(value, shape.lower), shape.upper) for value in stated), reduction, told)
+    within = tuple(min(max(value, shape.lower), shape.upper) for value in stated)
+    return FittedShape(term.key, shape, within, reduction, told, at_bound, lowest, highest)
 
 
-def _range(shape: Shape, chosen: Sequence[Stretch], n: int) -> tuple[Array, Array]:
-    """Return the range of a shape for each joint, two (n,): what the term allows, and for a speed what the recording has."""
-    lowest, highest = np.full(n, shape.lower), np.full(n, shape.upper)
-    if shape.speed:
-        speeds = np.abs(np.concatenate([each.samples.qd[each.start : each.stop] for each in chosen]))
-        for k in range(n):
-            moving = speeds[speeds[:, k] > 0.0, k]
-            if moving.size:
-                lowest[k] = np.clip(np.quantile(moving, SLOWEST_SHARE), shape.lower, shape.upper)
-                highest[k] = np.clip(moving.max(), lowest[k], shape.upper)
-    return lowest, highest
+def credible_range(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> tuple[Array, Array]:
+    """Return the range in which a shape of each joint is looked for, two (n,): that of its physics, and for a speed what the recording has.
+
+    `speeds` are |qd| (N, n) of each stretch. The top speed of a joint is its limit, the highest of the recording where none is described. A speed below the slowest
+    few samples cannot be told from none.
+    """
+    n = model.n_joints
+    low, high = shape.credible
+    if not shape.speed:
+        return np.full(n, max(low, shape.lower)), np.full(n, min(high, shape.upper))
+    moved = np.concatenate(speeds)
+    limit = np.array([joint.limits.velocity for joint in model.joints])
+    top = np.where(np.isfinite(limit) & (limit > 0), limit, moved.max(axis=0))
+    slowest = np.array([np.quantile(v[v > 0.0], SLOWEST_SHARE) if np.any(v > 0.0) else shape.lower for v in moved.T])
+    lowest = np.clip(np.maximum(low * top, slowest), shape.lower, shape.upper)
+    return lowest, np.clip(high * top, lowest, shape.upper)
 
 
 class _Remaining:
@@ -176,8 +213,8 @@ class _Remaining:
             self._torques.append(torque - basis.T @ (basis @ torque))
         self.energy = np.array([float(torque @ torque) for torque in self._torques])
 
-    def with_term(self, term: DriveTerm) -> Array:
-        """Return the squared error of each joint that is left beside the columns of this term, shape (n,)."""
+    def with_term(self, term: DriveTerm, *, positive: bool) -> Array:
+        """Return the squared error of each joint that is left beside the columns of this term, shape (n,); with `positive` only if their parameters are."""
         n, per = self._model.n_joints, len(term.letters)
         plan = RegressorPlan.of(self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1)
         left = []
@@ -187,6 +224,8 @@ class _Remaining:
             rest = rest - (rest @ basis.T) @ basis
             kept = np.linalg.norm(rest, axis=1) > 1e-4 * np.linalg.norm(columns, axis=1)
             coefficients, *_ = np.linalg.lstsq(rest[kept].T, torque, rcond=None)
+            if positive and np.any(coefficients < 0.0):
+                coefficients = np.zeros_like(coefficients)
             error = torque - coefficients @ rest[kept]
             left.append(float(error @ error))
         return np.array(left)

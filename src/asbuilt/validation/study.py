@@ -47,13 +47,13 @@ BEHIND_CAD = 1.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOptions:
-    """Say how to identify: drive terms (None: by torque source; "auto": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
+    """Say how to identify: drive terms (None: by torque source; "auto", or "auto,spring:joints=2": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
 
     `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands;
     `sweep_cutoff` chooses the low-pass cutoff by held-out error; `errors` come from time blocks by formula, or by drawing them.
     """
 
-    drive: DriveSet | Literal["auto"] | None = None
+    drive: DriveSet | str | None = None
     method: str = "wls"
     chain: SignalChain = field(default_factory=SignalChain)
     holdout: str | None = None

@@ -15,7 +15,8 @@ from asbuilt.tables import Column, Table, plus_minus
 USE = """\
 Terms are chosen as --drive viscous,coulomb,offset; armature is added by default for torques from motors and currents.
 Options follow colons: stribeck:velocity=0.05 for all joints, smooth_coulomb:width=0.02/0.01/0.02 one per joint, spring:joints=2/5 at some joints.
-An option in brackets that is not stated is fitted to the recording, joint by joint. --drive auto chooses terms on held-out time blocks."""
+An option in brackets that is not stated is fitted to the recording, joint by joint, within what is credible. --drive auto chooses among the terms marked *
+where they are credible and lower the error on held-out time blocks; --drive auto,spring:joints=2 has a spring besides."""
 
 
 def drives_document() -> dict[str, Any]:
@@ -28,8 +29,19 @@ def drives_document() -> dict[str, Any]:
                 "formula": term.formula,
                 "units": list(term.units(revolute=True)),
                 "default_for": list(term.default_for),
+                "tried_for": list(term.tried_for),
+                "stands_for": term.stands_for,
                 "options": [
-                    {"name": s.name, "default": s.default, "lower": s.lower, "upper": s.upper, "unit": s.unit, "fitted": s.fitted}
+                    {
+                        "name": s.name,
+                        "default": s.default,
+                        "lower": s.lower,
+                        "upper": s.upper,
+                        "credible": _number_pair(s.credible),
+                        "of_top_speed": s.speed,
+                        "unit": s.unit,
+                        "fitted": s.fitted,
+                    }
                     for s in term.shapes
                 ],
                 "does": (type(term).__doc__ or "").splitlines()[0],
@@ -44,7 +56,15 @@ def drives_text() -> str:
     rows = []
     for term in available_terms().values():
         options = ", ".join(f"[{s.name} {s.default:g}]" if s.fitted else f"{s.name} {s.default:g}" for s in term.shapes)
-        rows.append((term.key, " ".join(term.letters), term.formula, options or "-", ", ".join(term.units(revolute=True))))
+        rows.append(
+            (
+                term.key + ("*" if term.tried_for else ""),
+                " ".join(term.letters),
+                term.formula,
+                options or "-",
+                ", ".join(term.units(revolute=True)),
+            )
+        )
     columns = (Column("term"), Column("parameters"), Column("torque"), Column("options"), Column("units"))
     return Table(columns, tuple(rows)).as_text() + "\n" + USE
 
@@ -111,11 +131,15 @@ def gains_text(found: TorqueGains) -> str:
 
 
 def _listed(found: TorqueGains) -> str:
-    return ",".join(f"{gain:.5g}" for gain in found.to_use)
+    return ",".join(f"{gain:.6g}" for gain in found.to_use)
 
 
 def _sheet_line(found: TorqueGains) -> str:
     return f"gains = [{_listed(found).replace(',', ', ')}]"
+
+
+def _number_pair(values: tuple[float, float]) -> list[float | None]:
+    return [_number(value) for value in values]
 
 
 def _number(value: float) -> float | None:

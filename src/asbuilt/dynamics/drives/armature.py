@@ -19,6 +19,7 @@ class Armature(DriveTerm):
     prismatic_units = ("kg",)
     formula = "Ia qdd"
     default_for = MOTOR_SOURCES
+    tried_for = ("unknown",)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `qdd`."""

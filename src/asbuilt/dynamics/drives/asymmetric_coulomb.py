@@ -17,6 +17,7 @@ class AsymmetricCoulomb(DriveTerm):
     letters = ("Fcp", "Fcn")
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
+    stands_for = "coulomb"
     formula = "Fcp [qd > 0] - Fcn [qd < 0]"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

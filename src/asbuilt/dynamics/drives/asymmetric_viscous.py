@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +19,8 @@ class AsymmetricViscous(DriveTerm):
     letters = ("Fvp", "Fvn")
     revolute_units = ("N m s/rad", "N m s/rad")
     prismatic_units = ("N s/m", "N s/m")
+    tried_for = ALL_SOURCES
+    stands_for = "viscous"
     formula = "Fvp max(qd, 0) + Fvn min(qd, 0)"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm
 from asbuilt.errors import UsageError
 
 
@@ -22,6 +22,7 @@ class LoadFriction(DriveTerm):
     letters = ("Fl",)
     revolute_units = ("1",)
     prismatic_units = ("1",)
+    tried_for = ALL_SOURCES
     formula = "Fl |load| sign(qd)"
     needs_load = True
 

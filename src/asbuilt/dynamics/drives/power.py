@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm, Shape, ShapeValue
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm, Shape, ShapeValue
 
 SPECIAL = {0.0: "sign qd", 1.0: "qd", 2.0: "qd |qd|", 3.0: "qd^3"}
 """Exponents with which the term equals another."""
@@ -15,7 +15,10 @@ SPECIAL = {0.0: "sign qd", 1.0: "qd", 2.0: "qd |qd|", 3.0: "qd^3"}
 
 @dataclass(frozen=True, slots=True)
 class Power(DriveTerm):
-    """Add `Fp |qd|^exponent sign(qd)`: the shear thinning of grease (exponent below 1), or drag of air (2)."""
+    """Add `Fp |qd|^exponent sign(qd)`: rolling bearings and grease that thins with shear (exponent 2/3 and less), churned oil (towards 2).
+
+    Source: Palmgren, Grundlagen der Waelzlagertechnik, 1957: the torque of a lubricated bearing without load grows with the 2/3 power of speed. It stands for `viscous`.
+    """
 
     exponent: ShapeValue = None
 
@@ -24,8 +27,10 @@ class Power(DriveTerm):
     letters = ("Fp",)
     revolute_units = ("N m (s/rad)^a",)
     prismatic_units = ("N (s/m)^a",)
+    tried_for = ALL_SOURCES
+    stands_for = "viscous"
     formula = "Fp |qd|^exponent sign(qd)"
-    shapes = (Shape("exponent", 0.5, 0.0, 4.0, ""),)
+    shapes = (Shape("exponent", 0.5, 0.0, 4.0, "", credible=(0.25, 2.5)),)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `|qd|^exponent sign(qd)`."""

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.dynamics.drives.term import Array, DriveTerm, Shape, ShapeValue
+from asbuilt.dynamics.drives.term import ALL_SOURCES, Array, DriveTerm, Shape, ShapeValue
 
 
 @dataclass(frozen=True, slots=True)
 class SmoothCoulomb(DriveTerm):
-    """Add `Fc tanh(qd / width)`; it stands for `coulomb`, and beside it for a rounded part of it."""
+    """Add `Fct tanh(qd / width)`; it stands for `coulomb`, and beside it for a rounded part of it.
+
+    The width is that of the change of sign, where bristles bend before surfaces slide and logged velocities lie in their noise; fits look up to a tenth of the top speed.
+    """
 
     width: ShapeValue = None
 
@@ -20,8 +23,10 @@ class SmoothCoulomb(DriveTerm):
     letters = ("Fct",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    tried_for = ALL_SOURCES
+    stands_for = "coulomb"
     formula = "Fct tanh(qd / width)"
-    shapes = (Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True),)
+    shapes = (Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `tanh(qd / width)`."""

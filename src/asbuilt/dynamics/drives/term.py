@@ -25,8 +25,9 @@ MOTOR_SOURCES = ("motor", "current")
 class Shape:
     """A number that enters the columns of a term non-linearly: its name, where a fit starts, and the range it may take.
 
-    `fitted` False keeps the default unless another value is stated. `typical` is a value at which the columns stand out at speeds of some rad/s, for
-    questions of structure; None where the value itself decides them. A shape that is a `speed` is looked for among the speeds of the recording.
+    `lower` and `upper` bound what may be stated, `credible` where a fit looks: values for which the term is the physics that it is named after, as fractions of
+    the joint's top speed where the shape is a `speed`. `fitted` False keeps the default unless another value is stated. `typical` is a value at which the columns
+    stand out at speeds of some rad/s, for questions of structure; None where the value itself decides them.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Shape:
     fitted: bool = True
     typical: float | None = None
     speed: bool = False
+    credible: tuple[float, float] = (0.0, np.inf)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +67,10 @@ class DriveTerm(ABC):
     shapes: ClassVar[tuple[Shape, ...]] = ()
     default_for: ClassVar[tuple[str, ...]] = ()
     """Torque sources for which the term is among the defaults."""
+    tried_for: ClassVar[tuple[str, ...]] = ()
+    """Torque sources for which the term is tried beside the defaults when terms are chosen by the recording; its parameters are then positive."""
+    stands_for: ClassVar[str | None] = None
+    """Key of the simpler term whose place it takes then."""
     needs_load: ClassVar[bool] = False
     """Whether the columns depend on the rigid-body torque of the joint."""
     of_motor: ClassVar[bool] = False
