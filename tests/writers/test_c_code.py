@@ -16,7 +16,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drive_torque import drive_torque
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.dynamics.regressor import regressor
 from asbuilt.errors import UsageError
@@ -151,9 +151,18 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     assert compiled.self_test().returncode == 0
 
 
-def test_what_needs_more_than_sine_and_cosine_is_refused() -> None:
-    with pytest.raises(UsageError, match="'stribeck' cannot be written as C"):
-        c_code(bundled_robot("two-link"), drive=DriveSet.parse("stribeck"))
+@pytest.mark.parametrize("key", [*available_terms()])
+def test_every_term_of_the_catalogue_is_written(key: str, tmp_path: Path) -> None:
+    model = replace(bundled_robot("ur10e"), motor_coupling=np.eye(6) + np.eye(6, k=-1))
+    drive = DriveSet((available_terms()[key],))
+    values = np.random.default_rng(0).uniform(0.1, 1.0, 6 * drive.columns_per_joint)
+    compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
+    q, qd, qdd = sample_states(model, 5)
+    load = inverse_dynamics(model, q, qd, qdd)
+    expected = load + drive_torque(drive, values, q, qd, qdd, load=load, shares=model.motor_shares)
+    tau = compiled.call("inverse_dynamics", 6)
+    np.testing.assert_allclose([tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-9)
+    assert compiled.self_test().returncode == 0
 
 
 @pytest.mark.parametrize("name", ["robot.cpp", "robot", "a b.c"])

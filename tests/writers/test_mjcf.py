@@ -54,7 +54,7 @@ def test_motor_torques_accelerate_as_forward_dynamics_says() -> None:
     compiled = mujoco.MjModel.from_xml_string(exported_mjcf(model))
     data = mujoco.MjData(compiled)
     q, qd, qdd = sample_states(model, 5)
-    torque = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=False)
+    torque = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=True)
     limits = np.array([joint.limits.torque for joint in model.joints])
     assert compiled.nu == 6
     for k in np.flatnonzero(np.all(np.abs(torque) < limits, axis=1)):
@@ -71,8 +71,8 @@ def test_own_reader_gives_the_robot_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(inverse_dynamics(read, q, qd, qdd), inverse_dynamics(model, q, qd, qdd), atol=1e-10)
     for joint, there in zip(model.joints, read.joints, strict=True):
         assert there.drive == replace(joint.drive, offset=None)
-    assert "no place for the offset" in notes[0]
-    assert "no place for the offset" in path.read_text(encoding="utf-8")
+    assert "offsets of the drives are the bias of the actuators" in notes[0]
+    assert "offsets of the drives are the bias" in path.read_text(encoding="utf-8")
 
 
 def test_hostile_names_and_notes_stay_text(example: Any) -> None:

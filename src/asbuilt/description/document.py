@@ -66,7 +66,8 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
         "before": joint.before.tolist(),
         "after": joint.after.tolist(),
         "limits": {name: value if np.isfinite(value) else None for name, value in limits.items()},
-        "drive": {item.name: getattr(joint.drive, item.name) for item in fields(DriveValues)},
+        "drive": {item.name: getattr(joint.drive, item.name) for item in fields(DriveValues) if item.name != "terms"},
+        "drive_terms": {key: dict(numbers) for key, numbers in joint.drive.terms.items()},
         "before_letters": joint.before_letters,
         "after_letters": joint.after_letters,
     }
@@ -76,6 +77,7 @@ def _joint(document: Mapping[str, Any]) -> Joint:
     unlimited = JointLimits()
     limits = {name: getattr(unlimited, name) if value is None else float(value) for name, value in document["limits"].items()}
     drive = {name: None if value is None else float(value) for name, value in document["drive"].items()}
+    terms = {str(key): {str(name): float(number) for name, number in term.items()} for key, term in document.get("drive_terms", {}).items()}
     if document["kind"] not in ("revolute", "continuous", "prismatic"):
         raise DescriptionError(f"joint {document['name']!r} is {document['kind']!r}; known kinds: revolute, continuous, prismatic")
     return Joint(
@@ -85,7 +87,7 @@ def _joint(document: Mapping[str, Any]) -> Joint:
         before=_array(document["before"]),
         after=_array(document["after"]),
         limits=JointLimits(**limits),
-        drive=DriveValues(**drive),
+        drive=DriveValues(**drive, terms=terms),
         before_letters=_letters(document["before_letters"]),
         after_letters=_letters(document["after_letters"]),
     )

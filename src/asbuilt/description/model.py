@@ -38,7 +38,8 @@ class JointLimits:
 class DriveValues:
     """What the description says of one drive: armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent.
 
-    All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint (rad per m where it slides), and takes them to the motor's.
+    All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint (rad per m where it slides), and takes them to the motor's. `terms` are
+    further terms of the drive by key, each with its parameters by letter and its shapes by name: `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`.
     """
 
     armature: float | None = None
@@ -46,6 +47,7 @@ class DriveValues:
     coulomb: float | None = None
     offset: float | None = None
     gear_ratio: float | None = None
+    terms: Mapping[str, Mapping[str, float]] = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -135,16 +135,23 @@ class LimitsTable(_Table):
 
 
 class DriveTable(_Table):
-    """What is known of a drive: armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side, and the gear ratio."""
+    """What is known of a drive: armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side, the gear ratio, and further terms.
+
+    `terms` names terms of `asbuilt drives`, each with its parameters by letter and its shapes by name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
+    """
 
     armature: Finite | None = None
     viscous: Finite | None = None
     coulomb: Finite | None = None
     offset: Finite | None = None
     gear_ratio: Finite | None = None
+    terms: dict[str, dict[str, Finite]] = {}
 
     @model_validator(mode="after")
-    def _turning(self) -> DriveTable:
+    def _sound(self) -> DriveTable:
+        plain = [key for key in self.terms if key in type(self).model_fields]
+        if plain:
+            raise ValueError(f"{plain[0]} stands beside terms, not among them: drive = {{{plain[0]} = 1.0}}")
         if self.gear_ratio == 0.0:
             raise ValueError("gear_ratio is how many turns of the motor make one of the joint, and cannot be 0")
         return self
@@ -153,7 +160,12 @@ class DriveTable(_Table):
     def values(self) -> DriveValues:
         """The same as the robot model keeps them."""
         return DriveValues(
-            armature=self.armature, viscous=self.viscous, coulomb=self.coulomb, offset=self.offset, gear_ratio=self.gear_ratio
+            armature=self.armature,
+            viscous=self.viscous,
+            coulomb=self.coulomb,
+            offset=self.offset,
+            gear_ratio=self.gear_ratio,
+            terms=self.terms,
         )
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.errors import UsageError
+from asbuilt.dynamics.drives.term import DriveTerm, ShapeValue
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.errors import DescriptionError, UsageError
 
 Array = NDArray[np.float64]
 
@@ -74,12 +79,42 @@ def drive_torque(
 
 
 def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
-    """Return the drive terms of which the description gives any value, and the values joint by joint, zero where it is silent."""
-    stated = [
-        term
-        for term in available_terms().values()
-        if any(value is not None for joint in model.joints for value in term.values(joint.drive))
-    ]
+    """Return the drive terms of which the description gives any value, with their shapes, and the values joint by joint, zero where it is silent.
+
+    Raises
+    ------
+    DescriptionError
+        If it names a term that does not exist, or a parameter or shape that a term does not have.
+    """
+    known = available_terms()
+    for joint in model.joints:
+        for key, numbers in joint.drive.terms.items():
+            _check_described(known, f"{model.name}: the drive of joint {joint.name!r}", key, numbers)
+    stated = []
+    for key, term in known.items():
+        there = [k for k, joint in enumerate(model.joints) if key in joint.drive.terms]
+        if there:
+            stated.append(_as_described(model, term, there))
+        elif any(value is not None for joint in model.joints for value in term.values(joint.drive)):
+            stated.append(term)
     drive = DriveSet(tuple(stated))
-    values = [0.0 if value is None else value for joint in model.joints for value in drive.values(joint.drive)]
-    return drive, np.array(values, dtype=np.float64)
+    return drive, np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
+
+
+def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
+    """Return a term with the shapes and the joints (counted from 0) of a description."""
+    shapes: dict[str, ShapeValue] = {}
+    for shape in term.shapes:
+        numbers = tuple(float(joint.drive.terms.get(term.key, {}).get(shape.name, shape.default)) for joint in model.joints)
+        shapes[shape.name] = numbers[0] if len(set(numbers)) == 1 else numbers
+    joints = None if len(there) == model.n_joints else tuple(k + 1 for k in there)
+    return replace(term.with_shapes(shapes), joints=joints)
+
+
+def _check_described(known: Mapping[str, DriveTerm], where: str, key: str, numbers: Mapping[str, float]) -> None:
+    if key not in known:
+        raise DescriptionError(f"{where} has a term {key!r}, which does not exist; there are {', '.join(known)}")
+    names = (*known[key].letters, *(shape.name for shape in known[key].shapes))
+    for name in numbers:
+        if name not in names:
+            raise DescriptionError(f"{where} has {name!r} in its term {key!r}, which has {', '.join(names)}")

@@ -97,6 +97,11 @@ def run_free(
         raise UsageError(f"there is no release {release!r}; there are {', '.join(get_args(Release))}")
     if not (np.isfinite(duration) and duration >= 2 * TIMESTEP * LOGGED):
         raise UsageError(f"the duration must be a positive number of seconds, got {duration}")
+    further = sorted({key for joint in model.joints for key in joint.drive.terms})
+    if further:
+        raise UsageError(
+            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know; its free motion would be another robot's"
+        )
     n = model.n_joints
     armature, viscous, coulomb, offset = (
         np.array([getattr(joint.drive, name) or 0.0 for joint in model.joints]) for name in ("armature", "viscous", "coulomb", "offset")

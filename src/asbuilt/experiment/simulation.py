@@ -15,7 +15,7 @@ from asbuilt.description.rotation import rotation_from_rpy
 from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
-from asbuilt.dynamics.parameters import parameter_names
+from asbuilt.dynamics.parameters import parameter_names, parameter_values
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array, Motion, read_only
@@ -253,8 +253,7 @@ def simulate_recording(
     """
     robot = InstalledRobot.ideal(model)
     if drive is not None:
-        described = [value for joint in model.joints for value in drive.values(joint.drive)]
-        known = np.array([np.nan if value is None else value for value in described], dtype=np.float64)
+        known = parameter_values(model, drive)[len(model.parameters) :]
         robot = robot.with_drive(drive, known if drive_values is None else drive_values)
     elif drive_values is not None:
         raise UsageError(

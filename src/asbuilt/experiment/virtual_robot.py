@@ -206,6 +206,11 @@ LONGEST_STEP = 1e-3
 
 def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     drive, values = described_drive(model)
+    further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
+    if further:
+        raise UsageError(
+            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know; simulate with --engine inverse-dynamics, which has all terms"
+        )
     columns = np.reshape(values, (model.n_joints, -1)).T
     stated = {key: _numbers(column) for key, column in zip(drive.keys, columns, strict=True)}
     armature, viscous, coulomb, offset = (stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys)

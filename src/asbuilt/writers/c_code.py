@@ -1,4 +1,4 @@
-"""A robot's inverse dynamics, gravity torque and regressor as plain C99 with its numbers in: no allocation, of libm only sin and cos."""
+"""A robot's inverse dynamics, gravity torque and regressor as plain C99 with its numbers in: no allocation, of libm sin and cos and what drive terms need."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import UsageError
 from asbuilt.writers.c_dynamics import Mechanism
 from asbuilt.writers.c_expressions import ONE, StraightLine, Term
@@ -59,13 +61,13 @@ def c_code(
     Raises
     ------
     UsageError
-        For drive terms that need more than sin and cos.
+        For drive terms that C code does not have.
     """
     described, described_values = described_drive(model)
     terms = described if drive is None else drive
     values = np.asarray(described_values if drive_values is None else drive_values, dtype=np.float64)
     if drive is not None and drive_values is None:
-        values = np.array([value or 0.0 for joint in model.joints for value in drive.values(joint.drive)])
+        values = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
     base = find_base_parameters(model, terms)
     beta = base.values(np.concatenate([model.parameters, values]))
     name = prefix or _identifier(model.name)
@@ -73,7 +75,7 @@ def c_code(
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
     chi = _fewest_parameters(model)
     torques = forward.torques(chi)
-    for entry, value in zip(_drive_entries(forward, terms), values, strict=True):
+    for entry, value in zip(_drive_entries(forward, terms, chi), values, strict=True):
         for j, column in entry.items():
             torques[j] = forward.code.total((torques[j],), (Term(float(value)), column))
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
@@ -86,7 +88,7 @@ def c_code(
             f"void {name}_regressor({motion}, double Y[{n * base.n_base}])",
             ("q", "qd", "qdd"),
             linear.code,
-            {f"Y[{j * base.n_base + k}]": entry for (j, k), entry in sorted(_regressor(linear, base, terms).items())},
+            {f"Y[{j * base.n_base + k}]": entry for (j, k), entry in sorted(_regressor(linear, base, terms, chi).items())},
             opening=(f"for (int k = 0; k < {n * base.n_base}; k++) Y[k] = 0.0;",),
         ),
     ]
@@ -131,30 +133,40 @@ def _fewest_parameters(model: RobotModel) -> Array:
     return chi if apart <= SAME_TORQUE * np.abs(torques).max() else model.parameters
 
 
-def _regressor(mechanism: Mechanism, base: BaseParameters, terms: DriveSet) -> dict[tuple[int, int], Term]:
+def _regressor(mechanism: Mechanism, base: BaseParameters, terms: DriveSet, parameters: Array) -> dict[tuple[int, int], Term]:
     inertial = 10 * mechanism.model.n_joints
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
-    drives = _drive_entries(mechanism, terms)
+    drives = _drive_entries(mechanism, terms, parameters)
     for position, column in enumerate(base.columns[len(columns) :], start=len(columns)):
         entries |= {(j, position): entry for j, entry in drives[int(column) - inertial].items()}
     return entries
 
 
-def _drive_entries(mechanism: Mechanism, terms: DriveSet) -> list[dict[int, Term]]:
-    """Return for each drive parameter the joints that it acts on and its column there; motors that several joints turn act on all of these."""
+def _drive_entries(mechanism: Mechanism, terms: DriveSet, parameters: Array) -> list[dict[int, Term]]:
+    """Return for each drive parameter the joints that it acts on and its column there; motors that several joints turn act on all of these.
+
+    `parameters` (10 n,) of the links give the load of terms that depend on it.
+    """
     code, shares = mechanism.code, mechanism.model.motor_shares
+    loads = mechanism.torques(parameters) if terms.needs_load else None
     entries: list[dict[int, Term]] = []
     for k in range(mechanism.model.n_joints):
-        for term in terms.terms:
-            if term.key in _MOTOR_COLUMNS:
+        for term in terms.at(k).terms:
+            if not term.is_at(k):
+                entries += [{} for _ in term.letters]
+            elif term.key in _MOTOR_COLUMNS:
                 turned = _MOTOR_COLUMNS[term.key](code, {array: _turned(code, array, shares[k]) for array in ("qd", "qdd")})
                 entries.append({j: code.total((Term(float(shares[k, j])), turned)) for j in np.flatnonzero(shares[k]).tolist()})
             elif term.key in _COLUMNS:
                 entries += [{k: column} for column in _COLUMNS[term.key](code, k)]
+            elif term.key in _SHAPED_COLUMNS:
+                entries.append({k: _SHAPED_COLUMNS[term.key](code, k, term)})
+            elif term.key == "load_friction" and loads is not None:
+                entries.append({k: _load_friction(code, k, loads[k])})
             else:
-                written = ", ".join((*_COLUMNS, *_MOTOR_COLUMNS))
-                raise UsageError(f"drive term {term.key!r} cannot be written as C with sin and cos alone; written are {written}")
+                written = ", ".join((*_COLUMNS, *_SHAPED_COLUMNS, "load_friction", *_MOTOR_COLUMNS))
+                raise UsageError(f"drive term {term.key!r} cannot be written as C yet; written are {written}")
     return entries
 
 
@@ -182,6 +194,25 @@ _COLUMNS: dict[str, Callable[[StraightLine, int], tuple[Term, ...]]] = {
     "offset": lambda code, j: (ONE,),
 }
 """The columns of a drive term on joint j."""
+
+_SHAPED_COLUMNS: dict[str, Callable[[StraightLine, int, DriveTerm], Term]] = {
+    "smooth_coulomb": lambda code, j, term: code.given(f"tanh(qd[{j}]/{_number(term.value('width'))})"),
+    "stribeck": lambda code, j, term: code.total(
+        (
+            _sign(code, Term(1.0, f"qd[{j}]")),
+            code.given(f"exp(-pow(fabs(qd[{j}])/{_number(term.value('velocity'))}, {_number(term.value('power'))}))"),
+        )
+    ),
+    "power": lambda code, j, term: code.total(
+        (_sign(code, Term(1.0, f"qd[{j}]")), code.given(f"pow(fabs(qd[{j}]), {_number(term.value('exponent'))})"))
+    ),
+}
+"""The column of a drive term with shapes on joint j."""
+
+
+def _load_friction(code: StraightLine, j: int, load: Term) -> Term:
+    return code.total((_sign(code, Term(1.0, f"qd[{j}]")), code.given(f"fabs({load.written()})", load.name)))
+
 
 _MOTOR_COLUMNS: dict[str, Callable[[StraightLine, dict[str, Term]], Term]] = {
     "motor_armature": lambda code, motor: motor["qdd"],

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.description.model import RobotModel
 from asbuilt.description.xml import described_text, outermost_tag
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drive_torque import drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError, InertiaError, UsageError
 from asbuilt.identification.cad_prior import cad_prior
+from asbuilt.identification.cause_evidence import PLAIN_TERMS
 from asbuilt.identification.impossibility import why_impossible
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.identification.standard_parameters import StandardParameters, random_motion_rows
@@ -24,11 +26,16 @@ from asbuilt.validation.stand_in import BADLY, StandIn, stand_in
 from asbuilt.writers.c_code import write_c
 from asbuilt.writers.mjcf import write_mjcf
 from asbuilt.writers.physical import impossibilities
-from asbuilt.writers.robot_toml import as_built_model, as_built_parameters, write_robot_toml
+from asbuilt.writers.robot_toml import as_built_model, as_built_parameters, keeping_described_drives, write_robot_toml
+from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.urdf import write_urdf
 
 Array = NDArray[np.float64]
 Place = str | os.PathLike[str]
+
+CHECKED_STATES = 100
+SAME_TORQUE = 1e-9
+"""Torques [N m or N] that differ by less are the same."""
 
 CURES = (
     "Identify with real bodies imposed (identify --method consistent, or entropic), which the report then judges; let it find how the robot stands "
@@ -115,19 +122,20 @@ def export_result(
         _refuse_bad(result, found, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
-    carried = (*_left_out(result.base.drive), *_kept(result))
+    in_simulators, kept, load = keeping_described_drives(model, result.model), _kept(result), _load_note(result, found, model)
     if c is not None:
         files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
+        notes["c"] = load
     if urdf is not None:
         edited, missing = urdf_to_edit(result.model, original)
-        files["urdf"], said = write_urdf(urdf, model, original=edited)
-        notes["urdf"] = (*missing, *said, *carried)
+        files["urdf"], said = write_urdf(urdf, in_simulators, original=edited)
+        notes["urdf"] = (*missing, *said, *kept)
     if mjcf is not None:
-        files["mjcf"], said = write_mjcf(mjcf, model)
-        notes["mjcf"] = (*said, *carried)
+        files["mjcf"], said = write_mjcf(mjcf, in_simulators)
+        notes["mjcf"] = (*said, *kept)
     if toml is not None:
         files["toml"] = write_robot_toml(toml, model)
-        notes["toml"] = carried
+        notes["toml"] = load
     said_of = {kind: said for kind, said in notes.items() if said}
     return Export(result.robot, found.verdict, files, said_of, cost, "" if found.exact else _beyond(result, found))
 
@@ -188,16 +196,30 @@ def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | 
     return None, ()
 
 
-def _left_out(drive: DriveSet) -> tuple[str, ...]:
-    lost = [key for key in drive.keys if key not in DriveValues.__dataclass_fields__]
-    return (f"the identified drive terms {', '.join(lost)} have no place in this file and are left out",) if lost else ()
+def _load_note(result: IdentificationResult, found: StandardParameters, model: RobotModel) -> tuple[str, ...]:
+    """Return a note where friction that depends on load is not quite that of the result, whose base parameters count armatures among the load."""
+    drive = result.base.drive
+    if not drive.needs_load:
+        return ()
+    q, qd, qdd = sample_states(model, CHECKED_STATES)
+    rigid, shares = len(model.parameters), model.motor_shares
+    whole = np.zeros(result.n_standard)
+    whole[result.base.columns] = found.beta
+    torques = []
+    for chi in (whole, found.parameters):
+        load = inverse_dynamics(model, q, qd, qdd, parameters=chi[:rigid])
+        torques.append(load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares))
+    apart = float(np.abs(torques[1] - torques[0]).max())
+    if apart <= SAME_TORQUE:
+        return ()
+    return (
+        f"load-dependent friction sees the load of the links alone; in the result the load counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque",
+    )
 
 
 def _kept(result: IdentificationResult) -> tuple[str, ...]:
     """Return a note where drive values of the description stay in the file without having been identified."""
     stated = [
-        key
-        for key in ("armature", "viscous", "coulomb", "offset")
-        if key not in result.base.drive.keys and any(getattr(joint.drive, key) for joint in result.model.joints)
+        key for key in PLAIN_TERMS if key not in result.base.drive.keys and any(getattr(joint.drive, key) for joint in result.model.joints)
     ]
     return (f"not identified, and as described: {', '.join(stated)} of the drives",) if stated else ()

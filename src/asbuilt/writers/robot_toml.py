@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values
 from asbuilt.description.model import ROOT, DriveValues, Joint, Letters, Link, RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.identification.cause_evidence import PLAIN_TERMS
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.identification.standard_parameters import StandardParameters, standard_parameters
 from asbuilt.writers.files import atomic_write
@@ -60,7 +61,7 @@ def _torque_information(result: IdentificationResult) -> Array:
 
 
 def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
-    """Return the robot with the standard parameters of `as_built_parameters`; drive terms that a robot has no place for are left out."""
+    """Return the robot with the standard parameters of `as_built_parameters`, all identified drive terms and no others: its torques are those of the result."""
     found = as_built_parameters(result, nearest=nearest)
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
     note = f"identified ({result.method}) from {', '.join(result.sources)}; {found.verdict}"
@@ -68,17 +69,32 @@ def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> Ro
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
-    """Return a robot with other standard parameters (n_standard,), drives included as far as a robot has a place for them."""
-    place = 10 * model.n_joints
-    robot = model.with_parameters(parameters[:place])
+    """Return a robot with other standard parameters (n_standard,), and these drive terms with their values and shapes in place of its own."""
+    rigid = 10 * model.n_joints
+    robot = model.with_parameters(parameters[:rigid])
+    values = parameters[rigid:].reshape(model.n_joints, -1)
+    turned = np.any(model.motor_shares, axis=1)
     joints = []
-    for joint in robot.joints:
-        named = {}
-        for term in drive.terms:
-            if term.key in DriveValues.__dataclass_fields__:
-                named[term.key] = float(parameters[place])
-            place += len(term.letters)
-        joints.append(replace(joint, drive=replace(joint.drive, **named)))
+    for k, joint in enumerate(robot.joints):
+        left = values[k].tolist()
+        plain: dict[str, float] = {}
+        terms: dict[str, dict[str, float]] = {}
+        for term in drive.at(k).terms:
+            own, left = left[: len(term.letters)], left[len(term.letters) :]
+            if term.key in PLAIN_TERMS and term.is_at(k):
+                plain[term.key] = own[0]
+            elif term.is_at(k) and (turned[k] or not term.of_motor):
+                terms[term.key] = dict(zip(term.letters, own, strict=True)) | {shape.name: term.value(shape.name) for shape in term.shapes}
+        joints.append(replace(joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=terms)))
+    return replace(robot, joints=tuple(joints), drives_by_design=True)
+
+
+def keeping_described_drives(robot: RobotModel, described: RobotModel) -> RobotModel:
+    """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants."""
+    joints = []
+    for joint, before in zip(robot.joints, described.joints, strict=True):
+        kept = {key: getattr(before.drive, key) for key in PLAIN_TERMS if getattr(joint.drive, key) is None}
+        joints.append(replace(joint, drive=replace(joint.drive, **kept)))
     return replace(robot, joints=tuple(joints))
 
 
@@ -129,9 +145,11 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
     limits = [f"{name} = {_float(value)}" for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))]
     if limits:
         lines.append(f"limits = {{{', '.join(limits)}}}")
-    known = {name: value for name in DriveValues.__dataclass_fields__ if (value := getattr(joint.drive, name)) is not None}
-    if known:
-        lines.append(f"drive = {{{', '.join(f'{name} = {_float(value)}' for name, value in known.items())}}}")
+    fields = [f"{name} = {_float(value)}" for name in (*PLAIN_TERMS, "gear_ratio") if (value := getattr(joint.drive, name)) is not None]
+    if joint.drive.terms:
+        fields.append(f"terms = {{{', '.join(f'{key} = {_table(numbers)}' for key, numbers in joint.drive.terms.items())}}}")
+    if fields:
+        lines.append(f"drive = {{{', '.join(fields)}}}")
     if by_parts:
         for name, inertia in link.parts:
             lines += ["", "[[links.parts]]", f"name = {_text(name)}", *_inertia_fields(inertia)]
@@ -184,6 +202,10 @@ def _text(value: str) -> str:
 
 def _texts(values: Sequence[str]) -> str:
     return f"[{', '.join(_text(value) for value in values)}]"
+
+
+def _table(numbers: Mapping[str, float]) -> str:
+    return f"{{{', '.join(f'{_key(name)} = {_float(value)}' for name, value in numbers.items())}}}"
 
 
 def _key(name: str) -> str:

@@ -19,7 +19,7 @@ from asbuilt.writers.figures import save_figure, torque_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.report import write_report
-from asbuilt.writers.robot_toml import as_built_model, write_robot_toml
+from asbuilt.writers.robot_toml import as_built_model, keeping_described_drives, write_robot_toml
 from asbuilt.writers.tabular import identify_document, prediction_table, write_parameters_csv
 from asbuilt.writers.urdf import write_urdf
 
@@ -60,7 +60,7 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
         files["robot"] = write_robot_toml(folder / "robot.toml", robot)
         original, _ = urdf_to_edit(result.model)
         if original is not None and not impossibilities(robot):
-            files["urdf"], _ = write_urdf(folder / "robot.urdf", robot, original=original)
+            files["urdf"], _ = write_urdf(folder / "robot.urdf", keeping_described_drives(robot, result.model), original=original)
     except AsbuiltError:
         return files
     return files

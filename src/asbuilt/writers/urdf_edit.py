@@ -14,7 +14,7 @@ from asbuilt.description.urdf import read_urdf
 from asbuilt.description.xml import described_text
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
-from asbuilt.writers.physical import refuse_impossible
+from asbuilt.writers.physical import left_out_drives, refuse_impossible
 from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.xml_spans import Edit, Span, XmlFile, attribute_edits
 
@@ -101,6 +101,7 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
         if values:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
             notes.append(f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}]: {said})")
+    notes += left_out_drives(model, (), "URDF")
     if not np.array_equal(model.gravity, [0.0, 0.0, -9.81]):
         notes.append(f"URDF has no place for gravity; the model has {model.gravity.tolist()} m/s^2 in the root frame")
     return tuple(notes)

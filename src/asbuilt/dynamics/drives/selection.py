@@ -150,8 +150,8 @@ class DriveSet:
         return tuple(unit for term in self.terms for unit in term.units(revolute=kind != "prismatic"))
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
-        """Return what the description says of each parameter of one joint, None where it is silent."""
-        return tuple(value for term in self.terms for value in term.values(drive))
+        """Return what the description says of each parameter of one joint (of a set `at` that joint), None where it is silent or has other shapes."""
+        return tuple(value for term in self.terms for value in _described(term, drive))
 
     def evaluate(
         self,
@@ -188,6 +188,15 @@ class DriveSet:
                 term.evaluate(*motor, None, own)
             row += len(term.letters)
         return columns
+
+
+def _described(term: DriveTerm, drive: DriveValues) -> tuple[float | None, ...]:
+    numbers = drive.terms.get(term.key)
+    if numbers is None:
+        return term.values(drive)
+    if any(numbers.get(shape.name, shape.default) != term.value(shape.name) for shape in term.shapes):
+        return (None,) * len(term.letters)
+    return tuple(numbers.get(letter) for letter in term.letters)
 
 
 def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
