@@ -219,6 +219,39 @@ def test_joints_that_stand_or_move_alike(iiwa: RobotModel, clean: Recording) -> 
     assert finding(iiwa, replace(clean, q=alike, qd=None), "joints-alike").severity == "warning"
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("quantity", ["q", "tau", "qd"])
+@pytest.mark.parametrize("value", [1e300, -1e20, np.inf, np.nan])
+def test_values_that_no_robot_logs(iiwa: RobotModel, clean: Recording, quantity: str, value: float) -> None:
+    values = getattr(clean, quantity).copy()
+    values[500, 2] = value
+    found = finding(iiwa, replace(clean, **{quantity: values}), "not-finite")
+    assert (found.severity, found.joint) == ("error", "A3")
+    assert "1 of 4000 values of the" in found.message
+    assert "at sample 501, t = 2.5 s" in found.message
+
+
+def test_a_row_cut_short_is_told_once(iiwa: RobotModel, clean: Recording) -> None:
+    q, tau = clean.q.copy(), clean.tau.copy()
+    q[-1, 5:], tau[-1] = np.nan, np.nan
+    check = check_recording(iiwa, replace(clean, q=q, tau=tau))
+    assert [item.code for item in check.errors] == ["not-finite"]
+    assert "the position of A6 and A7 and the torque of A1, A2, A3, A4, A5, A6 and A7" in check.errors[0].message
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_clocks_in_other_units(iiwa: RobotModel, clean: Recording, unit: str, factor: float) -> None:
+    found = finding(iiwa, replace(clean, t=clean.t * factor), "clock-unit")
+    assert f"look like {unit}" in found.message
+    assert f'time = "{unit}"' in found.cure
+    assert finding(iiwa, replace(clean, t=clean.t / 1e3), "clock-unit").severity == "error"
+
+
+def test_a_robot_that_stands_still_is_refused(iiwa: RobotModel, clean: Recording) -> None:
+    found = finding(iiwa, replace(clean, q=np.full_like(clean.q, 0.3), qd=None), "nothing-moves")
+    assert found.severity == "error"
+
+
 def test_limits_and_filtering(iiwa: RobotModel, clean: Recording) -> None:
     q = clean.q.copy()
     q[:, 1] += 1.5

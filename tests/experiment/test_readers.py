@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
 import itertools
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from scipy.io import savemat
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.readers import read_recording, read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.sheet import RecordingSheet
@@ -206,6 +208,12 @@ BAD = {
     "fake.h5": ("nonsense", "cannot be read as HDF5"),
     "fake.db3": ("nonsense", "cannot be read as a ROS 2 bag"),
     "fake.mcap": ("nonsense", "cannot be read as a ROS 2 bag"),
+    "comma.csv": ("t,q1,tau1\n0,0,1,5,2,5\n", "line 2: 6 fields where 3 columns are expected; export decimal points, or semicolons"),
+    "preamble.csv": ("Robot: R\nDate: D\n\nt,q1,tau1\n0,1,2\n", "remove what stands above the header"),
+    "old.csv": ("t,q1,tau1\r0,1,2\r1,1,2\r", "its lines end in a carriage return alone"),
+    "wide.csv": ("\ufefft\0,\0", "it holds binary data"),
+    "log.csv.gz": ("nonsense", "can be read; unpack it first"),
+    "log.xlsx": ("nonsense", "can be read; export the sheet as CSV"),
     "notes.docx": ("nonsense", "known are .csv, .dat, .tsv, .txt, .parquet"),
 }
 
@@ -223,7 +231,24 @@ def test_what_is_no_recording_is_refused_with_place_and_cure(tmp_path: Path, nam
 def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "image.csv").write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00")
     np.savez(tmp_path / "objects.npz", q=np.array([{"a": 1}], dtype=object))
-    for name, message in (("image.csv", "holds binary data"), ("objects.npz", r"pickled objects \(q\), which are not read for safety")):
+    np.savez(tmp_path / "uneven.npz", t=np.arange(9.0), q=np.ones((8, 2)), tau=np.ones((9, 2)))
+    pl.DataFrame({"t": [0.0, 1.0], "q": [[0.0, 1.0]] * 2, "tau": [[0.0, 1.0]] * 2}).write_parquet(tmp_path / "lists.parquet")
+    (tmp_path / "wide.csv").write_text("t,q1,tau1\n0,1,2\n", encoding="utf-16")
+    (tmp_path / "packed.csv").write_bytes(gzip.compress(b"t,q1,tau1\n0,1,2\n"))
+    (tmp_path / "book.csv").write_bytes(b"PK\x03\x04 and so on")
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe.csv")
+    for name, message in (
+        ("image.csv", "holds binary data"),
+        ("objects.npz", r"pickled objects \(q\), which are not read for safety"),
+        ("uneven.npz", r"no columns for joint positions.*variables without the common length 9 were left out: q \(8, 2\)"),
+        ("lists.parquet", "columns that hold no numbers: q, tau"),
+        ("wide.csv", "UTF-16 text; save it as UTF-8"),
+        ("packed.csv", "a gzip archive; unpack it"),
+        ("book.csv", "a ZIP archive or a spreadsheet"),
+        ("folder", "is no ROS 2 bag.*give the file of a recording"),
+        ("pipe.csv", "no regular file"),
+    ):
         with pytest.raises(RecordingError, match=message):
             read_recording(tmp_path / name)
     with pytest.raises(RecordingError, match="does not exist"):
@@ -234,8 +259,9 @@ def test_wrong_robot_and_wrong_rate(tmp_path: Path, logged: dict) -> None:
     spread(logged).drop("t").write_csv(tmp_path / "log.csv")
     with pytest.raises(RecordingError, match=r"has 3 position columns \(q_0 ... q_2\) but ur10e has 6 joints"):
         read_recording(tmp_path / "log.csv", model=bundled_robot("ur10e"), rate=100)
-    with pytest.raises(RecordingError, match="sampling rate must be a positive number of Hz, got -1"):
-        read_recording(tmp_path / "log.csv", rate=-1)
+    for rate in (-1, 0, float("nan"), float("inf")):
+        with pytest.raises(UsageError, match="sampling rate must be a positive number of Hz, got"):
+            read_recording(tmp_path / "log.csv", rate=rate)
     with pytest.raises(RecordingError, match="2 gains for 3 joints"):
         read_recording(tmp_path / "log.csv", rate=100, gain=[1, 2])
 

@@ -108,6 +108,12 @@ def test_joints_of_a_gripper_are_left_out_and_said() -> None:
     assert "finger" in notes[0]
 
 
+def test_a_log_of_more_numbered_joints_is_of_another_robot() -> None:
+    for names in (["joint_1", "joint_2"], ["A1", "A2"]):
+        with pytest.raises(RecordingError, match="log has 3 joints but arm has 2"):
+            match_joints(["joint_1", "joint_2", "joint_3"], names, source="log", robot="arm")
+
+
 def test_other_names_are_matched_by_number_and_said() -> None:
     labels = ["lbr_joint_1", "lbr_joint_2", "lbr_joint_0"]
     order, notes = match_joints(labels, ["lbr_A1", "lbr_A2", "lbr_A3"], source="log", robot="med7")

@@ -8,7 +8,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.clock_checks import clock_findings
+from asbuilt.experiment.clock_checks import believable, clock_findings
 from asbuilt.experiment.excitation_checks import excitation_findings
 from asbuilt.experiment.finding import Finding
 from asbuilt.experiment.motion_checks import DEGREE, in_degrees, motion_findings
@@ -88,12 +88,13 @@ def check_recording(model: RobotModel, recording: Recording) -> RecordingCheck:
         )
     if recording.joint_names != model.joint_names and set(recording.joint_names) == set(model.joint_names):
         recording = recording.reordered(model.joint_names)
+    given, recording = recording, believable(recording)
     motion = smoothed_motion(recording)
     degrees = in_degrees(model, recording, motion) is not None
     revolute = np.array([joint.is_revolute for joint in model.joints])
     position_scale = np.where(revolute & degrees, DEGREE, 1.0)
     findings = [
-        *clock_findings(recording),
+        *clock_findings(given),
         *motion_findings(model, recording, motion),
         *torque_findings(model, recording, motion, position_scale),
         *([] if degrees else excitation_findings(model, recording, motion)),

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.experiment.finding import Finding
+from asbuilt.experiment.finding import Finding, joined
 from asbuilt.experiment.recording import Array, Recording
 from asbuilt.experiment.smoothed_motion import GAP_STEPS
 
+CREDIBLE = {"position": 1e6, "velocity": 1e6, "acceleration": 1e9, "torque": 1e9}
+"""Largest value that any robot could log, in any unit of the quantity."""
 _IRREGULAR = 0.05
 _SHORT_RUN = 20
 _STALE = 0.2
+_SLOWEST, _FASTEST = 5.0, 1e5
+_CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def clock_findings(recording: Recording) -> Iterator[Finding]:
-    """Look for values that are no numbers, times that repeat, run back or jump, an uneven clock, and samples that repeat the last one."""
+    """Look for values that are no numbers or absurd, a clock in the wrong unit, times that repeat, run back or jump, an uneven clock, and samples that repeat the last one."""
     yield from _not_finite(recording)
     t = recording.t
     steps = np.diff(t)
@@ -45,6 +50,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     if not forward.size:
         return
     step = float(np.median(forward))
+    yield from _wrong_unit(step)
     gaps = np.flatnonzero(steps > GAP_STEPS * step)
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
@@ -74,10 +80,34 @@ def fresh_samples(recording: Recording) -> NDArray[np.bool_]:
     return np.concatenate([[True], changed])
 
 
+def believable(recording: Recording) -> Recording:
+    """Return the recording with NaN in place of values that no robot could log, so that no other check stumbles over them."""
+
+    def cleaned(what: str, values: Array) -> Array:
+        return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
+
+    if not any(np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what] for what, values in _quantities(recording)):
+        return recording
+    return replace(
+        recording,
+        q=cleaned("position", recording.q),
+        tau=cleaned("torque", recording.tau),
+        qd=None if recording.qd is None else cleaned("velocity", recording.qd),
+        qdd=None if recording.qdd is None else cleaned("acceleration", recording.qdd),
+    )
+
+
+def _quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
+    yield "position", recording.q
+    yield "torque", recording.tau
+    if recording.qd is not None:
+        yield "velocity", recording.qd
+    if recording.qdd is not None:
+        yield "acceleration", recording.qdd
+
+
 def _not_finite(recording: Recording) -> Iterator[Finding]:
-    columns: list[tuple[str, Array]] = [("position", recording.q), ("torque", recording.tau)]
-    columns += [("velocity", recording.qd)] if recording.qd is not None else []
-    columns += [("acceleration", recording.qdd)] if recording.qdd is not None else []
+    """Find values that are missing, infinite or absurd; columns that lack the same rows are told of together."""
     bad_times = np.flatnonzero(~np.isfinite(recording.t))
     if bad_times.size:
         yield Finding(
@@ -86,22 +116,49 @@ def _not_finite(recording: Recording) -> Iterator[Finding]:
             f"{bad_times.size} of {recording.n_samples} time stamps are no numbers, first at sample {bad_times[0] + 1}",
             "Repair or remove these rows",
         )
-    for what, values in columns:
-        bad = ~np.isfinite(values)
-        if not bad.any():
-            continue
-        for k in np.flatnonzero(bad.any(axis=0)):
-            first = int(np.flatnonzero(bad[:, k])[0])
-            kind = "infinite" if np.isinf(values[first, k]) else "missing (NaN)"
-            yield Finding(
-                "not-finite",
-                "error",
-                f"{int(bad[:, k].sum())} of {recording.n_samples} values of the {what} of {recording.joint_names[k]} are no numbers, "
-                f"the first {kind} at sample {first + 1}, t = {recording.t[first]:.6g} s",
-                "Repair or remove these rows, or leave them out with time windows in a recording sheet",
-                joint=recording.joint_names[k],
-                time=float(recording.t[first]),
-            )
+    alike: dict[bytes, list[tuple[str, int]]] = {}
+    for what, values in _quantities(recording):
+        bad = ~(np.abs(values) <= CREDIBLE[what])
+        for k in np.flatnonzero(bad.any(axis=0)).tolist():
+            alike.setdefault(bad[:, k].tobytes(), []).append((what, k))
+    quantities = dict(_quantities(recording))
+    for mask, columns in alike.items():
+        rows = np.flatnonzero(np.frombuffer(mask, dtype=np.bool_))
+        what, k = columns[0]
+        value = float(quantities[what][rows[0], k])
+        kind = "missing (NaN)" if np.isnan(value) else "infinite" if np.isinf(value) else f"{value:.3g}, which no robot logs,"
+        told = [
+            f"the {what} of {joined([recording.joint_names[k] for quantity, k in columns if quantity == what])}"
+            for what in dict.fromkeys(quantity for quantity, _ in columns)
+        ]
+        yield Finding(
+            "not-finite",
+            "error",
+            f"{rows.size} of {recording.n_samples} values of {' and '.join(told)} are no usable numbers, the first {kind} at sample {rows[0] + 1}, "
+            f"t = {recording.t[rows[0]]:.6g} s",
+            "Repair or remove these rows, or leave them out with time windows in a recording sheet",
+            joint=recording.joint_names[k],
+            time=float(recording.t[rows[0]]),
+        )
+
+
+def _wrong_unit(step: float) -> Iterator[Finding]:
+    """Find a clock that counts in other units than seconds: no controller logs so slowly, or so fast."""
+    if 1.0 / step > _FASTEST:
+        yield Finding(
+            "clock-unit",
+            "error",
+            f"samples come every {step:.3g} s, {1.0 / step:.3g} a second: the time stamps are not in the unit their name or the sheet says",
+            'Write the unit in a recording sheet: units = { time = "s" }',
+        )
+    unit = next((unit for unit, factor in _CLOCK_UNITS.items() if 20.0 <= 1.0 / (step * factor) <= 20e3), None)
+    if 1.0 / step < _SLOWEST and unit is not None:
+        yield Finding(
+            "clock-unit",
+            "error",
+            f"samples come every {step:.4g} s: the time stamps look like {unit}",
+            f'Write the unit in a recording sheet: units = {{ time = "{unit}" }}',
+        )
 
 
 def _stale(recording: Recording) -> Iterator[Finding]:

@@ -54,7 +54,7 @@ def excitation_findings(model: RobotModel, recording: Recording, motion: Smoothe
             "rank-deficient",
             "warning",
             f"this motion tells {rank} of {base.n_base} parameters; the least told are {involved}",
-            "Move every joint on its own course (asbuilt excite), use a prior (--prior cad) or fewer drive terms (--drive)",
+            "Move every joint on its own course (asbuilt excite), or choose fewer drive terms (--drive); what is not told stays at CAD",
         )
     elif values[0] / values[-1] > _WEAK_CONDITION:
         yield Finding(

@@ -14,7 +14,7 @@ def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: s
     """Return, for each joint of the robot, the position of its label, and notes on what was assumed.
 
     Names are equal when their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name space; joints that the robot does not have
-    are left out. Labels that count (`lbr_joint_0`, ...) go to the robot's joints in numeric order when no name fits.
+    are left out, such as a gripper's, unless the labels only count them: a log of seven numbered joints is none of a robot with four. Labels that count (`lbr_joint_0`, ...) go to the robot's joints in numeric order when no name fits.
 
     Raises
     ------
@@ -26,6 +26,8 @@ def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: s
     >>> match_joints(["elbow", "wrist"], ["wrist_joint", "elbow_joint"], source="log", robot="arm")[0]
     [1, 0]
     """
+    if len(labels) > len(joint_names) and numbers_in(labels) is not None:
+        raise RecordingError(_misfit(labels, joint_names, source, robot))
     for simplify in (_words, _significant_words):
         keys = [simplify(label) for label in labels]
         wanted = [simplify(name) for name in joint_names]
@@ -45,14 +47,7 @@ def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: s
             order[joint] = label
         pairs = ", ".join(f"{labels[order[k]]} -> {joint_names[k]}" for k in range(len(order)))
         return order, (f"joint names of the log and of {robot} differ; they were matched by number: {pairs}",)
-    if len(labels) != len(joint_names):
-        problem = f"{source} has {len(labels)} joints but {robot} has {len(joint_names)}"
-    else:
-        problem = f"the joint names of {source} do not fit {robot}"
-    raise RecordingError(
-        f"{problem}. Joints of the log: {', '.join(labels)}. Joints of {robot}: {', '.join(joint_names)}. "
-        "Choose the right robot, or say in a recording sheet which column is which: joints = [...] with the robot's names in column order."
-    )
+    raise RecordingError(_misfit(labels, joint_names, source, robot))
 
 
 def numbers_in(labels: Sequence[str]) -> list[int] | None:
@@ -64,6 +59,17 @@ def numbers_in(labels: Sequence[str]) -> list[int] | None:
     if len(varying) != 1 or not all(words[varying[0]].isdigit() for words in split):
         return None
     return [int(words[varying[0]]) for words in split]
+
+
+def _misfit(labels: Sequence[str], joint_names: Sequence[str], source: str, robot: str) -> str:
+    if len(labels) != len(joint_names):
+        problem = f"{source} has {len(labels)} joints but {robot} has {len(joint_names)}"
+    else:
+        problem = f"the joint names of {source} do not fit {robot}"
+    return (
+        f"{problem}. Joints of the log: {', '.join(labels)}. Joints of {robot}: {', '.join(joint_names)}. "
+        "Choose the right robot, or say in a recording sheet which column is which: joints = [...] with the robot's names in column order."
+    )
 
 
 def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:

@@ -89,19 +89,29 @@ def _limits(model: RobotModel, recording: Recording) -> Iterator[Finding]:
 
 
 def _still(model: RobotModel, recording: Recording, scale: float) -> Iterator[Finding]:
+    standing: list[tuple[str, float, str]] = []
     for k, joint in enumerate(model.joints):
         q = recording.q[np.isfinite(recording.q[:, k]), k] * (scale if joint.is_revolute else 1.0)
-        if not q.size:
-            continue
-        reach, least, unit = float(np.ptp(q)), _STILL_ANGLE if joint.is_revolute else _STILL_LENGTH, "rad" if joint.is_revolute else "m"
-        if reach < least:
-            yield Finding(
-                "joint-still",
-                "warning",
-                f"{joint.name} hardly moves: {reach:.3g} {unit} in all",
-                "Its friction and part of its inertia cannot be found from this recording; move every joint over a good part of its range",
-                joint=joint.name,
-            )
+        reach = float(np.ptp(q)) if q.size else 0.0
+        if reach < (_STILL_ANGLE if joint.is_revolute else _STILL_LENGTH):
+            standing.append((joint.name, reach, "rad" if joint.is_revolute else "m"))
+    if len(standing) == model.n_joints:
+        name, reach, unit = max(standing, key=lambda joint: joint[1])
+        yield Finding(
+            "nothing-moves",
+            "error",
+            f"no joint moves: {name} moves most, {reach:.3g} {unit} in all",
+            "Record the robot while it moves (asbuilt excite designs a motion), and check that the position columns are the measured ones",
+        )
+        return
+    for name, reach, unit in standing:
+        yield Finding(
+            "joint-still",
+            "warning",
+            f"{name} hardly moves: {reach:.3g} {unit} in all",
+            "Its friction and part of its inertia cannot be found from this recording; move every joint over a good part of its range",
+            joint=name,
+        )
 
 
 def _alike(recording: Recording) -> Iterator[Finding]:
@@ -221,7 +231,7 @@ def _best_shift(late: Array, early: Array) -> float:
 def _ends(recording: Recording, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
     """Find ends where velocity and position part, as the transient of a filter makes them."""
     width = int(_END * motion.rate)
-    if motion.n_samples < 10 * width:
+    if width < 1 or motion.n_samples < 10 * width:
         return
     apart = np.abs(logged - motion.qd)
     inner = np.sqrt(np.mean(apart[width:-width] ** 2, axis=0))

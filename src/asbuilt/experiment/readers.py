@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.formats.delimited import read_delimited
 from asbuilt.experiment.formats.hdf5 import read_hdf5
 from asbuilt.experiment.formats.matlab import read_mat
@@ -28,6 +28,12 @@ from asbuilt.experiment.sheet import RecordingSheet, read_sheet, sheet_beside
 
 PathLike = str | Path
 TEXT_SUFFIXES = {".csv", ".txt", ".tsv", ".dat"}
+PACKED = {
+    **dict.fromkeys((".gz", ".zip", ".bz2", ".xz", ".zst", ".7z"), "; unpack it first"),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "; export the sheet as CSV"),
+    **dict.fromkeys((".bag",), "; convert the ROS 1 bag with rosbags-convert"),
+}
+"""What to do first with other files."""
 SUFFIXES = (*sorted(TEXT_SUFFIXES), ".parquet", ".npz", ".mat", ".h5", ".hdf5", ".db3", ".mcap")
 
 
@@ -62,6 +68,8 @@ def read_recording(
     ------
     RecordingError
         If the file is no recording or does not fit the robot; the message says where and what to do.
+    UsageError
+        If the rate is not a positive number.
     """
     listed = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
     if not listed:
@@ -75,7 +83,11 @@ def read_recording(
         raise RecordingError(_headless_message(table, listed[0], model))
     if len(listed) == 1 and not table.known:
         _refuse_lone_role_file(listed[0], table)
-    layout = find_layout(table.source, tuple(table.columns), model=model, sheet=described, known=table.known)
+    try:
+        layout = find_layout(table.source, tuple(table.columns), model=model, sheet=described, known=table.known)
+    except RecordingError as problem:
+        unread = (f"columns that hold no numbers: {', '.join(table.text_columns)}",) if table.text_columns else ()
+        raise RecordingError(". ".join([str(problem).rstrip("."), *table.notes, *unread])) from None
     recording = build_recording(table, layout, rate=rate if rate is not None else described.rate)
     recording = replace(recording, notes=(*sheet_notes, *table.notes, *recording.notes))
     return apply_sheet(recording, described, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
@@ -100,6 +112,8 @@ def read_table(path: Path, sheet: RecordingSheet) -> Table:
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in {".db3", ".mcap"}:
         return read_ros_bag(path, topic=sheet.topic)
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a recording: it is no regular file; save what it yields as one")
     if path.stat().st_size == 0:
         raise RecordingError(f"{path} is not a recording: it is empty")
     if suffix in TEXT_SUFFIXES:
@@ -112,7 +126,8 @@ def read_table(path: Path, sheet: RecordingSheet) -> Table:
         return read_mat(path)
     if suffix in {".h5", ".hdf5"}:
         return read_hdf5(path)
-    raise RecordingError(f"{path} is not a recording that can be read: known are {', '.join(SUFFIXES)} and the folder of a ROS 2 bag")
+    cure = PACKED.get(suffix, "")
+    raise RecordingError(f"{path} is not a recording that can be read{cure}: known are {', '.join(SUFFIXES)} and the folder of a ROS 2 bag")
 
 
 def find_sheet(log: Path, sheet: PathLike | RecordingSheet | None) -> tuple[RecordingSheet, tuple[str, ...]]:
@@ -130,6 +145,8 @@ def build_recording(table: Table, layout: Layout, *, rate: float | None, first_s
 
     Times later than 1e6 s (a calendar's) count from `origin`, the first of them where None.
     """
+    if rate is not None and not 0.0 < rate < np.inf:
+        raise UsageError(f"the sampling rate must be a positive number of Hz, got {rate:g}")
     notes = list(layout.notes)
     if layout.time is not None:
         t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
@@ -144,8 +161,6 @@ def build_recording(table: Table, layout: Layout, *, rate: float | None, first_s
             f"{table.source} has no time column and no rate is given; give it with --rate HZ, or as rate = HZ in a recording sheet. "
             f"Its columns are {', '.join(list(table.columns)[:30])}"
         )
-    elif not np.isfinite(rate) or rate <= 0:
-        raise RecordingError(f"the sampling rate must be a positive number of Hz, got {rate}")
     else:
         t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
     arrays = {quantity: _stack(table.columns, names, layout.scales) for quantity, names in layout.quantities.items()}

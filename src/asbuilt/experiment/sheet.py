@@ -14,6 +14,8 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.roles import unit_scale
 
 ColumnName = int | str
+ROBOT_FIELDS = {"links", "dh", "robot", "gravity"}
+"""Fields by which a robot description is told from a recording sheet."""
 
 
 def _spread(value: object) -> object:
@@ -159,7 +161,7 @@ def sheet_beside(log: Path) -> Path | None:
             fields = set(tomllib.loads(candidate.read_text(encoding="utf-8")))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
             return candidate
-        if fields & {"links", "dh", "robot", "gravity"}:
+        if fields & ROBOT_FIELDS:
             continue
         return candidate
     return None
@@ -167,17 +169,22 @@ def sheet_beside(log: Path) -> Path | None:
 
 def _explain(path: Path, error: ValidationError) -> str:
     problems = []
+    unknown: dict[tuple[int | str, ...], list[str]] = {}
     for item in error.errors():
         field = ".".join(
             str(part) for part in item["loc"] if not (isinstance(part, str) and ("[" in part or part in {"int", "str", "float"}))
         )
         if item["type"] == "extra_forbidden":
-            known = _fields_at(item["loc"][:-1])
-            problems.append(f"field {field!r} is not known here; known are {', '.join(known)}")
+            unknown.setdefault(item["loc"][:-1], []).append(field)
         elif item["type"] == "value_error":
             problems.append(item["msg"].removeprefix("Value error, "))
         else:
             problems.append(f"field {field!r} is {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}")
+    if ROBOT_FIELDS & set(unknown.get((), ())):
+        return f"{path} is a robot description, not a recording and no recording sheet; the robot comes first, then the logs"
+    for place, fields in unknown.items():
+        are = "fields {} are" if len(fields) > 1 else "field {} is"
+        problems.append(f"{are.format(', '.join(map(repr, fields)))} not known here; known are {', '.join(_fields_at(place))}")
     return f"recording sheet {path}: {'; '.join(dict.fromkeys(problems))}"
 
 

@@ -116,6 +116,11 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     """
     chain = chain or SignalChain()
     runs, rate, notes = uniform_runs(recording, chain.rate, chain.max_gap)
+    longest = max(run.t.size for run in runs) / rate
+    if chain.cutoff is not None and chain.cutoff * longest < 0.1:
+        raise UsageError(
+            f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of {recording.source}, whose longest run without a gap lasts {longest:.3g} s; raise the cutoff"
+        )
     chain, chosen = _resolved(chain, runs, rate)
     plan = FilterPlan.of(chain, rate)
     pieces = [piece for run in runs if plan.fits(run) for piece in plan.segments(run, plan.margin, run.t.size - plan.margin)[0]]

@@ -14,6 +14,13 @@ from asbuilt.experiment.formats.table import Array, Table
 
 _SEPARATORS = (",", ";", "\t", "|")
 _COMMENTS = ("#", "%")
+_PACKED = {
+    b"\xff\xfe": "UTF-16 text; save it as UTF-8",
+    b"\xfe\xff": "UTF-16 text; save it as UTF-8",
+    b"\x1f\x8b": "a gzip archive; unpack it",
+    b"PK\x03\x04": "a ZIP archive or a spreadsheet; unpack it, or export the sheet as CSV",
+}
+"""What files begin with that pass for text by their name."""
 _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 
 
@@ -80,7 +87,9 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
         if name and not _is_number(cell, decimal_comma) and cell not in _MISSING
     )
     if len(text) == len(names):
-        raise RecordingError(f"{path} is not a recording: line {skip + 1} holds no number ({lines[skip].strip()[:60]!r})")
+        raise RecordingError(
+            f"{path} is not a recording: line {skip + 1} holds no number ({lines[skip].strip()[:60]!r}); remove what stands above the header"
+        )
     return Dialect(separator, decimal_comma, skip, tuple(names), not has_header, text)
 
 
@@ -145,7 +154,13 @@ def bad_cell(path: Path, dialect: Dialect, error: Exception) -> str:
                 continue
             fields = _fields(line, dialect.separator)
             if len(fields) > len(dialect.names):
-                return f"{path}, line {number}: {len(fields)} fields where {len(dialect.names)} columns are expected; repair or remove the line"
+                commas = dialect.separator == "," and len(fields) > 1.5 * len(dialect.names)
+                cure = (
+                    "export decimal points, or semicolons between the cells, if these are decimal commas"
+                    if commas
+                    else "repair or remove the line"
+                )
+                return f"{path}, line {number}: {len(fields)} fields where {len(dialect.names)} columns are expected; {cure}"
             for name, cell in zip(dialect.names, fields, strict=False):
                 if name not in dialect.text_columns and cell not in _MISSING and not _is_number(cell, dialect.decimal_comma):
                     return f"{path}, line {number}, column {name!r}: {cell!r} is not a number; repair the cell or remove the line"
@@ -179,7 +194,12 @@ def _times_from_text(frame: pl.DataFrame, names: tuple[str, ...]) -> dict[str, A
 
 def _first_lines(path: Path, count: int = 64) -> list[str]:
     with path.open("rb") as file:
-        start = file.read(512)
+        start = file.read(4096)
+    packed = next((what for magic, what in _PACKED.items() if start.startswith(magic)), None)
+    if packed is not None:
+        raise RecordingError(f"{path} is not a recording: it holds {packed}")
+    if b"\r" in start and b"\n" not in start:
+        raise RecordingError(f"{path} is not a recording: its lines end in a carriage return alone; save it with line feeds")
     if b"\0" in start:
         raise RecordingError(f"{path} is not a recording: it holds binary data, not text")
     if start.lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<robot", b"{")):

@@ -37,7 +37,7 @@ def read_npz(path: Path) -> Table:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(
-            f"{path} is not a recording: NumPy cannot read it as an .npz archive ({error}); save it with np.savez"
+            f"{path} is not a recording: NumPy cannot read it as an .npz archive; save named arrays with np.savez(path, t=t, q=q, tau=tau)"
         ) from error
     if not variables:
         reason = f"its arrays are pickled objects ({', '.join(pickled)}), which are not read for safety" if pickled else "it holds no array"

@@ -25,7 +25,9 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, 
         raise RecordingError(f"{path} is not a recording: it cannot be read as Parquet ({error})") from error
     numeric = tuple(name for name, kind in schema.items() if kind.is_numeric() or kind in (pl.Datetime, pl.Duration))
     if not numeric:
-        raise RecordingError(f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)})")
+        raise RecordingError(
+            f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)}); write numbers, a column for each joint"
+        )
     return frame, numeric, tuple(name for name in schema if name not in numeric)
 
 

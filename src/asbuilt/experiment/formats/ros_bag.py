@@ -66,9 +66,8 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         files = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
         if len(files) != 1:
-            raise RecordingError(
-                f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap files; give one of the files"
-            )
+            cure = "give one of them" if files else "give the file of a recording, or the folder of a bag"
+            raise RecordingError(f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap files; {cure}")
         storage = files[0]
     try:
         with Reader(storage) as bag:
