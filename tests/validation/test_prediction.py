@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -6,7 +7,8 @@ import pytest
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
-from asbuilt.validation.prediction import design_values, validate
+from asbuilt.validation.prediction import design_values, validate, validate_description
+from asbuilt.writers.robot_toml import as_built_model
 
 
 @pytest.mark.parametrize("which", ["example", "filtered_example"])
@@ -60,3 +62,14 @@ def test_other_joints_are_refused(example: Any) -> None:
     swapped = replace(example.held_out, joint_names=tuple(reversed(example.model.joint_names)))
     with pytest.raises(ResultError, match="has joints axis_4, axis_3"):
         validate(example.result, swapped)
+
+
+@pytest.mark.parametrize("which", ["example", "filtered_example"])
+def test_the_robot_as_built_predicts_like_the_result_it_comes_from(which: str, request: pytest.FixtureRequest) -> None:
+    example: Any = request.getfixturevalue(which)
+    found = validate_description(as_built_model(example.result), example.held_out)
+    expected = validate(example.result, example.held_out).metrics_as_built
+    for name in ("rms", "max_abs", "rms_recorded", "relative_error"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
+    with pytest.raises(ResultError, match="has joints"):
+        validate_description(example.model, replace(example.held_out, joint_names=("a", "b", "c", "d")))

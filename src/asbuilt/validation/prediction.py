@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drive_torque import drive_torque
+from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification.identify import design_values as described_values
@@ -99,6 +99,24 @@ def _metrics(result: IdentificationResult, beta: Array, samples: Samples, predic
     recorded = predict_torque(result.model, result.base, beta, replace(samples, tau=samples.tau_raw, parallel=None))
     metrics = torque_metrics(prediction.measured, prediction.predicted, samples.source, result.joint_names)
     return replace(metrics, rms_recorded=np.sqrt(np.mean(recorded.error**2, axis=0)))
+
+
+def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:
+    """Predict a recording with a robot as described, drives included, through the filter of the samples, and return how far off that is.
+
+    Raises ResultError where joints do not fit.
+    """
+    if tuple(samples.joint_names) != model.joint_names:
+        raise ResultError(
+            f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)}; {model.name} has {', '.join(model.joint_names)}"
+        )
+    drive, values = described_drive(model)
+    state = (samples.q, samples.qd, samples.qdd)
+    load = inverse_dynamics(model, *state)
+    torque = load + drive_torque(drive, values, *state, load=load, shares=model.motor_shares)
+    metrics = torque_metrics(samples.filtered_torque, samples.filtered(torque), samples.source, model.joint_names)
+    recorded = replace(samples, tau=samples.tau_raw, parallel=None).filtered_torque
+    return replace(metrics, rms_recorded=np.sqrt(np.mean((recorded - torque) ** 2, axis=0)))
 
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:

@@ -18,10 +18,12 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.experiment.attainment import Attainment
 from asbuilt.experiment.checks import RecordingCheck
 from asbuilt.identification.determination import determination
+from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result import IdentificationResult
-from asbuilt.tables import Column, Table
-from asbuilt.validation.prediction import Validation
+from asbuilt.tables import Cell, Column, Shown, Table, share, significant
+from asbuilt.validation.comparison import recording_name
+from asbuilt.validation.prediction import Validation, torque_units
 from asbuilt.writers.files import atomic_write
 
 
@@ -99,6 +101,34 @@ def validate_document(
         "cad": [validation.metrics_cad.as_dict() for validation in validations],
         "files": {kind: str(path) for kind, path in (files or {}).items()},
     }
+
+
+def described_document(model: RobotModel, errors: Sequence[TorqueMetrics]) -> dict[str, Any]:
+    """Return what `asbuilt validate ROBOT --json` prints: how far off a robot as described predicts each recording."""
+    return {
+        "robot": model.name,
+        "method": "as described",
+        "joints": list(model.joint_names),
+        "validation": [metrics.as_dict() for metrics in errors],
+        "cad": [],
+        "files": {},
+    }
+
+
+def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -> Table:
+    """Return the RMS torque error of each joint of a robot as described, for each recording."""
+    heads = [Column("recording", width=40)]
+    heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(model.joint_names, torque_units(model), strict=True)]
+    heads.append(Column("relative error", align="decimal"))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            recording_name(metrics.source),
+            *(Shown(float(value), significant(float(value))) for value in metrics.rms),
+            Shown(metrics.relative_error, share(metrics.relative_error)),
+        )
+        for metrics in errors
+    ]
+    return Table(tuple(heads), tuple(rows), title=f"RMS torque error of {model.name} as described")
 
 
 def check_document(model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()) -> dict[str, Any]:
