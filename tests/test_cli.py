@@ -204,7 +204,19 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     assert Path(alone["files"]["payload"]).stat().st_size > 0
     status, out, _ = call(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv")
     assert status == 0
-    assert "told by this motion" in out
+    assert "of gains" not in out
+    by_current = ("payload", found["files"]["result"], tmp_path / "loaded.csv", "--torque-source", "current")
+    doubted, tighter = document(capsys, *by_current), document(capsys, *by_current, "--gain-uncertainty", "2%")
+    assert alone["gain_uncertainty"] == [0.0] * 7
+    assert doubted["gain_uncertainty"] == [0.07] * 7
+    mass = doubted["mass"]
+    assert mass["std_error"] == pytest.approx(np.hypot(mass["std_error_noise"], mass["std_error_gains"]))
+    assert mass["std_error_noise"] == pytest.approx(alone["mass"]["std_error"], rel=1e-3)
+    assert sum(mass["slope_by_joint"]) == pytest.approx(2.0, abs=0.05)
+    assert tighter["mass"]["std_error_gains"] == pytest.approx(2 / 7 * mass["std_error_gains"], rel=0.01)
+    assert "That leaves" in call(capsys, *by_current)[1]
+    assert call(capsys, *by_current, "--gain-uncertainty", "much")[0] == 2
+    assert call(capsys, *by_current, "--gain-uncertainty", "90%")[0] == 2
 
 
 def test_simulate_on_the_engine_with_a_tool_and_let_go(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -101,7 +101,10 @@ def identify(
 
 
 def validate(
-    result: Result,
+    result: Annotated[
+        str,
+        typer.Argument(metavar="RESULT|ROBOT", help="a result.json that `asbuilt identify --out` wrote, or a robot, judged as described"),
+    ],
     log: Logs,
     *,
     reading: Reading,
@@ -113,10 +116,19 @@ def validate(
     from asbuilt.experiment.signal_chain import prepare_samples
     from asbuilt.validation.comparison import compare
     from asbuilt.validation.prediction import validate as predict
+    from asbuilt.validation.prediction import validate_description
     from asbuilt.writers.study_files import write_validations
-    from asbuilt.writers.tabular import validate_document
+    from asbuilt.writers.tabular import described_document, described_torque_table, validate_document
 
-    identified = read_result(result)
+    if Path(result).suffix.lower() != ".json":
+        if out is not None:
+            raise UsageError("validate --out writes the predictions of a result; of a robot as described there is only the table")
+        model = described_robot(result)
+        prepared = [prepare_samples(recording, filtering.chain()) for recording in reading.read(model, log)]
+        errors = [validate_description(model, samples) for samples in prepared]
+        answer(as_json, lambda: described_document(model, errors), lambda: described_torque_table(model, errors).as_text())
+        return
+    identified = read_result(Path(result))
     recordings = reading.read(identified.model, log)
     chain = filtering.chain()
     validations = [predict(identified, prepare_samples(recording, chain)) for recording in recordings]
@@ -196,12 +208,21 @@ def payload(
         str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
     ] = None,
     arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
+    gain_uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            "--gain-uncertainty",
+            metavar="7%|P1,P2,...",
+            help="how well torque per ampere is known, for all joints or each (default: 7% for currents, 5% for motor torques, 0 for sensors)",
+        ),
+    ] = None,
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
     """Find what the flange carries: mass, centre and inertia, from recordings under load."""
+    from asbuilt.identification.gain_uncertainty import parse_gain_uncertainty
     from asbuilt.validation.payload_study import run_payload_study
     from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.tabular import write_json
@@ -215,6 +236,7 @@ def payload(
         holdout=holdout,
         frame=frame,
         arm=one_of("--arm", arm, ("refined", "frozen")),
+        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
     )
     files = {"payload": write_json(out / "payload.json", payload_document(found))} if out is not None else {}
     answer(as_json, lambda: payload_document(found, files), lambda: payload_text(found) + listed_files(files))

@@ -14,14 +14,15 @@ from scipy import sparse
 from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.blas import one_blas_thread
-from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.identification.consistency import PSEUDO_INERTIA
+from asbuilt.identification.gain_uncertainty import arm_by_joint, gain_covariance
+from asbuilt.identification.gain_uncertainty import gain_uncertainty as relative_gain_errors
 from asbuilt.identification.least_squares import solve_factor
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
+from asbuilt.identification.payload_rows import PayloadRows
 from asbuilt.identification.result import IdentificationResult
-from asbuilt.identification.square_root_information import accumulate_stream
 from asbuilt.identification.torque_prediction import predict_torque
 from asbuilt.identification.triangular import triangular_factor
 
@@ -42,6 +43,8 @@ COM_SCALE = 0.04
 VAGUE_ARM = 0.5
 """Distance from the flange [m] at which nothing is known of a payload's mass."""
 FEWEST_BLOCKS = 4
+LOAD_ITERATIONS = 4
+"""Times that the load, of which friction may depend, is renewed with the payload."""
 INTERIOR = 1e-6
 """Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
 
@@ -51,7 +54,10 @@ class Payload:
     """Hold the payload as found: `parameters` (10,) about the origin of `frame`, in its axes, in the order of `LinkInertia`, with `covariance` (10, 10).
 
     They are always those of a possible body; `projected` says that the least-squares estimate was not and the nearest body stands in. `values` and
-    `std_errors` (10,) are those of `names`; `determined` are the names that this motion tells. `arm` (p,) are the base parameters of the arm that were used.
+    `std_errors` (10,) are those of `names`; `determined` are the names that they tell. `arm` (p,) are the base parameters of the arm that were used.
+    `noise_errors` (10,) are the part of the standard errors that the recordings show, `gain_errors` (10,) that of gains known no better than `gain_uncertainty` (n,), as
+    fractions; `gain_slopes` (10, n) is how much each value changes per fraction by which the torque of a joint changes, in all recordings of the arm: exact where the result kept its
+    evidence (`gains_by_evidence`), else as if the arm had been identified along the motion at hand, which may leave the centre too sure.
     `metrics` has the torque errors with payload on each recording, `metrics_bare` those of the arm alone.
     """
 
@@ -63,6 +69,11 @@ class Payload:
     covariance: Array
     values: Array
     std_errors: Array
+    noise_errors: Array
+    gain_errors: Array
+    gain_slopes: Array
+    gain_uncertainty: Array
+    gains_by_evidence: bool
     projected: bool
     determined: tuple[str, ...]
     not_determined: tuple[str, ...]
@@ -106,6 +117,7 @@ def identify_payload(
     frame: str | None = None,
     arm: Arm = "refined",
     validation: Sequence[Samples] = (),
+    gain_uncertainty: ArrayLike | None = None,
     block_seconds: float | None = None,
 ) -> Payload:
     """Identify what the flange carries from recordings under load.
@@ -113,8 +125,10 @@ def identify_payload(
     The loaded torque is `tau = Y_b beta + Y_l S pi`: the arm's base parameters, and the ten of the payload seen as part of the last link. `arm` "frozen" takes
     beta from the result; "refined" estimates beta and pi together, the result (with its covariance) and recordings of the bare arm (`unloaded`) holding beta.
     Rows are weighted by the result's noise per joint. The covariance is the sum of a delete-one-block jackknife, which allows for correlated residuals
-    (Efron & Stein, Annals of Statistics 9, 1981), and of what the result's own covariance carries over. Where the estimate is impossible for a body, the
-    nearest possible one in the metric of the covariance is taken, by a semidefinite program.
+    (Efron & Stein, Annals of Statistics 9, 1981), of what the result's own covariance carries over, and of what unknown gains leave open: torque from currents is as good
+    as the torque per ampere of each joint, which no recording without a known load tells, `gain_uncertainty` (one fraction, or one per joint; by default what is usual for the
+    torque source, none for sensors). Where the estimate is impossible for a body, the nearest possible one in the metric of the covariance is taken, by a
+    semidefinite program. Friction that depends on load feels the payload too.
 
     Raises
     ------
@@ -122,31 +136,29 @@ def identify_payload(
         If there are fewer samples than unknowns, or no motion that tells a mass.
     """
     batches = [loaded] if not isinstance(loaded, Sequence) else list(loaded)
+    source = batches[0].torque_source
+    uncertainty = relative_gain_errors(source, result.model.n_joints, gain_uncertainty)
     name, link, placement = payload_frame(result.model, frame)
-    shift = shift_matrix(placement)
-    weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny)
-    link_columns = np.arange(10 * link, 10 * link + 10)
-    columns = np.union1d(result.base.columns, link_columns)
-    under_load = accumulate_stream(result.model, replace(result.base, columns=columns), batches, block_seconds=block_seconds)
-    own, carried_columns = np.searchsorted(columns, result.base.columns), np.searchsorted(columns, link_columns)
-    bare = accumulate_stream(result.model, result.base, list(unloaded), block_seconds=block_seconds) if unloaded else None
     p = result.n_base
-    factors = [under_load.block_stacked(b, weights) for b in range(under_load.n_blocks)]
-    blocks = [np.column_stack([factor[:, own], factor[:, carried_columns] @ shift, factor[:, -1]]) for factor in factors]
-    blocks += [_widened(bare.block_stacked(b, weights), p) for b in range(bare.n_blocks)] if bare is not None else []
     prior, vague = _prior(result), _vague(result.model)
+    x = np.concatenate([result.estimates, np.zeros(10)])
+    for _ in range(LOAD_ITERATIONS if result.base.drive.needs_load else 1):
+        rows = PayloadRows.of(result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds)
+        with one_blas_thread():
+            x, carried = _solved(rows.blocks, prior, vague, p, arm)
     with one_blas_thread():
-        x, carried = _solved(blocks, prior, vague, p, arm)
-        spread = _jackknife(blocks, prior, vague, p, arm)
-    covariance = spread + carried
+        noise = _jackknife(rows.blocks, prior, vague, p, arm) + carried
+        slopes = _gain_slopes(result, rows, prior, vague, x, arm)
+    gains = slopes @ gain_covariance(uncertainty) @ slopes.T
     beta, estimate = x[:p], x[p:]
     if not estimate[9] > 0:
         raise IdentifiabilityError(
             f"the recording under load says that {result.robot} carries {estimate[9]:.3g} kg at {name}; is it really loaded, "
             "and are torque sign, gains and the arm's result of the same robot and units?"
         )
-    parameters, projected = _nearest_body(estimate, covariance)
-    values, errors = _reported(parameters, covariance)
+    parameters, projected = _nearest_body(estimate, noise + gains)
+    values, reported = _reported(parameters, noise + gains)
+    errors, noise_errors, gain_errors = (_deviations(reported @ part @ reported.T) for part in (noise + gains, noise, gains))
     told = _told(values, errors)
     payload = Payload(
         robot=result.robot,
@@ -154,37 +166,51 @@ def identify_payload(
         placement=placement,
         link=link,
         parameters=parameters,
-        covariance=covariance,
+        covariance=noise + gains,
         values=values,
         std_errors=errors,
+        noise_errors=noise_errors,
+        gain_errors=gain_errors,
+        gain_slopes=reported @ slopes,
+        gain_uncertainty=uncertainty,
+        gains_by_evidence=result.evidence is not None,
         projected=projected,
         determined=tuple(item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if well),
         not_determined=tuple(item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if not well),
         arm=beta,
-        n_samples=under_load.n_samples,
-        torque_source=batches[0].torque_source,
+        n_samples=rows.n_samples,
+        torque_source=source,
         metrics=(),
         metrics_bare=(),
     )
     judged = list(validation) or batches
     return replace(
         payload,
-        metrics=tuple(_metrics(result, payload, samples, carried=True) for samples in judged),
-        metrics_bare=tuple(_metrics(result, payload, samples, carried=False) for samples in judged),
+        metrics=tuple(_metrics(result, samples, beta, payload) for samples in judged),
+        metrics_bare=tuple(_metrics(result, samples, result.estimates, None) for samples in judged),
     )
 
 
-def loaded_torque(result: IdentificationResult, payload: Payload, samples: Samples) -> Array:
-    """Return the torque that the payload adds, on the filtered grid of the samples, shape (n_filtered, n)."""
-    model = result.model
-    chi = np.zeros(10 * model.n_joints)
-    chi[10 * payload.link : 10 * payload.link + 10] = shift_matrix(payload.placement) @ payload.parameters
-    return samples.filtered(inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=chi))
+def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, x: Array, arm: Arm) -> Array:
+    """Return how pi changes per fraction by which the torque of each joint changes in all recordings, those behind the result too, (10, n).
+
+    pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
+    """
+    p = result.n_base
+    weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny)
+    of_arm = arm_by_joint(result, rows.joints, weights)
+    sides = np.column_stack([joint[:, :-1].T @ joint[:, -1] for joint in rows.joints])
+    matrix = sum((block[:, :-1].T @ block[:, :-1] for block in rows.blocks), start=np.zeros((p + 10, p + 10)))
+    matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]
+    if arm == "frozen":
+        return np.asarray(_solved_symmetric(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm))
+    held = prior[:, :-1].T @ prior[:, :-1]
+    return np.asarray(_solved_symmetric(matrix + held, sides + held[:, :p] @ of_arm)[p:])
 
 
-def _widened(factor: Array, p: int) -> Array:
-    """Return a factor of the bare arm with ten zero columns for the payload."""
-    return np.concatenate([factor[:, :p], np.zeros((len(factor), 10)), factor[:, p:]], axis=1)
+def _solved_symmetric(matrix: Array, sides: Array) -> Array:
+    scale = np.sqrt(np.diag(matrix))
+    return np.asarray(np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-14)[0] / scale[:, None])
 
 
 def _prior(result: IdentificationResult) -> Array:
@@ -287,7 +313,7 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
 
 
 def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return mass, centre of mass and inertia about it with standard errors to first order, two (10,)."""
+    """Return mass, centre of mass and inertia about it (10,), and their slopes (10, 10) in the parameters; differences are small against the errors."""
 
     def report(pi: Array) -> Array:
         body = LinkInertia(pi)
@@ -296,7 +322,11 @@ def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
 
     step = 1e-6 * np.maximum(np.sqrt(np.diag(covariance)), 1e-9)
     slope = np.column_stack([(report(parameters + h) - report(parameters - h)) / (2 * h[k]) for k, h in enumerate(np.diag(step))])
-    return report(parameters), np.sqrt(np.maximum(np.diag(slope @ covariance @ slope.T), 0.0))
+    return report(parameters), slope
+
+
+def _deviations(covariance: Array) -> Array:
+    return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _told(values: Array, errors: Array) -> NDArray[np.bool_]:
@@ -306,7 +336,11 @@ def _told(values: Array, errors: Array) -> NDArray[np.bool_]:
     return errors <= WELL_TOLD * size
 
 
-def _metrics(result: IdentificationResult, payload: Payload, samples: Samples, *, carried: bool) -> TorqueMetrics:
-    bare = predict_torque(result.model, result.base, payload.arm if carried else result.estimates, samples)
-    predicted: ArrayLike = bare.predicted + loaded_torque(result, payload, samples) if carried else bare.predicted
-    return torque_metrics(bare.measured, predicted, samples.source, result.joint_names)
+def _metrics(result: IdentificationResult, samples: Samples, beta: Array, payload: Payload | None) -> TorqueMetrics:
+    """Return the torque error of an arm (and what it carries) on a recording."""
+    added = None
+    if payload is not None:
+        added = np.zeros(10 * result.model.n_joints)
+        added[10 * payload.link : 10 * payload.link + 10] = shift_matrix(payload.placement) @ payload.parameters
+    prediction = predict_torque(result.model, result.base, beta, samples, added=added)
+    return torque_metrics(prediction.measured, prediction.predicted, samples.source, result.joint_names)

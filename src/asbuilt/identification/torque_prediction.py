@@ -47,10 +47,13 @@ def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> Robo
     return model.with_parameters(chi[: 10 * model.n_joints])
 
 
-def predict_torque(model: RobotModel, base: BaseParameters, values: ArrayLike, samples: Samples) -> Prediction:
+def predict_torque(
+    model: RobotModel, base: BaseParameters, values: ArrayLike, samples: Samples, *, added: Array | None = None
+) -> Prediction:
     """Predict `F(Y_b beta)` beside `F(tau)`, F being the parallel filter of the samples, if any.
 
-    The kept columns of Y reproduce every torque alone, so Newton-Euler runs once with beta in their places and zero elsewhere.
+    The kept columns of Y reproduce every torque alone, so Newton-Euler runs once with beta in their places and zero elsewhere. `added` (10 n,) are
+    link parameters that come on top, such as those of a payload.
     Raises `ResultError` where the samples belong to other joints or `values` is not of shape (p,).
     """
     beta = np.asarray(values, dtype=np.float64)
@@ -63,6 +66,8 @@ def predict_torque(model: RobotModel, base: BaseParameters, values: ArrayLike, s
     chi = np.zeros(base.n_standard)
     chi[base.columns] = beta
     links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
+    if added is not None:
+        links = links + added
     torque = inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
     if base.drive:
         torque = torque + drive_torque(base.drive, drives, samples.q, samples.qd, samples.qdd, load=torque, shares=model.motor_shares)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from numpy.typing import ArrayLike
+
 from asbuilt.errors import UsageError
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.recording import Recording
@@ -22,10 +24,11 @@ def run_payload_study(
     holdout: str | None = None,
     frame: str | None = None,
     arm: Arm = "refined",
+    gain_uncertainty: ArrayLike | None = None,
 ) -> Payload:
     """Identify what the flange carries and judge it on what was held out of the loaded recordings, on other ones, or else on the data used.
 
-    All recordings go through one signal chain, whose open choices are made for the loaded ones. Raises as `identify_payload`.
+    All recordings go through one signal chain, whose open choices are made for the loaded ones. `gain_uncertainty` and errors as of `identify_payload`.
     """
     if not loaded:
         raise UsageError(f"no recording under load is given for {result.robot}")
@@ -36,4 +39,4 @@ def run_payload_study(
         parts = [hold_out(samples, holdout) for samples in learning]
         learning, judging = [train for train, _ in parts], [held for _, held in parts] + judging
     bare = [prepare_samples(recording, resolved) for recording in unloaded]
-    return identify_payload(result, learning, unloaded=bare, frame=frame, arm=arm, validation=judging)
+    return identify_payload(result, learning, unloaded=bare, frame=frame, arm=arm, validation=judging, gain_uncertainty=gain_uncertainty)

@@ -7,10 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.identification.payload import Payload
 from asbuilt.tables import Column, Shown, Table, percent, rounded, significant, stacked
 
+Array = NDArray[np.float64]
+
+_SOURCES = {"motor": "motors", "current": "currents", "sensor": "sensors", "unknown": "an unknown source"}
 UNITS = ("kg", "m", "m", "m", *("kg m^2",) * 6)
 
 
@@ -22,30 +26,54 @@ def payload_text(payload: Payload) -> str:
 def payload_table(payload: Payload) -> Table:
     """Return mass, centre of mass and inertia about it with standard errors, and whether this motion tells them."""
     rows = []
-    for name, unit, value, error in zip(payload.names, UNITS, payload.values, payload.std_errors, strict=True):
-        shown, uncertainty = rounded(float(value), float(error))
+    split = bool(np.any(payload.gain_uncertainty > 0.0))
+    parts = (payload.values, payload.std_errors, payload.noise_errors, payload.gain_errors)
+    for name, unit, value, error, noise, gain in zip(payload.names, UNITS, *(each.tolist() for each in parts), strict=True):
+        shown, uncertainty = rounded(value, error)
         told = "yes" if name in payload.determined else "NO"
-        rows.append((name, unit, Shown(float(value), shown), Shown(float(error), uncertainty), percent(float(value), float(error)), told))
+        of_these = (significant(noise, 2), significant(gain, 2)) if split else ()
+        rows.append((name, unit, Shown(value, shown), Shown(error, uncertainty), percent(value, error), *of_these, told))
     columns = (
         Column("parameter"),
         Column("unit"),
         Column("estimate", align="decimal"),
         Column("std err", align="decimal"),
         Column("%", align="decimal"),
-        Column("told by this motion"),
+        *((Column("of noise", align="decimal"), Column("of gains", align="decimal")) if split else ()),
+        Column("told"),
     )
     notes = [f"Centre of mass and inertia about it in the axes of {payload.frame}; standard errors allow for residual correlation."]
     if payload.projected:
         notes.append(
             "The least-squares estimate is impossible for a body; the nearest possible one is given (inertias at their bound are not to be trusted)."
         )
-    if payload.torque_source == "current":
-        notes.append(
-            "Torques come from currents: an error of the gains carries over to the mass in proportion and is not in its standard error."
-        )
+    notes += _gain_notes(payload)
     return Table(
         columns, tuple(rows), title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples", notes=tuple(notes)
     )
+
+
+def _gain_notes(payload: Payload) -> list[str]:
+    """Say what gains were taken to be known to, and which of them the mass hangs on."""
+    if not np.any(payload.gain_uncertainty > 0.0):
+        if payload.torque_source in ("sensor", "unknown"):
+            return []
+        return [f"Torques come from {_SOURCES[payload.torque_source]} whose gains were taken as exact."]
+    joints = payload.metrics[0].joint_names
+    known = sorted({100.0 * value for value in payload.gain_uncertainty.tolist()})
+    spread = f"{known[0]:g} %" if len(known) == 1 else f"{known[0]:.2g} to {known[-1]:.2g} %"
+    weight = np.abs(payload.gain_slopes[0] * payload.gain_uncertainty)
+    doubt = (
+        ""
+        if payload.gains_by_evidence
+        else " The result kept no evidence of its recordings, so what gains do to the centre may come out too small."
+    )
+    leading = [joints[k] for k in np.argsort(-weight)[:3] if weight[k] > 0.25 * weight.max()]
+    return [
+        f"Torques come from {_SOURCES[payload.torque_source]}, whose gains are known to {spread} at each joint (standard deviation, a third of the variance common to all; "
+        f"--gain-uncertainty states another). That leaves {100 * payload.gain_errors[0] / payload.values[0]:.1f} % of the mass open, noise {100 * payload.noise_errors[0] / payload.values[0]:.1f} %. "
+        f"The mass hangs on the gains of {', '.join(leading)}. A payload of known mass calibrates them (asbuilt gains).{doubt}"
+    ]
 
 
 def payload_torque_table(payload: Payload) -> Table:
@@ -68,18 +96,31 @@ def payload_torque_table(payload: Payload) -> Table:
 
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Return what `asbuilt payload --json` prints."""
-    about = np.zeros((3, 3))
-    about[np.triu_indices(3)] = payload.values[4:]
-    errors = np.zeros((3, 3))
-    errors[np.triu_indices(3)] = payload.std_errors[4:]
+    errors, noise, gain = (_symmetric(each[4:]) for each in (payload.std_errors, payload.noise_errors, payload.gain_errors))
     return {
         "robot": payload.robot,
         "frame": payload.frame,
         "n_samples": payload.n_samples,
-        "mass": {"estimate": float(payload.values[0]), "std_error": float(payload.std_errors[0])},
-        "com": {"estimate": payload.values[1:4].tolist(), "std_error": payload.std_errors[1:4].tolist()},
-        "inertia_about_com": (about + np.triu(about, 1).T).tolist(),
-        "inertia_std_error": (errors + np.triu(errors, 1).T).tolist(),
+        "mass": {
+            "estimate": float(payload.values[0]),
+            "std_error": float(payload.std_errors[0]),
+            "std_error_noise": float(payload.noise_errors[0]),
+            "std_error_gains": float(payload.gain_errors[0]),
+            "slope_by_joint": payload.gain_slopes[0].tolist(),
+        },
+        "com": {
+            "estimate": payload.values[1:4].tolist(),
+            "std_error": payload.std_errors[1:4].tolist(),
+            "std_error_noise": payload.noise_errors[1:4].tolist(),
+            "std_error_gains": payload.gain_errors[1:4].tolist(),
+        },
+        "inertia_about_com": _symmetric(payload.values[4:]),
+        "inertia_std_error": errors,
+        "inertia_std_error_noise": noise,
+        "inertia_std_error_gains": gain,
+        "torque_source": payload.torque_source,
+        "gain_uncertainty": payload.gain_uncertainty.tolist(),
+        "gains_by_evidence": payload.gains_by_evidence,
         "physically_consistent": payload.inertia.is_consistent,
         "projected": payload.projected,
         "determined": list(payload.determined),
@@ -88,3 +129,10 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
         "bare": [metrics.as_dict() for metrics in payload.metrics_bare],
         "files": {kind: str(path) for kind, path in (files or {}).items()},
     }
+
+
+def _symmetric(upper: Array) -> list[list[float]]:
+    """Return the symmetric 3 x 3 matrix with these six entries on and above its diagonal, row by row."""
+    matrix = np.zeros((3, 3))
+    matrix[np.triu_indices(3)] = upper
+    return [row.tolist() for row in matrix + np.triu(matrix, 1).T]
