@@ -161,19 +161,29 @@ def test_flipped_torque_is_refused_with_its_cure(capsys: pytest.CaptureFixture[s
         (["identify", "scara", "{log}", "--gain", "1,nan,2,3"], 2, "--gain"),
         (["identify", "scara", "{log}", "--gain", "1,2"], 1, "4"),
         (["check", "scara", "{log}", "--torque-source", ""], 2, "sensor"),
-        (["gains", "scara", "{log}", "--loaded", "{log}", "--mass", "1", "--com", "0,1"], 2, "--com takes 3 numbers"),
+        (["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--com", "0,1"], 2, "--com takes 3 numbers"),
+        (["gains", "scara", "{log}", "--loaded", "{log}", "--mass", "1"], 2, "is given twice"),
+        (["identify", "scara", "{log}", "--out", "{log}/x"], 2, "is a file"),
+        (["identify", "scara", "{log}", "--cutoff", "1e-9"], 2, "raise the cutoff"),
+        (["simulate", "scara", "--seed", "-1"], 2, "--seed"),
+        (["simulate", "scara", "--rate", "0", "--engine", "inverse-dynamics"], 1, "rate must be a positive number"),
+        (["excite", "scara", "--rate", "nan"], 2, "--rate takes a positive number"),
+        (["excite", "scara", "--out", "{log}/motion.csv"], 2, "is a file"),
+        (["show", ""], 1, "no bundled robot"),
+        (["show", "x" * 5000], 1, "File name too long"),
         (["identify", "scara", "{log}", "--cutoff", "-3"], 2, "cutoff"),
         (["identify", "scara", "{log}", "--torque-source", "guess"], 2, "sensor"),
         (["identify", "kuka-iiwa7-r800", "{log}"], 1, "4"),
         (["identify", "scara", "{log}", "--decimate", "0"], 2, "decimate"),
-        (["gains", "scara", "{log}", "--loaded", "{log}", "--mass", "1", "--cutoff", "auto"], 2, "--cutoff"),
-        (["validate", "{log}", "{log}"], 1, "result"),
+        (["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--cutoff", "auto"], 2, "--cutoff"),
+        (["validate", "{log}", "{other}"], 1, "name the robot before it"),
+        (["compare", "{log}"], 1, "result"),
     ],
 )
 def test_wrong_calls_name_the_place_and_the_cure(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], arguments: list[str], status: int, says: str
 ) -> None:
-    given = [argument.format(log=recorded["scara ideal"]) for argument in arguments]
+    given = [argument.format(log=recorded["scara ideal"], other=recorded["scara train"]) for argument in arguments]
     found, out, err = call(capsys, *given)
     assert (found, out) == (status, "")
     assert says in err

@@ -20,6 +20,7 @@ from asbuilt.cli_options import (
     Robot,
     answer,
     described_robot,
+    distinct_logs,
     listed_files,
     one_of,
     progress_bar,
@@ -42,7 +43,7 @@ def identify(
     drive: Drive = None,
     method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "auto",
     undetermined: Annotated[
-        str, typer.Option("--undetermined", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
+        str, typer.Option("--undetermined", "--prior", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
     ] = "cad",
     payload: Annotated[
         list[Path] | None, typer.Option("--payload", metavar="LOG", help="a recording under load: what does the flange carry?")
@@ -73,6 +74,7 @@ def identify(
     from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.study_files import study_document, study_text, write_study
 
+    distinct_logs(log, validate, payload)
     model, swept = described_robot(robot), filtering.cutoff == "auto"
     options = StudyOptions(
         drive=None if drive is None else drive if is_auto(drive) else DriveSet.parse(drive),
@@ -227,6 +229,7 @@ def payload(
     from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.tabular import write_json
 
+    distinct_logs(log, unloaded, validate)
     identified = read_result(result)
     read = [reading.read(identified.model, logs) for logs in (log, unloaded, validate)]
     found = run_payload_study(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,6 +13,7 @@ from asbuilt.cli_options import (
     AsJson,
     Drive,
     Robot,
+    Seed,
     answer,
     described_robot,
     listed_files,
@@ -19,6 +21,8 @@ from asbuilt.cli_options import (
     positive_number,
     progress_bar,
     read_result,
+    writable_file,
+    writable_folder,
 )
 from asbuilt.errors import UsageError
 
@@ -66,19 +70,19 @@ def excite(
     fraction: Annotated[float, typer.Option("--fraction", help="how much of the limits of motion may be used")] = 0.95,
     torque_fraction: Annotated[float, typer.Option("--torque-fraction", help="how much of the torque limits may be used")] = 0.8,
     perturbed: Annotated[
-        int, typer.Option("--perturbed", metavar="N", help="hold the torque limit for N other robots, masses 10 % off")
+        int, typer.Option("--perturbed", metavar="N", min=0, help="hold the torque limit for N other robots, masses 10 % off")
     ] = 0,
     starts: Annotated[int, typer.Option("--starts", metavar="N", help="local searches")] = 24,
     time_limit: Annotated[
         float,
         typer.Option("--time-limit", metavar="S", help="end the search after this time; bounds and refinement take some seconds more"),
     ] = 18.0,
-    seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
+    seed: Seed = 0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")] = 1000.0,
     program: Annotated[
         list[str] | None, typer.Option("--program", metavar="FORMAT", help="program for a controller beside it: see `asbuilt program`")
     ] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="motion file to write")] = Path("motion.csv"),
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="motion file to write", callback=writable_file)] = Path("motion.csv"),
     as_json: AsJson = False,
 ) -> None:
     """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
@@ -91,6 +95,8 @@ def excite(
     from asbuilt.identification.known_information import known_information
     from asbuilt.writers.design_tables import excite_document, excite_text, static_document, static_text, write_design, write_static
 
+    if not 0.0 < rate < math.inf:
+        raise UsageError(f"--rate takes a positive number of Hz, got {rate:g}")
     model, drives, prior = described_robot(robot), DriveSet.parse(drive or "none"), None
     sigma = number_list("--noise", noise) or (1.0,)
     if given is not None:
@@ -171,7 +177,9 @@ def program(
     form: Annotated[str, typer.Option("--format", metavar="FORMAT", help="sunrise, fri, ros2, urscript, franka or csv")],
     rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="rate of points or recording (default: what suits)")] = None,
     name: Annotated[str | None, typer.Option("--name", help="name of the motion and its files (default: the file's)")] = None,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write")] = Path("program"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)] = Path(
+        "program"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Write a program that makes a real controller run a motion and record it, slow dry run first."""

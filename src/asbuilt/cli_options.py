@@ -24,11 +24,28 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal_chain import SignalChain
     from asbuilt.identification.result import IdentificationResult
 
+
+def writable_folder(folder: Path | None) -> Path | None:
+    """Return a folder that can be written to or made; raises `UsageError` before any work is done otherwise."""
+    from asbuilt.writers.files import check_writable
+
+    if folder is not None:
+        check_writable(folder)
+    return folder
+
+
+def writable_file(file: Path | None) -> Path | None:
+    """Return a file whose folder can be written to or made; raises `UsageError` before any work is done otherwise."""
+    writable_folder(None if file is None else file.parent)
+    return file
+
+
 Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)]
 Drive = Annotated[
     str | None,
     typer.Option(
@@ -196,7 +213,10 @@ def read_result(path: Path) -> IdentificationResult:
         raise ResultError(
             f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt identify --out DIR` writes"
         ) from None
-    return IdentificationResult.from_json(text)
+    try:
+        return IdentificationResult.from_json(text)
+    except ResultError as problem:
+        raise ResultError(f"{path}: {problem}") from None
 
 
 def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
@@ -218,6 +238,14 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
         example = ",".join(map(str, range(1, (count or 3) + 1)))
         raise UsageError(f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for example {option} {example}")
     return values
+
+
+def distinct_logs(*groups: Sequence[Path] | None) -> None:
+    """Raise `UsageError` where a log is given twice, in one place or in two: counted twice it seems surer than it is, and it judges itself."""
+    given = [path.resolve() for group in groups for path in group or ()]
+    repeated = next((path for path in given if given.count(path) > 1), None)
+    if repeated is not None:
+        raise UsageError(f"{repeated} is given twice; give every log once")
 
 
 def positive_number(option: str, text: str) -> float:

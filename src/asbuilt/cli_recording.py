@@ -15,13 +15,16 @@ from asbuilt.cli_options import (
     Logs,
     Reading,
     Robot,
+    Seed,
     answer,
     described_robot,
+    distinct_logs,
     listed_files,
     number_list,
     one_of,
     progress_bar,
     robot_as_built,
+    writable_file,
 )
 from asbuilt.errors import UsageError
 
@@ -85,6 +88,7 @@ def gains(
     from asbuilt.identification.torque_gains import gains_in_use, identify_gains
     from asbuilt.writers.drive_tables import gains_document, gains_text
 
+    distinct_logs(log, loaded)
     model = described_robot(robot)
     currents = replace(reading, torque_source=reading.torque_source or "current")
     bare, under = (currents.read(model, logs) for logs in (log, loaded))
@@ -157,9 +161,15 @@ def simulate(
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="length of the random motion (20) or of --free (3)")
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="seed of everything random")] = 0,
+    seed: Seed = 0,
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="LOG", help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)")
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="LOG",
+            help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
+            callback=writable_file,
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -180,12 +190,19 @@ def simulate(
 
         let_go = model if carried is None else with_body(model, carried, at)
         freed = run_free(
-            let_go, one_of("--free", free, ("drop", "step", "free")), duration=duration or 3.0, start=number_list("--start", start) or None
+            let_go,
+            one_of("--free", free, ("drop", "step", "free")),
+            duration=3.0 if duration is None else duration,
+            start=number_list("--start", start) or None,
         )
         files = write_free_motion(out or Path("free.csv"), freed)
         answer(as_json, lambda: free_motion_document(freed, files), lambda: free_motion_text(freed) + listed_files(files))
         return
-    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=duration or 20.0)
+    moved = (
+        read_motion(motion, model)
+        if motion is not None
+        else random_fourier(model, rng=seed, duration=20.0 if duration is None else duration)
+    )
     if engine == "mujoco":
         from asbuilt.experiment.virtual_robot import VirtualRobot
 
@@ -196,6 +213,8 @@ def simulate(
         if preset == "factory":
             raise UsageError("--engine inverse-dynamics knows no preset 'factory'; it has ideal and lab")
         machine = InstalledRobot.typical(model, rng=seed) if preset == "lab" else InstalledRobot.ideal(model)
-        simulated = (machine if carried is None else machine.with_tool(carried, at)).record(moved, rate or 1000.0, rng=seed)
+        simulated = (machine if carried is None else machine.with_tool(carried, at)).record(
+            moved, 1000.0 if rate is None else rate, rng=seed
+        )
     files = write_simulation(out or Path("recording.csv"), simulated)
     answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + listed_files(files))

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from asbuilt.cli_options import AsJson, Out, answer, listed_files, progress_bar
+from asbuilt.cli_options import AsJson, Out, answer, listed_files, progress_bar, writable_folder
 
 
 def reproduce(out: Out = None, as_json: AsJson = False) -> None:
@@ -22,7 +22,9 @@ def reproduce(out: Out = None, as_json: AsJson = False) -> None:
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write")] = Path("asbuilt-demo"),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)] = Path(
+        "asbuilt-demo"
+    ),
     as_json: AsJson = False,
 ) -> None:
     """Run the whole story on bundled data: move, record, identify, validate, compare, export, report."""

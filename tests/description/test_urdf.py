@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -165,6 +166,15 @@ BOMB = (
 )
 FLOATING = JOINT.format("j1", "base", "arm").replace("revolute", "floating")
 MIMIC = JOINT.format("j1", "base", "arm").replace("</joint>", '<mimic joint="other"/></joint>')
+
+
+def test_xml_in_any_encoding_is_recognised_by_content(tmp_path: Path) -> None:
+    text = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>'
+    for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+        (tmp_path / "arm.urdf").write_text(text, encoding=encoding)
+        assert load_robot(tmp_path / "arm.urdf").joint_names == ("j",)
+
+
 HOSTILE = {
     "expansion bomb": (BOMB, r"declares or refers to entities.*remove them"),
     "external entity": ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', r"declares or refers to entities"),

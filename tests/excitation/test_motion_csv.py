@@ -7,7 +7,7 @@ import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Joint, Link, RobotModel
-from asbuilt.errors import MotionError
+from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.fourier import FourierMotion
 from asbuilt.excitation.motion_csv import read_motion, write_motion
 
@@ -104,7 +104,7 @@ def test_names_must_fit_and_the_place_must_be_writable(tmp_path: Path) -> None:
         write_motion(tmp_path / "m.csv", motion(), ("a", "a", "b"))
     blocked = tmp_path / "file"
     blocked.write_text("")
-    with pytest.raises(MotionError, match="cannot write the motion"):
+    with pytest.raises(UsageError, match="cannot write the motion"):
         write_motion(blocked / "m.csv", motion(), NAMES)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from asbuilt.errors import UsageError
 from asbuilt.writers import files
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, check_writable
 
 
 def test_writes_text_and_bytes_and_makes_folders(tmp_path: Path) -> None:
@@ -58,3 +58,16 @@ def test_keeps_the_mode_of_the_file_it_replaces(tmp_path: Path) -> None:
     mask = os.umask(0)
     os.umask(mask)
     assert atomic_write(tmp_path / "y", "new").stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_a_place_is_looked_at_without_being_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_writable(tmp_path / "a" / "b")
+    check_writable(Path("somewhere/below/here"))
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "file").write_text("x")
+    for place in (tmp_path / "file", tmp_path / "file" / "x"):
+        with pytest.raises(UsageError, match="is a file"):
+            check_writable(place)
+    monkeypatch.setattr(files.os, "access", lambda path, mode: False)
+    with pytest.raises(UsageError, match="not open to you"):
+        check_writable(tmp_path / "a")

@@ -61,6 +61,11 @@ def _check_columns(path: Path, columns: list[str]) -> None:
     repeated = sorted({name for name in columns if columns.count(name) > 1})
     if repeated:
         raise DescriptionError(f"{path}: column {repeated[0]!r} appears twice")
+    if not set(GEOMETRY_COLUMNS) & set(columns):
+        raise DescriptionError(
+            f"{path} is no table of Denavit-Hartenberg parameters: it has columns {', '.join(columns[:8])}, none of {', '.join(GEOMETRY_COLUMNS)}; "
+            "if it is a recording, name the robot before it"
+        )
     missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
     if missing:
         raise DescriptionError(

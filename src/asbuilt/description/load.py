@@ -27,11 +27,15 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
     if text in robot_names():
         return bundled_robot(text)
     path = Path(text)
-    if path.is_dir():
+    try:
+        exists, is_folder = path.is_file(), path.is_dir() and bool(text)
+    except OSError as error:
+        raise DescriptionError(f"{text[:60]!r}... is no robot and no path: {error.strerror}") from None
+    if is_folder:
         raise DescriptionError(
             f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled robot ({', '.join(robot_names())})"
         )
-    if not path.is_file():
+    if not exists:
         if path.suffix.lower() in (*SUFFIXES, ".xacro"):
             raise DescriptionError(f"there is no file {text}; give the path of a description ({', '.join(SUFFIXES)})")
         raise DescriptionError(

@@ -36,6 +36,8 @@ def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
 
 def outermost_tag(content: bytes) -> str:
     """Return the name of the first element of an XML text, comments passed over; an empty text where there is none."""
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        content = content.decode("utf-16", "replace").encode()
     match = re.search(rb"<(?:\w+:)?([A-Za-z_][\w.-]*)", re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL))
     return match[1].decode() if match else ""
 

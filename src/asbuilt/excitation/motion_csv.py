@@ -12,7 +12,7 @@ import polars as pl
 from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import MotionError
+from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.motion import Array, Motion, Trajectory
 from asbuilt.excitation.quintic import QuinticMotion
 from asbuilt.excitation.spline import SplineMotion
@@ -44,7 +44,7 @@ class SampledMotion(QuinticMotion):
 def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, joint_names: Sequence[str], rate: float = 1000.0) -> Path:
     """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV; numbers have the digits that read back to the same double.
 
-    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does so in the file. The file appears whole or not at all. Raises MotionError if names and joints do not go together or the place is not writable.
+    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does so in the file. The file appears whole or not at all. Raises MotionError if names and joints do not go together, UsageError if the place is not writable.
     """
     trajectory = _sampled_to_end(motion, rate) if isinstance(motion, Motion) else motion
     names = tuple(joint_names)
@@ -61,7 +61,7 @@ def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, join
             pl.DataFrame(columns).write_csv(partial)
             partial.replace(target)
     except OSError as error:
-        raise MotionError(f"cannot write the motion to {target}: {error.strerror or error}; choose a folder you may write to") from error
+        raise UsageError(f"cannot write the motion to {target}: {error.strerror or error}; choose a folder you may write to") from error
     return target
 
 
@@ -77,6 +77,8 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         robot does not have.
     """
     source = Path(path)
+    if not source.is_file():
+        raise MotionError(f"cannot read the motion {source}: there is no such file")
     try:
         table = pl.read_csv(source, infer_schema_length=None)
     except (OSError, pl.exceptions.PolarsError) as error:

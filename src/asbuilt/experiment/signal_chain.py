@@ -116,11 +116,6 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     """
     chain = chain or SignalChain()
     runs, rate, notes = uniform_runs(recording, chain.rate, chain.max_gap)
-    longest = max(run.t.size for run in runs) / rate
-    if chain.cutoff is not None and chain.cutoff * longest < 0.1:
-        raise UsageError(
-            f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of {recording.source}, whose longest run without a gap lasts {longest:.3g} s; raise the cutoff"
-        )
     chain, chosen = _resolved(chain, runs, rate)
     plan = FilterPlan.of(chain, rate)
     pieces = [piece for run in runs if plan.fits(run) for piece in plan.segments(run, plan.margin, run.t.size - plan.margin)[0]]
@@ -192,6 +187,11 @@ def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = 
 
 def _resolved(chain: SignalChain, runs: Sequence[UniformRun], rate: float) -> tuple[SignalChain, tuple[str, ...]]:
     notes: list[str] = []
+    longest = max(run.t.size for run in runs) / rate
+    if chain.cutoff is not None and chain.cutoff * longest < 0.1:
+        raise UsageError(
+            f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of a recording whose longest run without a gap lasts {longest:.3g} s; raise the cutoff"
+        )
     if chain.cutoff is None:
         bandwidth = motion_bandwidth([run.q for run in runs], rate)
         cutoff = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)

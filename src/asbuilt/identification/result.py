@@ -231,11 +231,12 @@ class IdentificationResult:
         try:
             model = model_from_document(whole["model"])
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
-            parameters = tuple(IdentifiedParameter(**(item | _undefined(item))) for item in whole["parameters"])
+            parameters = tuple(_parameter(item) for item in whole["parameters"])
             ids = [parameter.id for parameter in parameters]
             if ids != base.ids.tolist():
+                odd = sorted(set(ids) ^ set(base.ids.tolist())) or ids
                 raise ResultError(
-                    f"the result of {model.name} has base parameters {ids}, the robot has {base.ids.tolist()}; identify again"
+                    f"the result of {model.name} has {len(ids)} base parameters, the robot has {base.n_base}; they differ in {odd[:10]}; identify again"
                 )
             return cls(
                 model=model,
@@ -276,8 +277,9 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _undefined(item: Mapping[str, Any]) -> dict[str, float]:
-    return {field: np.nan for field, value in item.items() if value is None}
+def _parameter(item: Mapping[str, Any]) -> IdentifiedParameter:
+    numbers = {name: np.nan if item[name] is None else float(item[name]) for name in ("cad", "estimate", "std_error", "textbook_std_error")}
+    return IdentifiedParameter(**{**item, **numbers})
 
 
 def _number(value: float | None) -> float:

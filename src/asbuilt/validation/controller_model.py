@@ -85,9 +85,9 @@ def compare_with_controller(
     """
     external = recording.extra.get(EXTERNAL)
     if external is None or external.shape != recording.tau.shape:
-        logged = ", ".join(recording.extra) or "nothing beside torque"
+        logged = f"; beside torque it has {', '.join(recording.extra)}" if recording.extra else ""
         raise RecordingError(
-            f"{recording.source} has no external torque of each joint ({EXTERNAL}), only {logged}; the controller's model shows in tau - {EXTERNAL}"
+            f"{recording.source} has no external torque of each joint ({EXTERNAL}){logged}; the controller's model shows in tau - {EXTERNAL}"
         )
     settled = (chain or SignalChain()).resolved(recording)
     predicted = replace(recording, tau=recording.tau - external, source=f"{recording.source}, predicted by the controller")

@@ -39,6 +39,15 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
     return target
 
 
+def check_writable(folder: Path) -> None:
+    """Raise `UsageError` unless files can be written into a folder, or the folder itself be made; nothing is made."""
+    nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not nearest.is_dir():
+        raise UsageError(f"cannot write into {folder}: {nearest} is a file; choose a folder you may write to")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise UsageError(f"cannot write into {folder}: {nearest} is not open to you; choose a folder you may write to")
+
+
 def _permissions(target: Path) -> int:
     """Return the mode of the file that is replaced, or what the process' umask leaves of rw-rw-rw-."""
     if target.exists():
