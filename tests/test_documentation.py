@@ -1,0 +1,72 @@
+"""What the documentation tells a reader to type must be there to be typed, and what there is must be told."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shlex
+from importlib import import_module
+from pathlib import Path
+
+import click
+import pytest
+import typer
+
+from asbuilt.cli import app
+
+HOUSE = Path(__file__).resolve().parents[1]
+PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]
+COMMANDS: dict[str, click.Command] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+OPTIONS = {
+    name: [{*parameter.opts, *parameter.secondary_opts} for parameter in command.params if parameter.param_type_name == "option"]
+    for name, command in COMMANDS.items()
+}
+"""The names of every option of every command."""
+GENERATED = {"--full", "--duration"}
+"""Options of the programs that `asbuilt program` writes."""
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def command_lines() -> list[tuple[str, str]]:
+    lines = [(page.name, line) for page in PAGES for block in blocks(page, "(?:sh|bash|console)?") for line in block.splitlines()]
+    return [(page, line) for page, line in lines if line.startswith("asbuilt ")]
+
+
+def python_blocks() -> list[tuple[str, str]]:
+    return [(page.name, block) for page in PAGES for block in blocks(page, "python")]
+
+
+@pytest.mark.parametrize(("page", "line"), command_lines())
+def test_commands_can_be_typed(page: str, line: str) -> None:
+    _, name, *arguments = shlex.split(line, comments=True)
+    with COMMANDS[name].make_context(name, arguments):
+        pass
+
+
+@pytest.mark.parametrize(("page", "block"), python_blocks())
+def test_python_blocks_name_what_there_is(page: str, block: str) -> None:
+    for node in ast.walk(ast.parse(block)):
+        if isinstance(node, ast.ImportFrom):
+            module = import_module(str(node.module))
+            for alias in node.names:
+                assert hasattr(module, alias.name), f"{page}: {node.module} has no {alias.name}"
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "asbuilt":
+            assert hasattr(import_module("asbuilt"), node.attr), f"{page}: asbuilt has no {node.attr}"
+
+
+def test_every_command_and_option_is_told() -> None:
+    told = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert [name for name in COMMANDS if f"asbuilt {name}" not in told] == []
+    words = set(re.findall(r"--[a-z][a-z-]*", told))
+    assert {name: [names for names in options if not names & words] for name, options in OPTIONS.items()} == {name: [] for name in OPTIONS}
+
+
+def test_no_option_is_told_that_there_is_not() -> None:
+    known = GENERATED.union({"--help"}, *(names for options in OPTIONS.values() for names in options))
+    for page in PAGES:
+        for code in re.findall(r"`([^`\n]*--[a-z][^`\n]*)`", page.read_text(encoding="utf-8")):
+            if "asbuilt" in code or code.startswith("--"):
+                assert set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code)) <= known, f"{page.name}: `{code}`"
