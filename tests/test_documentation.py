@@ -70,3 +70,7 @@ def test_no_option_is_told_that_there_is_not() -> None:
         for code in re.findall(r"`([^`\n]*--[a-z][^`\n]*)`", page.read_text(encoding="utf-8")):
             if "asbuilt" in code or code.startswith("--"):
                 assert set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code)) <= known, f"{page.name}: `{code}`"
+
+
+def test_formulas_are_written_as_the_pages_render_them() -> None:
+    assert [page.name for page in PAGES if re.search(r"\\[(\[]", page.read_text(encoding="utf-8"))] == []
