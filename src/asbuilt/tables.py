@@ -18,6 +18,9 @@ Alignment = Literal["left", "right", "center", "decimal"]
 MISSING = "-"
 """What stands where there is no number."""
 
+SHORT_HEADER = 8
+"""Characters up to which a header in HTML stays on one line."""
+
 FIXED_DIGITS = 7
 """Decimals up to which a number is written out before it takes an exponent."""
 
@@ -220,7 +223,7 @@ class Table:
         label = f' id="{html.escape(identifier)}"' if identifier else ""
         caption = f"<caption>{html.escape(self.title)}</caption>" if self.title else ""
         head = "".join(
-            f'<th scope="col"{_html_class(column)}>{html.escape(column.header)}'
+            f'<th scope="col"{_html_class(column)}>{_breakable(column.header)}'
             + (f' <span class="unit">{html.escape(column.unit)}</span>' if column.unit else "")
             + "</th>"
             for column in self.columns
@@ -293,6 +296,11 @@ def _aligned(cells: Sequence[str], align: Alignment) -> list[str]:
 def _line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]) -> str:
     place = {"left": str.ljust, "right": str.rjust, "center": str.center, "decimal": str.rjust}
     return "  ".join(place[column.align](cell, width) for cell, width, column in zip(cells, widths, columns, strict=True))
+
+
+def _breakable(text: str) -> str:
+    """Return the text escaped; a long one may break after underscores."""
+    return html.escape(text).replace("_", "_<wbr>") if len(text) > SHORT_HEADER else html.escape(text)
 
 
 def _html_class(column: Column) -> str:

@@ -1,10 +1,19 @@
+from dataclasses import replace
+
 import numpy as np
 from virtual_causes import identified, recorded
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.excitation.fourier import FourierMotion
 from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.sensors import SensorNoise
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.identification.cause_evidence import gather_evidence
+from asbuilt.identification.identify import identify
 from asbuilt.validation.comparison import compare
 from asbuilt.validation.prediction import validate
 from asbuilt.validation.significance import CadTolerance
@@ -31,6 +40,34 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
         alone = rows[:, j] - others @ np.linalg.lstsq(others, rows[:, j], rcond=None)[0]
         np.testing.assert_allclose(cost.own[j], np.linalg.norm(alone * difference[j]) / np.sqrt(len(W)), rtol=1e-3, atol=1e-9)
     assert np.all(cost.own <= cost.total * (1 + 1e-9))
+    unit = rows / np.linalg.norm(rows, axis=0)
+    for j in (17, 30, 40):
+        imitation = np.abs(np.linalg.lstsq(np.delete(unit, j, axis=1), unit[:, j], rcond=None)[0])
+        best = int(np.argmax(imitation))
+        assert cost.partners[j][:1] == ((best + (best >= j),) if imitation[best] >= 0.2 else ())
+
+
+def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself() -> None:
+    """Slow motion about one pose hardly tells a first moment from an offset: its difference costs torque, none of it its own."""
+    model = load_robot(ARM)
+    rng = np.random.default_rng(0)
+    motion = FourierMotion(np.vstack([np.linspace(0.3, 0.9, 7), 0.05 * rng.normal(size=(6, 7))]), period=10.0, periods=4)
+    machine = (
+        InstalledRobot.ideal(model)
+        .with_drive(DriveSet.parse("viscous,coulomb,offset"), np.tile([1.0, 2.0, 3.0], 7))
+        .with_noise(SensorNoise(torque_noise=0.05))
+    )
+    samples = prepare_samples(machine.record(motion, 100.0, rng=1).recording, SignalChain())
+    base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
+    result = identify(model, samples, base=base)
+    comparison = compare(replace(result, evidence=gather_evidence(model, base, [samples])))
+    left = comparison.torque[0][1].rms
+    shared = [each for each in comparison.parameters if each.shared_with]
+    assert shared
+    for each in shared:
+        assert not each.matters
+        assert np.any(np.array(each.torque) >= 0.4 * left)
+        assert f"shared with {', '.join(each.shared_with)}" in comparison.parameter_table().as_csv()
 
 
 def test_evidence_judges_as_validation_does() -> None:
@@ -53,7 +90,9 @@ def test_what_matters_comes_first_and_is_not_what_differs() -> None:
     assert "matters" in text
     assert "chi-square" in text
     figure = difference_figure(comparison)
-    assert len(figure.axes[0].get_yticklabels()) == 24
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert len(labels) == sum(total >= 0.02 * totals[0] for total in totals)
+    assert "mz2  (first moment along z, links 2-7)" in labels
 
 
 def test_without_a_difference_about_as_many_differ_as_the_rate_allows() -> None:

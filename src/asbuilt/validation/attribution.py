@@ -15,7 +15,7 @@ from asbuilt.identification.cause_evidence import TILTS
 from asbuilt.tables import Cell, Column, Shown, Table, significant, stacked
 from asbuilt.tables import share as percentage
 from asbuilt.validation.cause_fits import CauseFits, Step
-from asbuilt.validation.cause_words import findings, sentence
+from asbuilt.validation.cause_words import findings, reason, sentence
 from asbuilt.validation.causes import CAUSES, shapley_values
 from asbuilt.validation.comparison import recording_name
 from asbuilt.validation.prediction import torque_units
@@ -24,6 +24,14 @@ if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
 
 Array = NDArray[np.float64]
+
+SHORT: dict[str, str] = {
+    "payload": "body at flange",
+    "mounting": "askew",
+    "gain": "torque gain",
+    "links": "links' mass",
+}
+"""What causes are called at the head of a column, where not by their own name."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,14 +55,15 @@ class Attribution:
 
     `steps` are the nested models in the order of `CAUSES`; `chosen` is the combination with the smallest BIC; `shares` of the causes weighed (those chosen, and a
     payload where it could be part of what is put down to the links) add up, with `unexplained` (n,), to 1 for every joint. `alike` are pairs that this recording
-    does not tell apart. `rms_cad` (n,) and `rms_chosen` (n,) are errors on `judged_by`. `findings` say in sentences what the causes amount to, `sentences` what each
-    joint's error is made of.
+    does not tell apart. `rms_cad` (n,) and `rms_chosen` (n,) are errors on `judged_by`, beside the `torque` (n,) there, all RMS. `findings` say in sentences what the causes
+    amount to, `sentences` what each joint's error is made of, and `reasons` the same without the size of the error.
     """
 
     robot: str
     joint_names: tuple[str, ...]
     units: tuple[str, ...]
     judged_by: str
+    torque: Array
     rms_cad: Array
     rms_chosen: Array
     steps: tuple[Step, ...]
@@ -65,7 +74,21 @@ class Attribution:
     alike: tuple[tuple[str, str], ...]
     findings: tuple[str, ...]
     sentences: tuple[str, ...]
+    reasons: tuple[str, ...]
     values: dict[str, float]
+
+    def joint_table(self, as_built: Array) -> Table:
+        """Return, joint by joint, the RMS torque, how far CAD is off, how far the robot as built (n,) on the same data, and why CAD is."""
+        heads = (
+            Column("joint", width=20),
+            Column("unit"),
+            *(Column(name, align="decimal") for name in ("torque", "CAD off by", "as built off by")),
+            Column("why CAD is off"),
+        )
+        rows: list[tuple[Cell, ...]] = []
+        for name, unit, *rms, why in zip(self.joint_names, self.units, self.torque, self.rms_cad, as_built, self.reasons, strict=True):
+            rows.append((name, unit, *(Shown(float(value), significant(float(value))) for value in rms), why))
+        return Table(heads, tuple(rows), title=f"Joint by joint, RMS on {self.judged_by}")
 
     @property
     def tilt(self) -> float:
@@ -73,38 +96,29 @@ class Attribution:
         return float(np.linalg.norm([self.values.get(name, 0.0) for name in TILTS])) if "mounting" in self.chosen else 0.0
 
     def share_table(self) -> Table:
-        """Return the share of every cause in the squared CAD error of every joint, in percent, what is left, and the errors themselves."""
-        heads = [Column("cause"), *(Column(name, align="right", width=16) for name in self.joint_names)]
-        rows: list[tuple[Cell, ...]] = [
-            (CAUSES[each.cause], *(Shown(float(part), percentage(float(part), 0)) for part in each.share)) for each in self.shares
-        ]
-        rows.append(("unexplained", *(Shown(float(part), percentage(float(part), 0)) for part in self.unexplained)))
-        for what, errors in (("RMS error of CAD", self.rms_cad), ("RMS error explained", self.rms_chosen)):
-            rows.append(
-                (
-                    what,
-                    *(Shown(float(error), f"{significant(float(error))} {unit}") for error, unit in zip(errors, self.units, strict=True)),
-                )
-            )
+        """Return, joint by joint, the RMS torque and error of CAD, the share of every cause in its square, what is left, and the error then."""
+        heads = [Column("joint", width=20), Column("unit"), Column("torque", align="decimal"), Column("CAD off by", align="decimal")]
+        heads += [Column(SHORT.get(each.cause, each.cause), align="right") for each in self.shares]
+        heads += [Column("unexplained", align="right"), Column("left", align="decimal")]
+        rows: list[tuple[Cell, ...]] = []
+        for k, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
+            parts = [*(float(each.share[k]) for each in self.shares), float(self.unexplained[k])]
+            torque, off, left = (Shown(float(rms[k]), significant(float(rms[k]))) for rms in (self.torque, self.rms_cad, self.rms_chosen))
+            rows.append((name, unit, torque, off, *(Shown(part, percentage(part, 0)) for part in parts), left))
         return Table(
             tuple(heads),
             tuple(rows),
             title="What the error of CAD is made of, shares of its square",
-            notes=(f"Judged on {self.judged_by}.",),
+            notes=(
+                f"RMS on {self.judged_by}. The shares of a joint and what is unexplained add up to 100 %; one below 0 works against the others.",
+            ),
         )
 
     def step_table(self) -> Table:
-        """Return the nested models: RMS error of every joint on held-out data, parameters told, F-test of each step, BIC."""
-        heads = [
-            Column("model"),
-            *(Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)),
-        ]
-        heads += [
-            Column("parameters", align="right"),
-            Column("F", align="decimal"),
-            Column("p", align="right"),
-            Column("BIC", align="right"),
-        ]
+        """Return the nested models: parameters told, F-test of each step, BIC, RMS error of every joint on held-out data."""
+        heads = [Column("model"), Column("parameters", align="right"), Column("F", align="decimal"), Column("p", align="right")]
+        heads.append(Column("BIC", align="right"))
+        heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)]
         rows: list[tuple[Cell, ...]] = []
         for number, step in enumerate(self.steps):
             errors = [Shown(float(error), significant(float(error))) for error in step.rms]
@@ -112,14 +126,14 @@ class Attribution:
             rows.append(
                 (
                     "CAD" if number == 0 else f"+ {CAUSES[step.cause]}",
-                    *errors,
                     step.parameters,
                     Shown(step.f, significant(step.f)) if tested else None,
-                    Shown(step.probability, f"{step.probability:.1g}") if tested else None,
+                    Shown(step.probability, f"{step.probability:.1g}" if step.probability else "below 1e-300") if tested else None,
                     Shown(step.bic, f"{step.bic:.0f}"),
+                    *errors,
                 )
             )
-        note = "F: what the step explains against what is left, with as many samples as are independent; errors are those on data held out and may rise."
+        note = "Each model has the causes above it too. F: what the step explains against what is left, with as many samples as are independent; errors are those on data held out and may rise."
         return Table(tuple(heads), tuple(rows), title="Nested models, held-out RMS error", notes=(note,))
 
     def as_text(self) -> str:
@@ -200,21 +214,24 @@ def _attributed(fits: CauseFits, result: IdentificationResult) -> Attribution:
     )
     divided = {each.cause: each.share for each in shares}
     alike = fits.alike(divided)
+    unexplained = whole.rms**2 / energy
     values = {name: float(v) for name, v in zip(fits.names, fits.chosen.values, strict=True) if v}
     return Attribution(
         robot=result.robot,
         joint_names=e.joint_names,
         units=torque_units(result.model),
         judged_by=recording_name(e.judged_by),
+        torque=np.array([np.linalg.norm(factor[:, -1]) for factor in e.judged]) / np.sqrt(e.n_judged),
         rms_cad=cad.rms,
         rms_chosen=whole.rms,
         steps=fits.steps(),
         chosen=tuple(cause for cause in CAUSES if cause in fits.chosen.causes),
         weighed=weighed,
         shares=shares,
-        unexplained=whole.rms**2 / energy,
+        unexplained=unexplained,
         alike=alike,
         findings=findings(fits, alike),
-        sentences=tuple(sentence(fits, k, divided, float(whole.rms[k] ** 2 / energy[k])) for k in range(e.n_joints)),
+        sentences=tuple(sentence(fits, k, divided, float(unexplained[k])) for k in range(e.n_joints)),
+        reasons=tuple(reason(fits, k, divided, float(unexplained[k])) for k in range(e.n_joints)),
         values=values,
     )

@@ -71,23 +71,31 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
 
 
 def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
-    """Say what the CAD error of joint k is made of; `left` is the share that stays unexplained."""
+    """Say by how much CAD is off at joint k and of what that is made; `left` is the share that stays unexplained."""
     unit = torque_units(fits.result.model)[k]
     head = f"{fits.evidence.joint_names[k]}: CAD is off by {significant(float(fits.fit(frozenset()).rms[k]))} {unit} RMS"
-    named = sorted((cause for cause, share in shares.items() if abs(share[k]) >= WORTH_SAYING), key=lambda cause: -shares[cause][k])
-    if not named or shares[named[0]][k] < WORTH_SAYING or left > MOSTLY:
-        return f"{head}, {'which' if left > 1.0 - WORTH_SAYING else 'most of which'} no cause explains."
-    parts = [f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in named]
+    said = reason(fits, k, shares, left)
+    return f"{head}, {said}." if said.endswith("explains") else f"{head}; {said}."
+
+
+def reason(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
+    """Say of what the CAD error of joint k is made, the largest cause first; what works against it is said to."""
+    with_it, against = (
+        sorted((cause for cause, share in shares.items() if sign * share[k] >= WORTH_SAYING), key=lambda cause: -abs(shares[cause][k]))
+        for sign in (1, -1)
+    )
+    if not with_it or left > MOSTLY:
+        return f"{'which' if left > 1.0 - WORTH_SAYING else 'most of which'} no cause explains"
+    parts = [f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in with_it]
     parts[0] = parts[0].replace(" % ", " % of the squared error is ", 1)
-    return f"{head}; {', '.join(parts)}; {percentage(left, 0)} unexplained."
+    opposed = ", ".join(f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in against)
+    return "; ".join([", ".join(parts), *([f"against that, {opposed}"] if opposed else []), f"{percentage(left, 0)} unexplained"])
 
 
 def _amount(fits: CauseFits, cause: str, k: int) -> str:
     """Say what a cause amounts to at a joint."""
     fit, names = fits.chosen, list(fits.names)
     unit = torque_units(fits.result.model)[k]
-    speed = "rad/s" if unit == "N m" else "m/s"
-
     size = fits.sizes(fits.weighed)[cause]
 
     def value(letter: str) -> float:
@@ -99,8 +107,9 @@ def _amount(fits: CauseFits, cause: str, k: int) -> str:
         return f"what {body} would do" if "links" in fit.causes else body
     if cause == "friction":
         stated = any(name in names and fits.design[names.index(name)] for name in (f"Fc{k + 1}", f"Fv{k + 1}"))
-        sizes = f"Coulomb {significant(value('Fc'), 2)} {unit}, viscous {significant(value('Fv'), 2)} {unit} per {speed}"
-        return f"friction ({sizes}{' beside that of CAD' if stated else ''})"
+        known = (("Coulomb", value("Fc"), unit), ("viscous", value("Fv"), f"{unit} {'s/rad' if unit == 'N m' else 's/m'}"))
+        sizes = ", ".join(f"{kind} {significant(size, 2)} {of}" for kind, size, of in known if size)
+        return f"friction ({sizes}{' beside that of CAD' if stated else ''})" if sizes else "friction"
     if cause == "offset":
         return f"an offset of {significant(value('Fo'), 2)} {unit}"
     if cause == "armature":

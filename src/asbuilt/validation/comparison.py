@@ -15,6 +15,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.identification.cause_evidence import CauseEvidence
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant, stacked
+from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import Validation, design_values, torque_units
 from asbuilt.validation.significance import CadTolerance, ChiSquare, benjamini_hochberg, chi_square, holm, two_sided_probability
 from asbuilt.validation.torque_cost import torque_cost
@@ -36,9 +37,10 @@ MATTERS = 0.5
 class ComparedParameter:
     """One base parameter by design and as built; `sigmas` is their difference in standard errors, None where it has no meaning.
 
-    `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque` is what the difference
-    costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up for; None without
-    evidence. `matters` says whether some joint would notice.
+    `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque`
+    is what the difference costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up
+    for; None without evidence. `matters` says whether some joint would notice that part; where it would notice only the whole, `shared_with` names the parameters that could
+    make up for it, and the recording tells no more than their sum.
     """
 
     id: int
@@ -57,6 +59,8 @@ class ComparedParameter:
     torque_total: float | None = None
     torque_own: float | None = None
     matters: bool | None = None
+    words: str = ""
+    shared_with: tuple[str, ...] = ()
 
     @property
     def interval(self) -> tuple[float, float] | None:
@@ -69,6 +73,7 @@ class ComparedParameter:
         return fields | {
             "interval": None if self.interval is None else list(self.interval),
             "torque": None if self.torque is None else list(self.torque),
+            "shared_with": list(self.shared_with),
         }
 
 
@@ -119,7 +124,7 @@ class Comparison:
         """Return the outcome in a sentence or two."""
         text = f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ ({self.rule()})."
         if self.n_mattering is not None:
-            text = f"{text[:-1]}; {self.n_mattering} of them matter to the torque."
+            text = f"{text[:-1]}; {self.n_mattering} of them matter{'s' if self.n_mattering == 1 else ''} to the torque."
         if not self.torque:
             return text
         cad, built = self.torque[0]
@@ -163,8 +168,11 @@ class Comparison:
 
     def as_text(self) -> str:
         """Return verdict and both tables for a terminal."""
-        head = "\n".join([f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]) + "\n\n"
-        return head + stacked([self.parameter_table(), *([self.torque_table()] if self.torque else [])])
+        return self.heading() + "\n" + stacked([*([self.torque_table()] if self.torque else []), self.parameter_table()])
+
+    def heading(self) -> str:
+        """Return the verdict and the tests of all parameters, line by line."""
+        return "\n".join([f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]) + "\n"
 
     def as_csv(self) -> str:
         """Return the parameter table as CSV."""
@@ -213,6 +221,7 @@ def compare(
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
     cost = None if result.evidence is None else torque_cost(result.evidence, result.base, result.estimates - values)
     left = None if result.evidence is None else result.evidence.error_of(result.base.names, result.estimates)
+    words = in_words(result.base)
     compared, place = [], 0
     for j, (parameter, by_design) in enumerate(zip(result.parameters, values.tolist(), strict=True)):
         known = by_design if np.isfinite(by_design) else None
@@ -226,6 +235,7 @@ def compare(
             std_error=parameter.std_error if np.isfinite(parameter.std_error) and parameter.std_error > 0 else None,
             sigmas=None,
             verdict="no CAD value" if determined[j] else "not determined",
+            words=words[j],
         )
         if tested[j]:
             found = replace(
@@ -238,12 +248,15 @@ def compare(
             )
             place += 1
         if cost is not None and left is not None and known is not None:
+            own = bool(np.any(cost.own_part[j] * cost.torque[j] >= MATTERS * left))
+            noticed = bool(np.any(cost.torque[j] >= MATTERS * left))
             found = replace(
                 found,
                 torque=tuple(cost.torque[j].tolist()),
                 torque_total=float(cost.total[j]),
                 torque_own=float(cost.own[j]),
-                matters=bool(np.any(cost.torque[j] >= MATTERS * left)),
+                matters=own,
+                shared_with=tuple(result.base.names[k] for k in cost.partners[j]) if noticed and not own else (),
             )
         compared.append(found)
     covariance = result.covariance[np.ix_(tested, tested)]
@@ -264,13 +277,14 @@ def compare(
 
 
 def parameter_table(
-    parameters: Sequence[ComparedParameter], *, level: float = FALSE_DISCOVERY_RATE, units: Sequence[str] = (), width: int | None = 40
+    parameters: Sequence[ComparedParameter], *, level: float = FALSE_DISCOVERY_RATE, units: Sequence[str] = (), width: int | None = 28
 ) -> Table:
     """Return the table of compared parameters; text cuts expressions at `width` characters, HTML and CSV have them whole."""
     with_torque = any(parameter.torque_total is not None for parameter in parameters)
     heads = [
         Column("id", align="right"),
         Column("parameter", width=width),
+        Column("what it is"),
         Column("unit"),
         Column("CAD", align="decimal"),
         Column("as built", align="decimal"),
@@ -280,7 +294,7 @@ def parameter_table(
     ]
     if with_torque:
         unit = "N m" if set(units) <= {"N m"} else "N m, N"
-        heads += [Column("torque", unit, "decimal"), Column("its own", align="right"), Column("felt at"), Column("matters")]
+        heads += [Column("torque", unit, "decimal"), Column("its own", align="right"), Column("joint", align="right"), Column("matters")]
     rows = []
     for parameter in parameters:
         shown, error = rounded(parameter.estimate, parameter.std_error)
@@ -292,6 +306,7 @@ def parameter_table(
         row: list[Cell] = [
             parameter.id,
             parameter.expression,
+            parameter.words,
             parameter.unit,
             cad,
             Shown(parameter.estimate, shown),
@@ -308,8 +323,9 @@ def parameter_table(
     ]
     if with_torque:
         notes.append(
-            "torque: RMS over all joints that the difference costs on the motion judged by; its own: the part of it that no other parameter could make "
-            f"up for; felt at: the joint that notices most. A difference matters where it costs a joint {share(MATTERS, 0)} or more of the error left as built."
+            "torque: RMS over all joints that the difference costs on the motion judged by; its own: the part of it that no other parameter could make up for; joint: "
+            f"the one that notices most. A difference matters where its own part costs a joint {share(MATTERS, 0)} or more of the error left as built. Shared: only the "
+            "whole costs as much, and the parameters named could make up for it; the recording tells their sum, not each."
         )
     return Table(tuple(heads), tuple(rows), title="Base parameters", notes=tuple(notes))
 
@@ -323,7 +339,7 @@ def _torque_cells(parameter: ComparedParameter) -> list[Cell]:
         Shown(parameter.torque_total, significant(parameter.torque_total)),
         Shown(own, share(own, 0)),
         felt,
-        "yes" if parameter.matters else "no",
+        "yes" if parameter.matters else f"shared with {', '.join(parameter.shared_with)}" if parameter.shared_with else "no",
     ]
 
 

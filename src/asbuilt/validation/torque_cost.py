@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 
 TOLD = 1e-10
 """Squared singular value, relative to the largest with columns scaled alike, below which a direction makes no torque."""
+ABLE = 0.2
+"""Torque that a partner puts in place of a parameter's, as a part of it, from which it is named,"""
+MOST_PARTNERS = 2
+"""and how many are."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,13 +30,20 @@ class TorqueCost:
 
     `torque` (p, n) = |W_kj d_j| / sqrt(N) of every joint k: what the difference alone does to the torque. `own` (p,) is the part, over all joints, that no change of the
     other parameters could make up for, and `total` (p,) = |W_j d_j| / sqrt(N) over all joints; where `own` is far below `total` the
-    parameter trades off with others. `together` (n,) = |W_k d| / sqrt(N) is what all differences do together.
+    parameter trades off with others, and `partners` (p,) are the places of those that would do most of its work, the most able first. `together` (n,) = |W_k d| / sqrt(N) is
+    what all differences do together.
     """
 
     torque: Array
     total: Array
     own: Array
     together: Array
+    partners: tuple[tuple[int, ...], ...]
+
+    @property
+    def own_part(self) -> Array:
+        """The part of the torque of each difference that is its own, (p,): 1 where no other parameter could make up for any of it."""
+        return np.divide(self.own, self.total, out=np.zeros_like(self.own), where=self.total > 0)
 
 
 def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array) -> TorqueCost:
@@ -48,6 +59,7 @@ def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array
     scaled = stacked[:, present] / length[present]
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
     kept = eigenvalues > TOLD * eigenvalues.max(initial=0.0)
+    inverse = (vectors / np.maximum(eigenvalues, TOLD * eigenvalues.max(initial=0.0))) @ vectors.T
     variance = np.sum(vectors[:, kept] ** 2 / eigenvalues[kept], axis=1)
     hidden = np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6
     own = np.zeros(len(d))
@@ -57,4 +69,18 @@ def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array
         total=np.sqrt(np.sum(torque**2, axis=1)),
         own=own,
         together=np.array([np.linalg.norm(W @ d) for W in rows]) / np.sqrt(n),
+        partners=_partners(np.flatnonzero(present), inverse, len(d)),
     )
+
+
+def _partners(present: NDArray[np.int64], inverse: Array, p: int) -> tuple[tuple[int, ...], ...]:
+    """Return for each of p columns those that imitate it best, from the inverse of the Gram matrix of the columns present, each of length 1.
+
+    The least-squares imitation of column j by the others has the coefficients `-inverse_jk / inverse_jj`.
+    """
+    found: list[tuple[int, ...]] = [()] * p
+    for place, row in zip(present, inverse, strict=True):
+        work = np.where(present == place, 0.0, np.abs(row) / row[present == place])
+        order = np.argsort(-work)[:MOST_PARTNERS]
+        found[place] = tuple(int(present[k]) for k in order if work[k] >= max(ABLE, 0.5 * work[order[0]]))
+    return tuple(found)

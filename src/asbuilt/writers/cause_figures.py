@@ -8,11 +8,11 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from asbuilt.tables import shortened, significant
+from asbuilt.tables import significant
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.causes import CAUSES
 from asbuilt.validation.comparison import Comparison
-from asbuilt.writers.figures import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, blank_figure, headline, styled
+from asbuilt.writers.figures import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, blank_figure, broken, headline, styled
 
 CAUSE_COLOURS: dict[str, str] = {
     "offset": "#F0E442",
@@ -26,6 +26,7 @@ CAUSE_COLOURS: dict[str, str] = {
 }
 """One colour per cause, after Okabe and Ito (2008)."""
 UNEXPLAINED = "#D5D9DE"
+QUIET = "#5F656D"
 
 
 def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
@@ -82,8 +83,13 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
                 va="bottom",
                 fontsize=7.5,
             )
+        if below.min() < -0.02:
+            axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
+            figure.supxlabel(
+                "A cause below 0 works against the others at that joint; the shares of a joint add up to 100 %.", fontsize=7.5, color=QUIET
+            )
         axis.axhline(0.0, color=INK, linewidth=0.6)
-        axis.set_xticks(place, [shortened(name, 14) for name in attribution.joint_names], rotation=0 if n <= 8 else 30)
+        axis.set_xticks(place, [broken(name, 14) for name in attribution.joint_names], rotation=0 if n <= 8 else 30)
         axis.set_ylim(min(0.0, 115 * float(below.min())), 1.1 * top)
         axis.set_ylabel("share of the squared CAD error [%]")
         axis.grid(axis="x", visible=False)
@@ -92,9 +98,13 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
     return figure
 
 
-def difference_figure(comparison: Comparison, *, most: int = 24, title: str = "") -> Figure:
-    """Draw the parameters whose difference costs the most torque: the torque, the part that is each one's own, and whether they differ."""
-    shown = [each for each in comparison.ranked if each.torque_total][:most]
+def difference_figure(comparison: Comparison, *, most: int = 20, title: str = "") -> Figure:
+    """Draw the parameters whose difference costs the most torque: the torque, the part that is each one's own, and whether they differ.
+
+    Those below a fiftieth of the largest are left out.
+    """
+    largest = max((each.torque_total or 0.0 for each in comparison.parameters), default=0.0)
+    shown = [each for each in comparison.ranked if each.torque_total and each.torque_total >= 0.02 * largest][:most]
     with styled():
         figure = blank_figure(7.6, 0.24 * max(len(shown), 1) + 1.2)
         axis = figure.subplots()
@@ -106,15 +116,16 @@ def difference_figure(comparison: Comparison, *, most: int = 24, title: str = ""
         axis.barh(place, own, height=0.7, color=[AS_BUILT if each else GREY for each in differs])
         for k, each in enumerate(shown):
             felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
+            remark = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else "" if each.matters else ", matters little"
             axis.text(
                 total[k] + 0.01 * total.max(),
                 k,
-                f"{felt}{'' if each.matters else ', matters little'}",
+                f"{felt}{remark}",
                 va="center",
                 fontsize=7,
-                color="#5F656D",
+                color=QUIET,
             )
-        axis.set_yticks(place, [f"{each.id}  {shortened(each.expression, 34)}" for each in shown], fontsize=7)
+        axis.set_yticks(place, [f"{each.name}  ({each.words})" for each in shown], fontsize=7)
         axis.set_ylim(len(shown) - 0.4, -0.6)
         axis.set_xlim(0, 1.22 * float(total.max(initial=1e-12)))
         axis.set_xlabel("torque of the difference, RMS over all joints [N m]")

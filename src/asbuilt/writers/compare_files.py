@@ -29,10 +29,13 @@ class CadVerdict:
     determination: Determination
 
     def as_text(self) -> str:
-        """Return all of it for a terminal."""
-        parts = [self.comparison.as_text()]
+        """Return all of it for a terminal: the verdict, why CAD is off, then the parameters, then what the recording tells."""
+        parts = [self.comparison.heading()]
+        if self.comparison.torque:
+            parts.append(self.comparison.torque_table().as_text())
         if self.attribution is not None:
             parts.append(self.attribution.as_text())
+        parts.append(self.comparison.parameter_table().as_text())
         parts.append("\n".join(["What this recording determines:", *(f"  {line}" for line in self.determination.sentences)]) + "\n")
         return "\n".join(parts)
 

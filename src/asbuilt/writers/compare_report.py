@@ -33,6 +33,7 @@ def comparison_html(
         attribution=attribution,
         determination=determination,
         torque_table=Markup(comparison.torque_table().as_html("torque-table")) if comparison.torque else "",
+        joint_table="" if attribution is None else Markup(attribution.joint_table(comparison.torque[0][1].rms).as_html("joint-table")),
         share_table="" if attribution is None else Markup(attribution.share_table().as_html("shares")),
         step_table="" if attribution is None else Markup(attribution.step_table().as_html("steps")),
         parameter_table=Markup(
@@ -47,9 +48,14 @@ def comparison_html(
 
 
 def _findings(comparison: Comparison, attribution: Attribution | None, determination: Determination) -> list[Finding]:
-    found = [Finding("neutral", f"{comparison.n_differing} of {comparison.n_compared}", "parameters differ from CAD", comparison.verdict())]
-    if comparison.n_mattering is not None:
-        found.append(Finding("neutral", str(comparison.n_mattering), "of them matter to the torque", ""))
+    found = []
+    if comparison.torque:
+        cad, built = comparison.torque[0]
+        better = cad is not None and built.relative_error < cad.relative_error
+        against = "" if cad is None else f", against {share(cad.relative_error)} by CAD"
+        found.append(Finding("good" if better else "neutral", share(built.relative_error), f"of the torque is off as built{against}", ""))
+    matter = "" if comparison.n_mattering is None else f", {comparison.n_mattering} of them noticeably in torque"
+    found.append(Finding("neutral", f"{comparison.n_differing} of {comparison.n_compared}", f"parameters differ from CAD{matter}", ""))
     if attribution is not None:
         energy = attribution.rms_cad**2
         left = float(attribution.unexplained @ energy / energy.sum())

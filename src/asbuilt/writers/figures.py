@@ -71,6 +71,22 @@ _STYLE: dict[Any, Any] = {
 }
 
 
+def broken(name: str, width: int) -> str:
+    r"""Return a name on as few lines as its underscores and spaces allow within `width` characters, three at most, what is longer cut.
+
+    >>> broken("shoulder_lift_joint", 14)
+    'shoulder_lift_\njoint'
+    """
+    lines = [""]
+    for part in name.replace("_", "_ ").replace("  ", " ").split(" "):
+        joined = lines[-1] + ("" if lines[-1].endswith("_") or not lines[-1] else " ") + part
+        if len(joined) <= width or not lines[-1]:
+            lines[-1] = joined
+        else:
+            lines.append(part)
+    return "\n".join(shortened(line, width) for line in lines[:3])
+
+
 def torque_figure(
     t: Array,
     measured: Array,
@@ -98,7 +114,7 @@ def torque_figure(
             instants, *thin = thinned(t, *curves, points=POINTS)
             left.plot(instants, thin[0], color=MEASURED, linewidth=1.5, label="measured")
             left.plot(instants, thin[1], color=AS_BUILT, linewidth=0.9, linestyle=(0, (4, 1.6)), label=f"predicted, {label}")
-            left.set_ylabel(f"{shortened(names[k], 16)}\n[{kinds[k]}]")
+            left.set_ylabel(f"{broken(names[k], 14)}\n[{kinds[k]}]")
             differences = [measured[:, k] - curve for curve in curves[1:]]
             instants, *thin = thinned(t, *differences, points=POINTS)
             if cad is not None:
@@ -222,7 +238,7 @@ def residual_figure(residual: Array, analysis: ResidualAnalysis, *, units: Seque
             grid = np.linspace(-5, 5, 201)
             histogram.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=INK, linewidth=0.9)
             histogram.set_yticks([])
-            histogram.set_ylabel(shortened(names[k], 16))
+            histogram.set_ylabel(broken(names[k], 14))
             note = f"{significant(mean, 2)} +/- {significant(spread, 2)} {kinds[k]}"
             histogram.text(0.99, 0.97, note, transform=histogram.transAxes, ha="right", va="top", fontsize=7.5)
             correlation.fill_between(analysis.lags, -band, band, color="#E4E7EB", linewidth=0)
