@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +10,13 @@ import pytest
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
+from asbuilt.writers.robot_toml import robot_toml
 from command_line import call, document
 
 DRIVE = DriveSet.parse("viscous,coulomb,load_friction,offset")
@@ -156,6 +159,64 @@ def test_recordings_scaled_by_different_gains_are_refused(capsys, tmp_path, pair
         (pair[0].parent / "loaded.toml").unlink()
     assert status == 2
     assert "give the same to all" in err
+
+
+@pytest.fixture(scope="module", params=["ur10e", "puma-560"])
+def coupled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
+    """A robot file whose last motor turns with the joint before it too, and has friction and inertia of its own."""
+    model = bundled_robot(request.param)
+    n = model.n_joints
+    terms = {"motor_armature": {"Iam": 0.4}, "motor_viscous": {"Fvm": 3.0}, "motor_coulomb": {"Fcm": 2.0}}
+    joints = (*model.joints[:-1], replace(model.joints[-1], drive=replace(model.joints[-1].drive, terms=terms)))
+    coupling = np.eye(n)
+    coupling[n - 1, n - 2] = 1.0
+    path = tmp_path_factory.mktemp("coupled") / "robot.toml"
+    path.write_text(robot_toml(replace(model, joints=joints, motor_coupling=coupling)))
+    return path, n
+
+
+def test_a_coupled_wrist_from_file_to_result(capsys, tmp_path, coupled):
+    robot, n = coupled
+    lab = tmp_path / "log.csv"
+    simulated = ("--engine", "inverse-dynamics", "--preset", "lab", "--rate", "200", "--duration", "40", "--seed", "3")
+    document(capsys, "simulate", robot, *simulated, "--out", lab)
+    judged = ("--holdout", "blocks:2s:4", "--method", "wls")
+    found = document(capsys, "identify", robot, lab, "--torque-source", "motor", *judged)
+    assert f"motor_viscous:joints={n}" in found["drive"]
+    values = {parameter["name"]: parameter["estimate"] for parameter in found["parameters"]}
+    assert values[f"Fvm{n}"] == pytest.approx(3.0, rel=0.1)
+    assert values[f"Fcm{n}"] == pytest.approx(2.0, rel=0.1)
+    alone = document(capsys, "identify", robot, lab, "--torque-source", "motor", *judged, "--drive", "armature,viscous,coulomb,offset")
+    assert all(found["validation"][0]["rms"][k] < 0.5 * alone["validation"][0]["rms"][k] for k in (n - 2, n - 1))
+    sensed = document(capsys, "identify", robot, lab, "--torque-source", "sensor", *judged)
+    assert not any("motor_" in term for term in sensed["drive"])
+
+
+def test_both_sides_of_a_coupled_wrist(capsys, tmp_path, coupled):
+    robot, n = coupled
+    model = load_robot(str(robot))
+    ahead = DriveSet.parse(f"armature,viscous,coulomb,motor_viscous:joints={n},offset")
+
+    def sensor(_, *state):
+        return inverse_dynamics(model, *state)
+
+    def motor(_, *state):
+        values = np.tile([0.5, 1.0, 3.0, 2.0, 0.4], n)
+        return inverse_dynamics(model, *state) + drive_torque(ahead, values, *state, shares=model.motor_shares)
+
+    logs = [log(tmp_path / f"{name}.csv", model.name, torque) for name, torque in (("sensor", sensor), ("motor", motor))]
+    found = document(capsys, "channels", robot, logs[0], "--motor", logs[1])
+    values = {parameter["name"]: parameter["estimate"] for parameter in found["parameters"] if parameter["side"] == "motor"}
+    assert values[f"Fvmm{n}"] == pytest.approx(3.0, abs=0.05)
+    assert values[f"Fvm{n - 1}"] == pytest.approx(1.0, abs=0.05)
+    assert values[f"Iamm{n}"] == pytest.approx(0.0, abs=0.05)
+    assert f"Fvmm{n - 1}" not in values
+    plain = ("--motor-drive", "armature,viscous,coulomb,offset", "--drive", "none")
+    fewer = document(capsys, "channels", robot, logs[0], "--motor", logs[1], *plain)
+    assert fewer["rms_motor"][n - 1] > 10.0 * found["rms_motor"][n - 1]
+    status, out, _ = call(capsys, "channels", robot, logs[0], "--motor", logs[1])
+    assert status == 0
+    assert "named with an m" in out
 
 
 def test_sensor_and_motor_together(capsys, tmp_path):

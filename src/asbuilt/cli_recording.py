@@ -115,20 +115,37 @@ def channels(
         str | None, typer.Option("--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors")
     ] = None,
     motor_sheet: Annotated[Path | None, typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs")] = None,
+    drive: Annotated[
+        str | None, typer.Option("--drive", metavar="LIST", help="drive terms behind the sensors (default: viscous,coulomb,offset)")
+    ] = None,
+    motor_drive: Annotated[
+        str | None,
+        typer.Option(
+            "--motor-drive",
+            metavar="LIST",
+            help="drive terms before the sensors (default: armature,viscous,coulomb,offset, and those of coupled motors)",
+        ),
+    ] = None,
     reading: Reading,
     filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
     """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
+    from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.experiment.signal_chain import prepare_samples
-    from asbuilt.identification.two_channels import identify_two_channels
+    from asbuilt.identification.two_channels import LINK_SIDE, identify_two_channels
     from asbuilt.writers.drive_tables import channels_document, channels_text
 
     model = described_robot(robot)
     sensors = replace(reading, torque_source=reading.torque_source or "sensor").read(model, log)
     motors = replace(reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet).read(model, motor)
     chain = filtering.chain().resolved(*sensors)
-    found = identify_two_channels(model, *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)))
+    found = identify_two_channels(
+        model,
+        *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)),
+        link_side=LINK_SIDE if drive is None else DriveSet.parse(drive),
+        motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),
+    )
     answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
 
 

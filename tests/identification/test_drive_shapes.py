@@ -12,6 +12,7 @@ from asbuilt.description.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, JointLimits
+from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -240,6 +241,22 @@ def test_a_recorded_med7_keeps_its_defaults(shared):
     samples = prepare_samples(read_recordings([log], model=model, rate=100.0, flip_torque=True)[0])
     train, _ = hold_out(samples, "blocks:5s:3")
     assert choose_drive(model, [train], default=PLAIN).drive == PLAIN
+
+
+def test_what_a_robot_was_built_with_is_among_its_usual_terms():
+    model = elbow()
+    sprung = replace(model.joints[1], drive=DriveValues(terms={"spring": {"Ks": 3.0}, "stribeck": {"Fs": 0.3}}))
+    built = replace(model, joints=(model.joints[0], sprung, model.joints[2]))
+    assert usual_drive(built, "sensor") == DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
+    wrist = replace(model, motor_coupling=np.array([[1.0, 0, 0], [0, 1, 0], [0, 1, 1]]))
+    assert set(usual_drive(wrist, "motor").specifications) - set(usual_drive(model, "motor").specifications) == {
+        "motor_armature:joints=3",
+        "motor_viscous:joints=3",
+        "motor_coulomb:joints=3",
+    }
+    assert usual_drive(wrist, "sensor") == PLAIN
+    samples = recorded(built, DriveSet.parse("viscous,coulomb,spring:joints=2,offset"), np.tile([0.5, 1.0, 0.2, 3.0], 3), noise=0.05)
+    assert settle_drive(built, [samples]).drive == choose_drive(built, [samples]).drive == usual_drive(built, "sensor")
 
 
 def test_bundled_robots_accept_every_default():

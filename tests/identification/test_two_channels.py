@@ -64,11 +64,41 @@ def test_the_sensor_decides_what_both_see_where_it_is_the_better(channels):
     assert np.all(textbook <= 1.05 * np.array([parameter.textbook_std_error for parameter in alone.parameters]))
 
 
+def test_a_coupled_wrist_is_seen_from_the_motors():
+    coupling = np.eye(7)
+    coupling[6, 5] = 1.0
+    robot = replace(ROBOT, motor_coupling=coupling)
+    ahead = DriveSet.parse("armature,motor_armature:joints=7,viscous,motor_viscous:joints=7,coulomb,motor_coulomb:joints=7,offset")
+    rng = np.random.default_rng(6)
+    trajectory = random_fourier(ROBOT, 4, duration=30.0).sample(100.0)
+    state = (trajectory.q, trajectory.qd, trajectory.qdd)
+    truth = rng.uniform(0.3, 1.2, (7, ahead.columns_per_joint))
+    behind = inverse_dynamics(ROBOT, *state) + drive_torque(LINK_SIDE, np.tile([0.1, 0.2, 0.1], 7), *state)
+    felt = behind + drive_torque(ahead, truth.ravel(), *state, shares=robot.motor_shares)
+    sensor, motor = (
+        Samples(
+            trajectory.t, *state, tau + noise * rng.normal(size=tau.shape), rate=100.0, joint_names=ROBOT.joint_names, torque_source=source
+        )
+        for tau, noise, source in ((behind, 0.05, "sensor"), (felt, 0.5, "motor"))
+    )
+    found = identify_two_channels(robot, sensor, motor)
+    assert found.names[-7:] == ("Iam7", "Iamm7", "Fvm7", "Fvmm7", "Fcm7", "Fcmm7", "Fom7")
+    assert len(found.names) == len(set(found.names)) == find_base_parameters(robot, LINK_SIDE).n_base + 28 + 3
+    assert found.of_motor_side.sum() == 31
+    errors = (found.values[-7:] - truth[6]) / found.std_errors[-7:]
+    assert np.sqrt(np.mean(errors**2)) < 2.0
+    np.testing.assert_allclose(found.rms_motor, 0.5, rtol=0.15)
+    uncoupled = identify_two_channels(ROBOT, sensor, motor)
+    assert np.all(uncoupled.rms_motor[5:] > 0.6)
+
+
 def test_channels_of_different_instants_are_refused(channels):
     sensor, motor, *_ = channels
     with pytest.raises(UsageError, match="same instants"):
         identify_two_channels(ROBOT, sensor, replace(motor, t=motor.t + 0.5))
     with pytest.raises(UsageError, match="both channels"):
         identify_two_channels(ROBOT, [sensor, sensor], motor)
+    with pytest.raises(UsageError, match="shapes that are stated"):
+        identify_two_channels(ROBOT, sensor, motor, link_side=DriveSet.parse("stribeck"))
     with pytest.raises(UsageError, match="load"):
         identify_two_channels(ROBOT, sensor, motor, motor_side=DriveSet.parse("load_friction"))

@@ -86,7 +86,7 @@ class InstalledRobot:
 
         A gripper of 3 % of the moving mass at the last link, the base tilted by about 0.3 degrees, mass distributions off by about 3 %, armature
         (about 15 % of the mean joint inertia), viscous, Coulomb and offset friction (1.5, 2 and 0.5 % of the torque range, the viscous one at
-        the velocity limit), and sensors: 2^16 counts per turn or 10^5 per metre, torque noise 0.1 %, bias 0.1 % and resolution 0.01 % of the torque
+        the velocity limit), beside further drive terms of the description, such as those of coupled motors, as they stand; and sensors: 2^16 counts per turn or 10^5 per metre, torque noise 0.1 %, bias 0.1 % and resolution 0.01 % of the torque
         range. Everything is drawn from `rng`.
         """
         generator = np.random.default_rng(rng)
@@ -106,7 +106,7 @@ class InstalledRobot:
         gripper = LinkInertia.from_com(
             mass, np.array([0.0, 0.0, 0.06]) + generator.normal(scale=0.02, size=3), np.diag([1.0, 1.0, 0.5]) * mass * 0.05**2
         )
-        robot = cls(model, DriveSet.parse("armature,viscous,coulomb,offset"), values.T.ravel(), noise)
+        robot = cls(model, *_beside_described(model, DriveSet.parse("armature,viscous,coulomb,offset"), values.T), noise)
         tilt = np.deg2rad(generator.normal(scale=0.3, size=2))
         return robot.with_perturbed_links(0.03, generator).with_tool(gripper).tilted(float(tilt[0]), float(tilt[1]))
 
@@ -273,3 +273,13 @@ def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Arr
     largest = np.max(np.abs(inverse_dynamics(model, q, qd, qdd)), axis=0)
     inertia = np.mean(np.diagonal(mass_matrix(model, q), axis1=1, axis2=2), axis=0)
     return np.where(np.isfinite(bounds.torque), bounds.torque, np.maximum(largest, 1.0)), inertia
+
+
+def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tuple[DriveSet, Array]:
+    """Return drive terms with those others that the description has, and their values joint by joint; `values` (n, columns_per_joint) are those of `drive`."""
+    described, stated = described_drive(model)
+    whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
+    n = model.n_joints
+    known = [dict(zip(described.letters, row, strict=True)) for row in stated.reshape(n, -1)]
+    known = [have | dict(zip(drive.letters, row, strict=True)) for have, row in zip(known, values, strict=True)]
+    return whole, np.array([[have[letter] for letter in whole.letters] for have in known]).ravel()

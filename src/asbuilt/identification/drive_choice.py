@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.errors import UsageError
 from asbuilt.identification.drive_candidates import CandidateColumns, Choice, Folds, Placed, candidates, chosen_drive
@@ -97,12 +98,12 @@ class DriveChoice:
 
 
 def settle_drive(model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None) -> DriveChoice:
-    """Return the drive terms to identify with: by torque source where `drive` is None, as given with its shapes fitted, or chosen where it is text such as "auto".
+    """Return the drive terms to identify with: the usual ones of robot and torque source where `drive` is None, as given with its shapes fitted, or chosen where it is text such as "auto".
 
     "auto,spring:joints=2" has the terms beside auto in any case. Fitted shapes are judged on held-out blocks against the set without them, and stay whatever comes of it; a warning
     says where they are worse.
     """
-    default = DriveSet.default(samples[0].torque_source)
+    default = usual_drive(model, samples[0].torque_source)
     if drive is None:
         return DriveChoice(default)
     if isinstance(drive, str):
@@ -137,7 +138,7 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
     Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4 (one standard error); Varma and Simon, BMC
     Bioinformatics 7, 2006 (nested choice).
     """
-    start = default if default is not None else DriveSet.default(samples[0].torque_source)
+    start = default if default is not None else usual_drive(model, samples[0].torque_source)
     start = start if start.is_shaped else fit_shapes(model, start, samples).drive
     plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     if plain.n_blocks < FEWEST_BLOCKS:

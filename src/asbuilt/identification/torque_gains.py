@@ -14,6 +14,7 @@ from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -152,7 +153,7 @@ def identify_gains(
     if inertia_about_com is not None and com is None:
         raise UsageError("inertia_about_com of the payload is given without com; give com too")
     without, under = (list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded))
-    terms = drive if drive is not None else DriveSet.default("current")
+    terms = drive if drive is not None else usual_drive(model, "current")
     if terms.needs_load:
         raise UsageError(f"gains are found with friction that does not depend on load, got drive terms {terms}")
     name, link, placement = payload_frame(model, frame)

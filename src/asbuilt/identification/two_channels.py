@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drive_defaults import coupled_motor_terms
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.identifiability import StandardParameter
 from asbuilt.dynamics.regressor import RegressorPlan
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 LINK_SIDE = DriveSet.parse("viscous,coulomb,offset")
 MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
@@ -34,13 +36,14 @@ MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
 class TwoChannelEstimate:
     """Hold what sensors and motors say together of a robot with n joints: p base parameters of links and link-side drives, then those of the motor side.
 
-    `names`, `units`, `values`, `std_errors` are theirs; `rms_sensor` and `rms_motor` (n,) the torque errors of the two channels.
+    `names`, `units`, `values`, `std_errors` are theirs, `of_motor_side` says which are of the motor side; `rms_sensor` and `rms_motor` (n,) the torque errors of the two channels.
     """
 
     robot: str
     joint_names: tuple[str, ...]
     names: tuple[str, ...]
     units: tuple[str, ...]
+    of_motor_side: NDArray[np.bool_]
     values: Array
     std_errors: Array
     rms_sensor: Array
@@ -62,13 +65,14 @@ def identify_two_channels(
     motor: Samples | Sequence[Samples],
     *,
     link_side: DriveSet = LINK_SIDE,
-    motor_side: DriveSet = MOTOR_SIDE,
+    motor_side: DriveSet | None = None,
 ) -> TwoChannelEstimate:
     """Identify links, link-side friction and motor side from torques on both sides of the gears, each joint and channel with a weight of its own.
 
     `tau_sensor = Y beta + link side`, `tau_motor = tau_sensor + motor side`: bearings and links act on both, `armature`, gear friction and motor offset on
-    the motor's torque alone. Their difference tells the motor side apart whatever its terms, so it adds its full number of parameters, named with an m
-    (`Iam1`, `Fvm1`). Samples come in pairs at the same instants.
+    the motor's torque alone. Their difference tells the motor side apart whatever its terms, so it adds every parameter that acts, named with an m
+    (`Iam1`, `Fvm1`; those of motors that several joints turn, `Iam`, become `Iamm`). `motor_side` is by default armature, viscous and Coulomb friction and offset, and those of motors that several
+    joints turn where the robot has such. Samples come in pairs at the same instants.
 
     Raises
     ------
@@ -80,11 +84,20 @@ def identify_two_channels(
         raise UsageError(f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)} of motors")
     for one, other in zip(sensors, motors, strict=True):
         if one.t.shape != other.t.shape or np.abs(one.t - other.t).max() > 1e-9 or one.segments != other.segments:
-            raise UsageError(f"{one.source} and {other.source} are not of the same instants; prepare both with the same signal chain")
-    if link_side.needs_load or motor_side.needs_load:
+            raise UsageError(
+                f"{one.source} and {other.source} are not of the same instants: {len(one.t)} samples up to {one.t[-1]:g} s and {len(other.t)} up to {other.t[-1]:g} s. "
+                "Log sensors and motors together, with the same time stamps, and prepare both with the same signal chain"
+            )
+    ahead = DriveSet((*MOTOR_SIDE.terms, *coupled_motor_terms(model).terms)) if motor_side is None else motor_side
+    for side in (link_side, ahead):
+        side.check_joints(model.n_joints)
+        if not side.is_shaped:
+            raise UsageError(f"two channels are identified with shapes that are stated, such as stribeck:velocity=0.05, got {side}")
+    if link_side.needs_load or ahead.needs_load:
         raise UsageError("two channels are identified with friction that does not depend on load")
-    both = _both_sides(model, find_base_parameters(model, link_side), motor_side)
-    information = _joined(model, both, link_side, motor_side, sensors, motors)
+    acting = _acting(model, ahead)
+    both = _both_sides(model, find_base_parameters(model, link_side), ahead, acting)
+    information = _joined(model, both, link_side, ahead, acting, sensors, motors)
     estimate = fit_least_squares(information, weights="joint", prior=np.zeros(both.n_base))
     uncertainty = block_uncertainty(information, estimate)
     rms = np.sqrt(information.residual_energy(estimate.beta) / information.n_samples)
@@ -94,6 +107,7 @@ def identify_two_channels(
         joint_names=model.joint_names,
         names=both.names,
         units=both.units,
+        of_motor_side=np.arange(both.n_base) >= both.n_base - len(acting),
         values=estimate.beta,
         std_errors=uncertainty.std_errors,
         rms_sensor=rms[:n],
@@ -104,12 +118,23 @@ def identify_two_channels(
     )
 
 
-def _both_sides(model: RobotModel, base: BaseParameters, motor_side: DriveSet) -> BaseParameters:
-    """Return the base parameters with those of the motor side behind them, each independent of all others."""
-    numbers = range(1, model.n_joints + 1)
-    letters = [letter if letter.endswith("m") else f"{letter}m" for letter in motor_side.letters]
-    names = tuple(f"{letter}{number}" for number in numbers for letter in letters)
-    units = tuple(unit for joint in model.joints for unit in motor_side.units(joint.kind))
+def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
+    """Return which drive parameters of the motor side act at all, counted joint by joint: a motor of its joint alone has no terms of coupled motors."""
+    coupled = np.any(model.motor_shares != 0.0, axis=1)
+    acts = [
+        term.is_at(k) and (bool(coupled[k]) or not term.of_motor)
+        for k in range(model.n_joints)
+        for term in motor_side.terms
+        for _ in term.letters
+    ]
+    return np.flatnonzero(acts)
+
+
+def _both_sides(model: RobotModel, base: BaseParameters, motor_side: DriveSet, acting: Indices) -> BaseParameters:
+    """Return the base parameters with those of the motor side that act behind them, each independent of all others."""
+    every = [f"{letter}m{number}" for number in range(1, model.n_joints + 1) for letter in motor_side.letters]
+    every_unit = [unit for joint in model.joints for unit in motor_side.units(joint.kind)]
+    names, units = tuple(every[j] for j in acting), tuple(every_unit[j] for j in acting)
     first, p, m = base.n_standard, base.n_base, len(names)
     regrouping = np.zeros((p + m, first + m))
     regrouping[:p, :first], regrouping[p:, first:] = base.regrouping, np.eye(m)
@@ -132,13 +157,14 @@ def _joined(
     both: BaseParameters,
     link_side: DriveSet,
     motor_side: DriveSet,
+    acting: Indices,
     sensors: Sequence[Samples],
     motors: Sequence[Samples],
 ) -> SquareRootInformation:
-    n, per = model.n_joints, motor_side.columns_per_joint
-    p = both.n_base - n * per
+    n = model.n_joints
+    p = both.n_base - len(acting)
     links = RegressorPlan.of(model, link_side, both.columns[:p], spare_rows=1)
-    drives = RegressorPlan.of(model, motor_side, np.arange(10 * n, (10 + per) * n), spare_rows=1)
+    drives = RegressorPlan.of(model, motor_side, 10 * n + acting, spare_rows=1)
     support = (*links.support, *(np.concatenate([own, p + extra]) for own, extra in zip(links.support, drives.support, strict=True)))
     factors: list[list[Array]] = [[] for _ in support]
     sums, times = [], []

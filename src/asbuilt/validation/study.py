@@ -11,6 +11,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
@@ -25,8 +26,8 @@ from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.mounting import find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
-from asbuilt.validation.attribution import attribute
-from asbuilt.validation.comparison import Comparison, compare
+from asbuilt.validation.attribution import Attribution, attribute
+from asbuilt.validation.comparison import Comparison, compare, recording_name
 from asbuilt.validation.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.validation.prediction import Validation, validate
 from asbuilt.validation.standing import standing_errors
@@ -68,7 +69,7 @@ class StudyOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """Hold a result with all that it was judged by: checks of the recordings, predictions of held-out data, comparison with CAD.
+    """Hold a result with all that it was judged by: checks of the recordings, predictions of held-out data, comparison with CAD, and why CAD is off, where that was asked.
 
     `training` predicts the data used; `validations` what was held out, then the other recordings, in the order given. `cutoffs` says how the cutoff was chosen,
     where it was swept.
@@ -80,6 +81,7 @@ class Study:
     validations: tuple[Validation, ...]
     comparison: Comparison
     cutoffs: CutoffSweep | None = None
+    attribution: Attribution | None = None
 
 
 def run_study(
@@ -148,14 +150,15 @@ def run_study(
         result = replace(
             result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=options.block_seconds)
         )
-        if options.mounting == "as_described":
-            result = _mounting_doubted(result)
+    attribution = None
+    if result.evidence is not None and options.mounting == "as_described":
+        attribution = attribute(result)
+        result = _mounting_doubted(result, attribution.tilt)
     report("predict", 1.0)
-    return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs)
+    return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs, attribution)
 
 
-def _mounting_doubted(result: IdentificationResult) -> IdentificationResult:
-    tilt = attribute(result).tilt
+def _mounting_doubted(result: IdentificationResult, tilt: float) -> IdentificationResult:
     if tilt < ASKEW:
         return result
     message = (
@@ -168,7 +171,7 @@ def _mounting_doubted(result: IdentificationResult) -> IdentificationResult:
 def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
     if not recordings:
         raise UsageError("a cutoff can be chosen for recordings only; these samples are filtered already")
-    drive = options.drive if isinstance(options.drive, DriveSet) else DriveSet.default(recordings[0].torque_source)
+    drive = options.drive if isinstance(options.drive, DriveSet) else usual_drive(model, recordings[0].torque_source)
     return sweep_cutoffs(model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report)
 
 
@@ -192,7 +195,7 @@ def _with_drive_choice(result: IdentificationResult, chosen: DriveChoice) -> Ide
 def _judged(result: IdentificationResult, checks: Sequence[RecordingCheck], validations: Sequence[Validation]) -> IdentificationResult:
     """Return the result with its held-out metrics, the findings of the checks and the verdict on generalisation among its warnings."""
     found = [
-        IdentificationWarning(finding.code, f"{check.source}: {finding.message}. {finding.cure}.")
+        IdentificationWarning(finding.code, f"{recording_name(check.source)}: {finding.message}. {finding.cure}.")
         for check in checks
         for finding in check.warnings
     ]
@@ -227,7 +230,7 @@ def _standstill(validation: Validation) -> list[IdentificationWarning]:
     return [
         IdentificationWarning(
             "error_at_standstill",
-            f"On {validation.source} static friction holds joints that stand while others move, and may take any value up to break-away, which no friction "
+            f"On {recording_name(validation.source)} static friction holds joints that stand while others move, and may take any value up to break-away, which no friction "
             f"law in velocity predicts. {listed}. Judge these joints by their motion.",
         )
     ]
@@ -242,7 +245,7 @@ def _generalisation(train: TorqueMetrics, validation: Validation) -> list[Identi
         found.append(
             IdentificationWarning(
                 "does_not_generalise",
-                f"Torque errors on {built.source} are more than {OVERFIT:g} times those of the data used ({listed}): the recording is too short or too "
+                f"Torque errors on {recording_name(built.source)} are more than {OVERFIT:g} times those of the data used ({listed}): the recording is too short or too "
                 "little varied for so many parameters. Record longer, add recordings, or use fewer drive terms.",
             )
         )
@@ -251,7 +254,8 @@ def _generalisation(train: TorqueMetrics, validation: Validation) -> list[Identi
         listed = ", ".join(f"{built.joint_names[k]} {built.rms[k]:.3g} against {cad.rms[k]:.3g}" for k in behind)
         found.append(
             IdentificationWarning(
-                "cad_predicts_better", f"On {built.source} the CAD values predict these joints better than the fit: {listed}."
+                "cad_predicts_better",
+                f"On {recording_name(built.source)} the CAD values predict these joints better than the fit: {listed}.",
             )
         )
     return found

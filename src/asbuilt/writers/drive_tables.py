@@ -10,7 +10,7 @@ from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.identification.motor_side import MotorSideParameter
 from asbuilt.identification.torque_gains import TorqueGains
 from asbuilt.identification.two_channels import TwoChannelEstimate
-from asbuilt.tables import Column, Table, plus_minus
+from asbuilt.tables import Column, Table, percent, plus_minus, stacked
 
 USE = """\
 Terms are chosen as --drive viscous,coulomb,offset; armature is added by default for torques from motors and currents.
@@ -152,8 +152,10 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
         "robot": found.robot,
         "joints": list(found.joint_names),
         "parameters": [
-            {"name": name, "unit": unit, "estimate": float(value), "std_error": float(error)}
-            for name, unit, value, error in zip(found.names, found.units, found.values, found.std_errors, strict=True)
+            {"name": name, "unit": unit, "side": "motor" if motor else "link", "estimate": float(value), "std_error": float(error)}
+            for name, unit, motor, value, error in zip(
+                found.names, found.units, found.of_motor_side, found.values, found.std_errors, strict=True
+            )
         ],
         "rms_sensor": found.rms_sensor.tolist(),
         "rms_motor": found.rms_motor.tolist(),
@@ -164,15 +166,24 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
 def channels_text(found: TwoChannelEstimate) -> str:
     """Return an estimate from sensors and motors together as tables."""
     rows = [
-        (name, unit, plus_minus(float(value), float(error)))
-        for name, unit, value, error in zip(found.names, found.units, found.values, found.std_errors, strict=True)
+        (name, unit, "motor" if motor else "link", plus_minus(value, error), percent(value, error))
+        for name, unit, motor, value, error in zip(
+            found.names, found.units, found.of_motor_side, found.values.tolist(), found.std_errors.tolist(), strict=True
+        )
     ]
     errors = tuple(zip(found.joint_names, found.rms_sensor.tolist(), found.rms_motor.tolist(), strict=True))
+    notes = [
+        "Side link: felt by sensors and motors alike; side motor: by the motors alone, named with an m. Standard errors allow for residual correlation."
+    ]
+    if found.estimate.undetermined:
+        notes.append(f"NOT TOLD by this motion: {'; '.join(found.estimate.undetermined)}.")
+    columns = (Column("parameter"), Column("unit"), Column("side"), Column("value"), Column("%", align="decimal"))
+    title = f"{found.robot}: sensors and motors together, {len(found.names)} parameters, {int(found.of_motor_side.sum())} of them of the motor side"
     tables = (
-        Table((Column("parameter"), Column("unit"), Column("value")), tuple(rows)),
+        Table(columns, tuple(rows), title=title, notes=tuple(notes)),
         Table((Column("joint"), Column("RMS sensor", "N m", "decimal", ".3g"), Column("RMS motor", "N m", "decimal", ".3g")), errors),
     )
-    return "\n".join(table.as_text() for table in tables)
+    return stacked(tables)
 
 
 def motor_side_table(parameters: Sequence[MotorSideParameter]) -> Table:

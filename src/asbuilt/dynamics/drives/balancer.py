@@ -19,6 +19,7 @@ class Balancer(DriveTerm):
     letters = ("Bs", "Bc")
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
+    by_construction = True
     formula = "Bs sin(q) + Bc cos(q)"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

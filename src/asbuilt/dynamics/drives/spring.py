@@ -17,6 +17,7 @@ class Spring(DriveTerm):
     letters = ("Ks",)
     revolute_units = ("N m/rad",)
     prismatic_units = ("N/m",)
+    by_construction = True
     formula = "Ks q"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

@@ -71,6 +71,8 @@ class DriveTerm(ABC):
     """Torque sources for which the term is tried beside the defaults when terms are chosen by the recording; its parameters are then positive."""
     stands_for: ClassVar[str | None] = None
     """Key of the simpler term whose place it takes then."""
+    by_construction: ClassVar[bool] = False
+    """Whether a robot was built with it or has it not, whatever a recording seems to say: it is never chosen, and part of the usual terms where the description has it."""
     needs_load: ClassVar[bool] = False
     """Whether the columns depend on the rigid-body torque of the joint."""
     of_motor: ClassVar[bool] = False
