@@ -25,7 +25,7 @@ from asbuilt.identification.determination import determination
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Table, beside, deviation, percent, rounded, share, significant
-from asbuilt.validation.attribution import attribute
+from asbuilt.validation.attribution import Attribution, attribute
 from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
@@ -58,10 +58,11 @@ def write_report(
     validations: Sequence[Validation] = (),
     *,
     fitted: Sequence[Validation] = (),
+    attribution: Attribution | None = None,
     command: Sequence[str] = (),
 ) -> Path:
     """Write the report of a result; see `report_html`."""
-    return atomic_write(path, report_html(result, validations, fitted=fitted, command=command))
+    return atomic_write(path, report_html(result, validations, fitted=fitted, attribution=attribution, command=command))
 
 
 def report_html(
@@ -69,15 +70,17 @@ def report_html(
     validations: Sequence[Validation] = (),
     *,
     fitted: Sequence[Validation] = (),
+    attribution: Attribution | None = None,
     command: Sequence[str] = (),
 ) -> str:
     """Return the page as text.
 
     `validations` are predictions of data not used for fitting, by which the model is judged; `fitted` are predictions of the data used, which the
-    plots show too. `command` is the command line that repeats the identification.
+    plots show too. `attribution` says why CAD is off; it is worked out where none is given and the result carries the evidence. `command` is the command line that repeats the identification.
     """
     comparison = compare(result, validation=validations or None)
-    attribution = attribute(result) if result.evidence is not None else None
+    if attribution is None and result.evidence is not None:
+        attribution = attribute(result)
     shown = [*validations, *fitted]
     analyses = [item.residuals() for item in shown]
     labels = [recording_name(item.source) + ("" if place < len(validations) else ", used for fitting") for place, item in enumerate(shown)]

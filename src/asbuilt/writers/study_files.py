@@ -54,7 +54,9 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
     if study.cutoffs is not None:
         files["cutoff"] = save_figure(cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"), folder / "cutoff.png")
-    files["report"] = write_report(folder / "report.html", result, study.validations, fitted=study.training, command=command)
+    files["report"] = write_report(
+        folder / "report.html", result, study.validations, fitted=study.training, attribution=study.attribution, command=command
+    )
     try:
         robot = as_built_model(result)
         files["robot"] = write_robot_toml(folder / "robot.toml", robot)
