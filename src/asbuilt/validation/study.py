@@ -11,6 +11,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
@@ -170,7 +171,7 @@ def _mounting_doubted(result: IdentificationResult, tilt: float) -> Identificati
 def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
     if not recordings:
         raise UsageError("a cutoff can be chosen for recordings only; these samples are filtered already")
-    drive = options.drive if isinstance(options.drive, DriveSet) else DriveSet.default(recordings[0].torque_source)
+    drive = options.drive if isinstance(options.drive, DriveSet) else usual_drive(model, recordings[0].torque_source)
     return sweep_cutoffs(model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report)
 
 
