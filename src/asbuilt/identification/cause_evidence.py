@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +17,7 @@ from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.rows import SAMPLES_AT_ONCE, Stretch, stretches
+from asbuilt.identification.rows import Stretch, stretches
 from asbuilt.identification.triangular import ROWS_AT_ONCE, GrowingFactor
 
 if TYPE_CHECKING:
@@ -193,29 +193,13 @@ class _Reduction:
 
     def add(self, stretch: Stretch, tilted: list[RobotModel]) -> None:
         self.n_samples += stretch.n_outputs
-        for piece in _pieces(stretch, self._plan, tilted):
+        q = stretch.samples.q
+        for piece in stretch.pieces(self._plan, beside=lambda span: [gravity_torque(model, q[span]) for model in tilted]):
             for growing, rows in zip(self._growing, piece, strict=True):
                 growing.append(rows)
 
     def factors(self) -> tuple[Array, ...]:
         return tuple(growing.factor() for growing in self._growing)
-
-
-def _pieces(stretch: Stretch, plan: RegressorPlan, tilted: list[RobotModel]) -> Iterator[tuple[Array, ...]]:
-    samples, parallel = stretch.samples, stretch.samples.parallel
-    step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
-    at_once = min(stretch.n_outputs, max(1, (SAMPLES_AT_ONCE - width) // step + 1))
-    buffer = plan.buffer((at_once - 1) * step + width)
-    for first in range(stretch.first, stretch.last, at_once):
-        last = min(first + at_once, stretch.last)
-        span = slice(stretch.start + first * step, stretch.start + (last - 1) * step + width)
-        rows = plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)
-        tilts = [gravity_torque(model, samples.q[span]) for model in tilted]
-        for k, columns in enumerate(rows):
-            for place, tilt in zip(range(-len(TILTS) - 1, -1), tilts, strict=True):
-                columns[place] = tilt[:, k]
-            columns[-1] = samples.tau[span, k]
-        yield tuple(parallel.apply(columns) if parallel else columns for columns in rows)
 
 
 def _tilt_axes(gravity: Array) -> Array:

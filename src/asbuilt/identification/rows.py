@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice, pairwise
 from typing import TYPE_CHECKING
@@ -65,10 +65,10 @@ class Stretch:
         t = parallel.times(t) if parallel else t
         return TimeBlock(self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs)
 
-    def pieces(self, plan: RegressorPlan) -> Iterator[tuple[Array, ...]]:
+    def pieces(self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None) -> Iterator[tuple[Array, ...]]:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a time; good until the next.
 
-        `plan` has one spare row per joint.
+        `beside` returns further columns of a span of samples, each (L, n), that stand before the torque. `plan` has a spare row for each and one more.
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
@@ -78,8 +78,10 @@ class Stretch:
             last = min(first + at_once, self.last)
             span = slice(self.start + first * step, self.start + (last - 1) * step + width)
             rows = plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)
+            further = (*(beside(span) if beside else ()), samples.tau[span])
             for k, columns in enumerate(rows):
-                columns[-1] = samples.tau[span, k]
+                for place, values in enumerate(further, start=-len(further)):
+                    columns[place] = values[:, k]
             yield tuple(parallel.apply(columns) if parallel else columns for columns in rows)
 
 
