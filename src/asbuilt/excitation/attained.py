@@ -10,6 +10,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import UsageError
 from asbuilt.excitation.information import Information, mean_information
@@ -85,4 +86,5 @@ def information_efficiency(model: RobotModel, drive: DriveSet, samples: JointSta
 def _bound(model: RobotModel, drive: DriveSet) -> tuple[BaseParameters, InformationBound]:
     base = find_base_parameters(model, drive)
     limits = MotionBounds.assumed(model)
-    return base, information_bound(model, Information.of(model, base), limits, torque=MotionBounds.of(model).torque, rounds=ROUNDS)
+    with one_blas_thread():
+        return base, information_bound(model, Information.of(model, base), limits, torque=MotionBounds.of(model).torque, rounds=ROUNDS)

@@ -10,6 +10,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model, parameter_scale
@@ -143,7 +144,8 @@ def design_motion(
         information, criterion_of(wanted.criterion, focus), scale, wanted.duration * wanted.information_rate, _checked_prior(prior, found)
     )
     begin = time.monotonic()
-    bound, family_bound = design_bounds(model, information, wanted) if with_bound else (None, None)
+    with one_blas_thread():
+        bound, family_bound = design_bounds(model, information, wanted) if with_bound else (None, None)
     deadline = Deadline(max(SEARCH_SHARE * wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit))
     search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
     candidates = search.run(threads, progress)
