@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from asbuilt.errors import RecordingError
@@ -42,6 +43,14 @@ def test_every_field(tmp_path: Path) -> None:
     assert sheet.columns.extra == {"tau_ext": [6, 7]}
     assert (sheet.rate, sheet.header, sheet.torque_source) == (100, False, "current")
     assert sheet.windows[0].stop == 5
+    path.write_text(FULL, encoding="utf-8-sig")
+    assert read_sheet(path) == sheet
+
+
+def test_windows_are_half_open_and_count_from_the_start() -> None:
+    sheet = RecordingSheet.model_validate({"windows": [{"start": 1.0, "stop": 2.0}, {"start": 3.0}]})
+    t = np.array([10.0, 11.0, 11.5, 12.0, 13.0, 99.0, np.nan])
+    assert sheet.in_windows(t, 10.0).tolist() == [False, True, True, False, True, True, False]
 
 
 @pytest.mark.parametrize(

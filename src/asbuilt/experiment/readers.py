@@ -204,11 +204,8 @@ def apply_sheet(
     if flip_torque:
         recording = recording.flipped()
     if sheet.windows:
-        start = recording.t[0]
-        keep = np.zeros(recording.n_samples, dtype=bool)
-        for window in sheet.windows:
-            keep |= (recording.t >= start + window.start) & (recording.t < start + window.stop)
-        kept = replace(recording.taken(keep, "no sample lies in the time windows of its sheet"))
+        inside = sheet.in_windows(recording.t, float(recording.t[0]))
+        kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
         recording = replace(
             kept, notes=(*kept.notes, f"{kept.n_samples} of {recording.n_samples} samples lie in the time windows of the sheet")
         )

@@ -8,6 +8,8 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from asbuilt.errors import RecordingError
@@ -118,6 +120,13 @@ class RecordingSheet(_Part):
     files: SheetFiles = SheetFiles()
     topic: str | None = None
 
+    def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
+        """Return which instants t (N,) [s] of a recording that began at `start` lie in one of the windows."""
+        inside = np.zeros(t.size, dtype=np.bool_)
+        for window in self.windows:
+            inside |= (t >= start + window.start) & (t < start + window.stop)
+        return inside
+
     @model_validator(mode="after")
     def _signs(self) -> RecordingSheet:
         signs = self.sign if isinstance(self.sign, list) else [] if self.sign is None else [self.sign]
@@ -139,7 +148,7 @@ def read_sheet(path: str | Path) -> RecordingSheet:
     """
     path = Path(path)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise RecordingError(f"recording sheet {path} does not exist") from error
     except (OSError, UnicodeDecodeError) as error:
@@ -158,7 +167,7 @@ def sheet_beside(log: Path) -> Path | None:
         if candidate == log or not candidate.is_file():
             continue
         try:
-            fields = set(tomllib.loads(candidate.read_text(encoding="utf-8")))
+            fields = set(tomllib.loads(candidate.read_text(encoding="utf-8-sig")))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
             return candidate
         if fields & ROBOT_FIELDS:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Unpack
 
-import numpy as np
 import polars as pl
 
 from asbuilt.errors import RecordingError
@@ -79,12 +78,10 @@ def stream_recording(
             torque_source=options.get("torque_source"),
         )
         if described.windows:
-            keep = np.zeros(chunk.n_samples, dtype=bool)
-            for window in described.windows:
-                keep |= (chunk.t >= start + window.start) & (chunk.t < start + window.stop)
-            if not keep.any():
+            inside = described.in_windows(chunk.t, start)
+            if not inside.any():
                 continue
-            chunk = chunk.taken(keep)
+            chunk = chunk.taken(inside)
         yield chunk
 
 
