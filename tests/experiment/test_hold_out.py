@@ -49,7 +49,22 @@ def test_no_held_out_torque_reaches_the_training_rows():
 
 @pytest.mark.parametrize(
     "rule",
-    ["blocks", "blocks:5s", "blocks:5s:1", "blocks:0s:3", "blocks:5s:2.5", "blocks:fives:3", "last", "last:1.5", "last:x", "first:0.3", ""],
+    [
+        "blocks",
+        "blocks:5s",
+        "blocks:5s:1",
+        "blocks:0s:3",
+        "blocks:5s:2.5",
+        "blocks:fives:3",
+        "blocks:5s:nan",
+        "blocks:infs:3",
+        "last:nan",
+        "last",
+        "last:1.5",
+        "last:x",
+        "first:0.3",
+        "",
+    ],
 )
 def test_unreadable_rules_name_the_forms(rule):
     with pytest.raises(UsageError, match=r"blocks:5s:3 \(every third 5 s block\) or last:0.3"):

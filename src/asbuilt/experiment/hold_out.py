@@ -56,6 +56,9 @@ def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
 
 def _number(text: str, rule: str, what: str) -> float:
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
-        raise UsageError(f"cannot hold out {rule!r}: {text!r} is not {what}; give {FORMS}") from None
+        value = np.nan
+    if not np.isfinite(value):
+        raise UsageError(f"cannot hold out {rule!r}: {text!r} is not {what}; give {FORMS}")
+    return value

@@ -141,8 +141,6 @@ def _column(source: str, names: Sequence[str], what: str, column: ColumnName) ->
 
 def _listed(source: str, names: Sequence[str], what: str, columns: Sequence[ColumnName], sheet: RecordingSheet) -> _Group:
     found = [_column(source, names, what, column) for column in columns]
-    if len(found) == 1 and found[0] not in names:
-        found = [name for name in names if name.startswith(found[0])]
     repeated = [name for name in found if found.count(name) > 1]
     if repeated:
         raise RecordingError(f"{source}: the sheet gives column {repeated[0]!r} twice for {what}")
