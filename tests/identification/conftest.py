@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from three_links import DRIVE, arm, truth
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
@@ -17,7 +18,16 @@ from asbuilt.experiment.samples import Samples
 from asbuilt.identification.cad_prior import cad_prior
 from asbuilt.identification.square_root_information import accumulate
 
+
 FULL = "armature,viscous,coulomb,offset"
+
+
+@pytest.fixture(scope="session")
+def robot():
+    """The robot of three links, its base parameters and their true values."""
+    model = arm()
+    base = find_base_parameters(model, DRIVE)
+    return model, base, truth(base, model)
 
 
 @dataclass(frozen=True)

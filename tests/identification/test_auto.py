@@ -5,19 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from three_links import DRIVE, arm, recording, truth
+from three_links import DRIVE, recording
 
-from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.identification.identify import identify
 from asbuilt.identification.rows import Rows
-
-
-@pytest.fixture(scope="module")
-def robot():
-    model = arm()
-    base = find_base_parameters(model, DRIVE)
-    return model, base, truth(base, model)
 
 
 def picked(robot, samples):

@@ -6,22 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from three_links import DRIVE, arm, recording, truth
+from three_links import DRIVE, arm, recording
 
-from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.identify import identify
 from asbuilt.identification.methods import find_method, methods
 from asbuilt.identification.result import IdentificationResult
 
 every_method = pytest.mark.parametrize("method", list(methods))
-
-
-@pytest.fixture(scope="module")
-def robot():
-    model = arm()
-    base = find_base_parameters(model, DRIVE)
-    return model, base, truth(base, model)
 
 
 @pytest.fixture(scope="module")

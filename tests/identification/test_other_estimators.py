@@ -7,22 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
-from three_links import DRIVE, RATE, arm, full_rows, recording, truth
+from three_links import DRIVE, RATE, full_rows, recording
 
-from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.methods import methods
 from asbuilt.identification.ridge import RIDGES
 from asbuilt.identification.square_root_information import accumulate_stream
-
-
-@pytest.fixture(scope="module")
-def robot():
-    model = arm()
-    base = find_base_parameters(model, DRIVE)
-    return model, base, truth(base, model)
 
 
 def evidence_of(robot, samples, prior=None):

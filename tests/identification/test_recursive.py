@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from three_links import DRIVE, arm, recording, truth
+from three_links import DRIVE, recording, truth
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.identification.least_squares import fit_least_squares
 from asbuilt.identification.recursive import RecursiveIdentification
 from asbuilt.identification.square_root_information import accumulate
-
-
-@pytest.fixture(scope="module")
-def robot():
-    model = arm()
-    base = find_base_parameters(model, DRIVE)
-    return model, base, truth(base, model)
 
 
 def fed(line, samples, start=0, stop=None):

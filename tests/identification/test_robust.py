@@ -7,20 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from three_links import DRIVE, arm, full_rows, recording, truth
+from three_links import DRIVE, full_rows, recording
 
-from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.identify import identify
 from asbuilt.identification.methods import methods
 from asbuilt.identification.square_root_information import accumulate_stream
-
-
-@pytest.fixture(scope="module")
-def robot():
-    model = arm()
-    base = find_base_parameters(model, DRIVE)
-    return model, base, truth(base, model)
 
 
 @pytest.fixture(scope="module")
