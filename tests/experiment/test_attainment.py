@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.attainment import recorded_information
 from asbuilt.experiment.recording import Recording
@@ -37,3 +38,32 @@ def test_a_standing_joint_is_named(recording: Recording) -> None:
     assert "moved too little" in standing.as_text().lower()
     json.dumps(standing.as_document(), allow_nan=False)
     assert np.all(standing.efficiency.by_joint >= 0)
+    assert standing.std_error_ratios[1] == np.inf
+    assert standing.as_document()["std_error_ratio"][recording.joint_names[1]] is None
+    assert f"{recording.joint_names[1]} 0 %" in standing.as_text()
+
+
+def test_it_says_how_a_joint_held_back(recording: Recording) -> None:
+    """Travel and top speed are those of the motion that was sampled; a slower one is called slow, a smaller one small."""
+    model = load_robot("two-link")
+    wide = recorded_information(model, recording)
+    bounds = MotionBounds.assumed(model)
+    travel = np.ptp(recording.q, axis=0) / np.minimum(bounds.upper - bounds.lower, 2 * np.pi)
+    np.testing.assert_allclose(wide.travel, travel, rtol=0.02)
+    slow = recorded_information(model, Recording(10.0 * recording.t, recording.q, recording.tau, joint_names=recording.joint_names))
+    np.testing.assert_allclose(slow.top_speed, wide.top_speed / 10, rtol=0.05)
+    assert "slowly" in slow.as_text()
+    small = recorded_information(model, Recording(recording.t, 0.02 * recording.q, recording.tau, joint_names=recording.joint_names))
+    assert "small range" in small.as_text()
+
+
+def test_the_worst_parameter_is_that_of_least_information(recording: Recording) -> None:
+    """The ratio of standard errors comes from the covariances: own observation matrix against the bound's information."""
+    model = load_robot("two-link")
+    found = recorded_information(model, recording)
+    base = found.efficiency.base
+    for k, worst in enumerate(found.efficiency.worst):
+        assert worst is not None
+        own = [p for p, name in enumerate(base.names) if name.endswith(str(k + 1))]
+        assert worst in own
+        assert found.std_error_ratios[k] == pytest.approx(1 / np.sqrt(min(found.efficiency.by_parameter[own])))

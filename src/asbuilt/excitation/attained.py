@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
@@ -45,17 +46,35 @@ class InformationEfficiency:
 
     `d_efficiency` is `exp((log det M - log det M_bound) / p)`, 0 where the motion leaves a parameter untold. `by_parameter` (p,) is the variance
     that the best distribution gives each base parameter over the variance that the motion gives it; it may exceed 1 for some.
-    `by_joint` (n,) is its smallest value over the parameters of that link and drive: small where the joint moved too little or alike.
     """
 
     base: BaseParameters
     d_efficiency: float
     by_parameter: Array
-    by_joint: Array
 
     def __post_init__(self) -> None:
-        for name in ("by_parameter", "by_joint"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        object.__setattr__(self, "by_parameter", read_only(self.by_parameter))
+
+    @property
+    def owners(self) -> NDArray[np.intp]:
+        """The joint, counted from 0, to whose link or drive each base parameter belongs (p,)."""
+        columns, per = self.base.columns, self.base.drive.columns_per_joint
+        return np.where(columns < 10 * self._n_joints, columns // 10, (columns - 10 * self._n_joints) // max(per, 1))
+
+    @property
+    def worst(self) -> tuple[int | None, ...]:
+        """Which base parameter of each joint is told worst, None for a joint without any."""
+        own = [np.flatnonzero(self.owners == k) for k in range(self._n_joints)]
+        return tuple(int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own)
+
+    @property
+    def by_joint(self) -> Array:
+        """The share of the worst told parameter of each joint (n,), NaN for a joint without any: small where it moved too little or alike."""
+        return np.array([np.nan if k is None else self.by_parameter[k] for k in self.worst])
+
+    @property
+    def _n_joints(self) -> int:
+        return self.base.n_standard // (10 + self.base.drive.columns_per_joint)
 
 
 def information_efficiency(model: RobotModel, drive: DriveSet, samples: JointStates) -> InformationEfficiency:
@@ -76,10 +95,7 @@ def information_efficiency(model: RobotModel, drive: DriveSet, samples: JointSta
     own = ((vectors[:, kept] ** 2) / eigenvalues[kept]).sum(axis=1) / size**2
     told = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
     by_parameter = np.where(told, best / np.maximum(own, np.finfo(float).tiny), 0.0)
-    per, links = drive.columns_per_joint, 10 * model.n_joints
-    owner = np.where(base.columns < links, base.columns // 10, (base.columns - links) // max(per, 1))
-    by_joint = np.array([by_parameter[owner == k].min() if np.any(owner == k) else np.nan for k in range(model.n_joints)])
-    return InformationEfficiency(base, bound.efficiency(mean) if np.all(kept) else 0.0, by_parameter, by_joint)
+    return InformationEfficiency(base, bound.efficiency(mean) if np.all(kept) else 0.0, by_parameter)
 
 
 @lru_cache(maxsize=8)
