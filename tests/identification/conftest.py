@@ -18,7 +18,6 @@ from asbuilt.experiment.samples import Samples
 from asbuilt.identification.cad_prior import cad_prior
 from asbuilt.identification.square_root_information import accumulate
 
-
 FULL = "armature,viscous,coulomb,offset"
 
 
