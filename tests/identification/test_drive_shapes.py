@@ -186,7 +186,18 @@ def test_friction_that_drives_is_not_believed(seed):
     truth = DriveSet.parse("viscous,coulomb,load_friction,offset")
     choice = choose_drive(model, [recorded(model, truth, np.tile([0.5, 1.0, -0.05, 0.2], 3), seed=seed)])
     assert "load_friction" not in choice.drive.keys
-    assert any("comes out negative" in (addition.objection or "") for addition in choice.additions)
+    assert any("do not come out positive" in (addition.objection or "") for addition in choice.additions)
+
+
+@pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e"])
+def test_friction_under_load_is_found_on_whole_arms(robot):
+    model = bundled_robot(robot)
+    truth = DriveSet.parse("viscous,coulomb,load_friction,offset")
+    values = np.tile([0.5, 1.0, 0.15, 0.1], model.n_joints)
+    train, judged = (recorded(model, truth, values, duration=40.0, seed=seed) for seed in (2, 5))
+    choice = choose_drive(model, [train])
+    assert choice.drive.keys == truth.keys
+    np.testing.assert_allclose(validate(identify(model, train, drive=choice.drive), judged).metrics_as_built.rms, 0.02, rtol=0.3)
 
 
 def test_the_defaults_stay_where_nothing_else_is_there():

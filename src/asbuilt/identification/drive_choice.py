@@ -41,6 +41,8 @@ CERTAIN = 2.0
 CERTAIN_TOGETHER = 1.0
 """all terms together are worth taking where the choice, repeated without blocks that then judge it, lowers the error by one standard error."""
 MOST_PER_JOINT = 4
+LOADS = 3
+"""Times that the load, of which friction may depend, is taken from the arm as fitted so far."""
 MAY_BE_NEGATIVE = frozenset({"offset", "spring", "balancer"})
 """Terms whose parameters have no sign; all others are inertia or friction."""
 
@@ -130,8 +132,8 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
     """Choose drive terms joint by joint: those that are credible there and lower the error on held-out time blocks, beside those the torque source calls for.
 
     Credible are the terms that declare themselves so for the torque source (springs and balancers never do: a robot has them or not), with shapes inside their credible range
-    (where the best value lies at its end, the term is not what its name says) and friction that brakes: every parameter of the term positive, and none of the
-    others turned negative. The term must lower the joint's error and that of all joints by two standard errors from fold to fold. Then the whole choice is repeated
+    (where the best value lies at its end, the term is not what its name says) and friction that brakes: every parameter of the term positive by two standard errors, and none of the
+    others turned negative by two. The term must lower the joint's error and that of all joints by two standard errors from fold to fold. Then the whole choice is repeated
     without some blocks, which judge it: unless the error falls by more than one standard error there, the defaults stay (the one-standard-error rule: of models that cannot
     be told apart, the simplest). Where the motion hardly tells the defaults apart (scaled condition number above 200), or the recording is too short, they stay too.
 
@@ -152,14 +154,22 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
             "sets were not tried; record a richer motion"
         )
         return DriveChoice(start, (said,))
-    loaded = carrying(model, plain.base, fitted.beta)
     tried = candidates(model, start, samples[0].torque_source, samples)
+    arm = fitted.beta
+    choice: Choice = ()
     with one_blas_thread():
-        columns = CandidateColumns(loaded, plain.base, tried, samples, 1.0 / fitted.sigma)
-        if columns.n_blocks < FEWEST_BLOCKS:
-            return DriveChoice(start, (f"drive terms {_named(start)} kept: {columns.n_blocks} time blocks are too few to hold some out",))
-        every = np.arange(columns.n_blocks)
-        choice, additions = _chosen(columns, every)
+        for _ in range(LOADS):
+            loaded, before = carrying(model, plain.base, arm), choice
+            columns = CandidateColumns(loaded, plain.base, tried, samples, 1.0 / fitted.sigma)
+            if columns.n_blocks < FEWEST_BLOCKS:
+                return DriveChoice(
+                    start, (f"drive terms {_named(start)} kept: {columns.n_blocks} time blocks are too few to hold some out",)
+                )
+            every = np.arange(columns.n_blocks)
+            choice, additions = _chosen(columns, every)
+            if choice == before or not any(tried[c].term.needs_load for _, c in choice):
+                break
+            arm = columns.learnt(choice, every)[: plain.base.n_base]
         gain = _nested_gain(columns, every) if choice else None
     return _concluded(loaded, samples, start, columns, choice, gain, additions)
 
@@ -210,12 +220,19 @@ def _objection(columns: CandidateColumns, before: Array, after: Array, placed: P
     if candidate.at_bound:
         shape = candidate.term.free_shapes or candidate.term.shapes
         return f"its best {shape[0].name} lies at an end of the credible range"
-    if np.any(after[:, columns.own_places(placed)] <= 0.0):
-        return "a parameter of it comes out negative"
+    if not np.all(_surely_positive(after[:, columns.own_places(placed)])):
+        return "its parameters do not come out positive"
     for key, places in columns.drive_places(placed[0]).items():
-        if key not in MAY_BE_NEGATIVE and np.any((after[:, places] < 0.0) & (before[:, places] >= 0.0)):
+        if key not in MAY_BE_NEGATIVE and np.any(_surely_positive(-after[:, places]) & ~_surely_positive(-before[:, places])):
             return f"{key} would become negative beside it"
     return None
+
+
+def _surely_positive(parameters: Array) -> NDArray[np.bool_]:
+    """Return which parameters (folds, m), each learnt without one fold, are positive by two standard errors of a jackknife over the folds."""
+    folds, mean = len(parameters), parameters.mean(axis=0)
+    errors = np.sqrt((folds - 1) / folds * np.sum((parameters - mean) ** 2, axis=0))
+    return np.asarray(mean > CERTAIN * errors)
 
 
 def _nested_gain(columns: CandidateColumns, blocks: Indices) -> Gain:
