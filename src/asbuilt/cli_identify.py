@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
     Drive,
@@ -18,12 +19,9 @@ from asbuilt.cli_options import (
     Reading,
     Result,
     Robot,
-    answer,
     described_robot,
     distinct_logs,
-    listed_files,
     one_of,
-    progress_bar,
     read_result,
 )
 from asbuilt.errors import UsageError

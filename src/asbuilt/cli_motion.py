@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
     Drive,
     Robot,
     Seed,
-    answer,
     described_robot,
-    listed_files,
     number_list,
     positive_number,
-    progress_bar,
     read_result,
     writable_file,
     writable_folder,

@@ -1,13 +1,11 @@
-"""What the commands share: the types of their options, how they read what these name, and how they answer."""
+"""What the commands share: the types of their options, and how they read what these name."""
 
 from __future__ import annotations
 
 import functools
 import inspect
 import math
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
@@ -129,7 +127,7 @@ def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
     parameters = []
     for name, parameter in inspect.signature(command).parameters.items():
         if name in groups:
-            parameters += _options(groups[name])
+            parameters += _spread_out(groups[name])
         else:
             parameters.append(parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY))
 
@@ -144,47 +142,12 @@ def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
     return spread
 
 
-def _options(group: type[Any]) -> list[inspect.Parameter]:
+def _spread_out(group: type[Any]) -> list[inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     return [
         inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
         for field in fields(group)
     ]
-
-
-def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
-    """Print the document or the text on stdout."""
-    if as_json:
-        from asbuilt.writers.tabular import json_text
-
-        sys.stdout.write(json_text(document()))
-    else:
-        sys.stdout.write(text().rstrip("\n") + "\n")
-    sys.stdout.flush()
-
-
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield `report(what, fraction)`; draws a bar on stderr where that is a terminal, for anything that takes over a second."""
-    if not sys.stderr.isatty():
-        yield lambda what, fraction: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True)
-    tasks: dict[str, Any] = {}
-
-    def report(what: str, fraction: float) -> None:
-        stage = what.split(":", maxsplit=1)[0]
-        if stage not in tasks:
-            for task in tasks.values():
-                bar.update(task, completed=1.0)
-            tasks[stage] = bar.add_task(what, total=1.0)
-        bar.update(tasks[stage], description=what, completed=fraction)
-
-    with bar:
-        yield report
 
 
 def described_robot(robot: str) -> RobotModel:
@@ -257,14 +220,3 @@ def positive_number(option: str, text: str) -> float:
     if not 0.0 < value < float("inf"):
         raise UsageError(f"{option} takes a positive number, got {text!r}")
     return value
-
-
-def path_texts(files: Mapping[str, Path]) -> dict[str, str]:
-    """Return paths as text, by kind."""
-    return {kind: str(path) for kind, path in files.items()}
-
-
-def listed_files(files: Mapping[str, Path]) -> str:
-    """Return the lines that say which files were written, empty where none were."""
-    lines = [f"  {kind:<11} {path}" for kind, path in files.items()]
-    return "\n".join(["", "", "written:", *lines]) if lines else ""

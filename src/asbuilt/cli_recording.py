@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
     Drive,
@@ -16,13 +17,10 @@ from asbuilt.cli_options import (
     Reading,
     Robot,
     Seed,
-    answer,
     described_robot,
     distinct_logs,
-    listed_files,
     number_list,
     one_of,
-    progress_bar,
     robot_as_built,
     writable_file,
 )

@@ -8,17 +8,14 @@ from typing import Annotated
 
 import typer
 
+from asbuilt.cli_answers import answer, listed_files, path_texts, progress_bar
 from asbuilt.cli_options import (
     AsJson,
     Drive,
     Result,
     Robot,
-    answer,
     described_robot,
-    listed_files,
     one_of,
-    path_texts,
-    progress_bar,
     read_result,
     robot_as_built,
 )

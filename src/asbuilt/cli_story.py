@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from asbuilt.cli_options import AsJson, Out, answer, listed_files, progress_bar, writable_folder
+from asbuilt.cli_answers import answer, listed_files, progress_bar
+from asbuilt.cli_options import AsJson, Out, writable_folder
 
 
 def reproduce(out: Out = None, as_json: AsJson = False) -> None:
