@@ -7,6 +7,9 @@ from virtual_causes import identified, recorded
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError, ResultError
+from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.torque_prediction import predict_torque
 from asbuilt.validation.controller_model import compare_with_controller
 from asbuilt.validation.drift import compare_results
 
@@ -24,13 +27,31 @@ def test_wear_is_found_where_it_is() -> None:
     assert "Coulomb friction 2.0" in sentence
     assert "N m (+49 %)" in sentence or "N m (+50 %)" in sentence
     assert drift.ranked[0].name in ("Fc3", "Fv3")
+    assert [joint.joint for joint in drift.joints if joint.holm <= 0.05] == ["A3"]
+    assert drift.sentences[0].startswith("The torque of the same motion changed: A3 by ")
 
 
 def test_nothing_changed_between_two_recordings_of_the_same_robot() -> None:
     drift = compare_results(identified(ARM, "f"), identified(ARM, "f", seed=2))
     assert drift.n_changed <= 3
     assert drift.chi_square.probability > 1e-4
-    assert not any(change.changed and change.matters for change in drift.parameters)
+    assert not any(change.matters for change in drift.parameters)
+    assert not any(joint.holm <= 0.05 for joint in drift.joints)
+    assert all(joint.torque < 3.0 * joint.by_chance for joint in drift.joints)
+    assert "at no joint beyond doubt" in drift.as_text()
+
+
+def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
+    before, after = identified(ARM, "f"), identified(ARM, "f", seed=2, friction=WORN)
+    _, held = hold_out(prepare_samples(recorded(ARM, "f", seed=2, friction=WORN), SignalChain()), "blocks:2s:3")
+    one, two = (predict_torque(after.model, after.base, result.estimates, held).predicted for result in (before, after))
+    found = compare_results(before, after).joints
+    np.testing.assert_allclose([joint.torque for joint in found], np.sqrt(np.mean((two - one) ** 2, axis=0)), rtol=1e-6)
+    rng = np.random.default_rng(0)
+    covariance = before.covariance + after.covariance
+    draws = rng.multivariate_normal(np.zeros(after.n_base), covariance, size=40)
+    chance = [np.mean(predict_torque(after.model, after.base, draw, held).predicted ** 2, axis=0) for draw in draws]
+    np.testing.assert_allclose([joint.by_chance for joint in found], np.sqrt(np.mean(chance, axis=0)), rtol=0.25)
 
 
 def test_results_of_different_robots_are_not_compared() -> None:

@@ -92,7 +92,7 @@ def test_what_matters_comes_first_and_is_not_what_differs() -> None:
     figure = difference_figure(comparison)
     labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert len(labels) == sum(total >= 0.02 * totals[0] for total in totals)
-    assert "mz2  (first moment along z, links 2-7)" in labels
+    assert "mz2  (first moment along z, links 2 to 7)" in labels
 
 
 def test_without_a_difference_about_as_many_differ_as_the_rate_allows() -> None:
@@ -108,3 +108,12 @@ def test_tolerances_of_cad_cover_links_that_are_off_by_as_much() -> None:
     covered = compare(wrong, tolerance=CadTolerance(0.3, 0.3, 0.5))
     assert covered.chi_square_tolerance.probability > 0.01
     assert "CAD is within its tolerances" in covered.as_text()
+    assert covered.tolerance_needed is None
+    assert covered.beyond_tolerance == ()
+    claimed = CadTolerance(0.01, 0.01, 0.01)
+    narrow = compare(wrong, tolerance=claimed)
+    assert 1.0 < narrow.tolerance_needed < 30.0
+    assert set(narrow.beyond_tolerance) <= set(wrong.base.names)
+    assert "times as wide" in narrow.as_text()
+    assert "CAD is within its tolerances" in compare(wrong, tolerance=claimed.scaled(1.01 * narrow.tolerance_needed)).as_text()
+    assert "CAD is beyond its tolerances" in compare(wrong, tolerance=claimed.scaled(0.9 * narrow.tolerance_needed)).as_text()

@@ -107,8 +107,11 @@ def _amount(fits: CauseFits, cause: str, k: int) -> str:
         return f"what {body} would do" if "links" in fit.causes else body
     if cause == "friction":
         stated = any(name in names and fits.design[names.index(name)] for name in (f"Fc{k + 1}", f"Fv{k + 1}"))
-        known = (("Coulomb", value("Fc"), unit), ("viscous", value("Fv"), f"{unit} {'s/rad' if unit == 'N m' else 's/m'}"))
-        sizes = ", ".join(f"{kind} {significant(size, 2)} {of}" for kind, size, of in known if size)
+        coulomb, viscous, per_speed = value("Fc"), value("Fv"), f"{unit} {'s/rad' if unit == 'N m' else 's/m'}"
+        known = ((f"Coulomb {significant(coulomb, 2)} {unit}", coulomb), (f"viscous {significant(viscous, 2)} {per_speed}", viscous > 0))
+        sizes = ", ".join(
+            text for text, told in (*known, (f"falling with speed by {significant(-viscous, 2)} {per_speed}", viscous < 0)) if told
+        )
         return f"friction ({sizes}{' beside that of CAD' if stated else ''})" if sizes else "friction"
     if cause == "offset":
         return f"an offset of {significant(value('Fo'), 2)} {unit}"

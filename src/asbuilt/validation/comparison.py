@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from dataclasses import fields as dataclass_fields
 from pathlib import PurePath
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from asbuilt.description.model import RobotModel
 from asbuilt.identification.cause_evidence import CauseEvidence
@@ -29,6 +30,8 @@ Verdict = Literal["differs", "agrees", "no CAD value", "not determined"]
 
 FALSE_DISCOVERY_RATE = 0.05
 """Share of the parameters said to differ that may do so by chance."""
+WIDEST = 100.0
+"""Factor on the tolerances of CAD up to which it is sought how wide they would have to be."""
 MATTERS = 0.5
 """Torque that a difference costs a joint, in multiples of the error left there as built, from which it matters: the error would grow by an eighth."""
 
@@ -82,7 +85,8 @@ class Comparison:
     """Hold CAD against as built: parameters as in Table 2 of the 2015 paper, torque errors as in its Table 3.
 
     `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by. `chi_square` tests all parameters with a CAD value at
-    once, `chi_square_tolerance` the same with the `tolerance` that CAD claims. `level` is the false discovery rate at which a parameter differs.
+    once, `chi_square_tolerance` the same with the `tolerance` that CAD claims, which would have to be `tolerance_needed` times as wide to hold what was found (None where it is
+    wide enough), and which the parameters named in `beyond_tolerance` exceed. `level` is the false discovery rate at which a parameter differs.
     """
 
     robot: str
@@ -95,6 +99,8 @@ class Comparison:
     chi_square: ChiSquare | None = None
     chi_square_tolerance: ChiSquare | None = None
     tolerance: CadTolerance | None = None
+    tolerance_needed: float | None = None
+    beyond_tolerance: tuple[str, ...] = ()
     judged_by: str = ""
 
     @property
@@ -147,6 +153,10 @@ class Comparison:
                 "CAD is within its tolerances" if self.chi_square_tolerance.probability > self.level else "CAD is beyond its tolerances"
             )
             found.append(f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)}; {outcome}.")
+            if self.tolerance_needed is not None:
+                found.append(f"They would have to be {significant(self.tolerance_needed, 2)} times as wide to hold what was found.")
+            if self.beyond_tolerance:
+                found.append(f"Beyond their tolerances one by one ({self.rule()}): {', '.join(self.beyond_tolerance)}.")
         return tuple(found)
 
     def parameter_table(self) -> Table:
@@ -193,6 +203,8 @@ class Comparison:
             "chi_square": None if self.chi_square is None else asdict(self.chi_square),
             "chi_square_tolerance": None if self.chi_square_tolerance is None else asdict(self.chi_square_tolerance),
             "tolerance": None if self.tolerance is None else asdict(self.tolerance),
+            "tolerance_needed": self.tolerance_needed,
+            "beyond_tolerance": list(self.beyond_tolerance),
             "parameters": [parameter.as_dict() for parameter in self.ranked],
             "torque": [{"cad": None if cad is None else cad.as_dict(), "as_built": built.as_dict()} for cad, built in self.torque],
         }
@@ -260,7 +272,23 @@ def compare(
             )
         compared.append(found)
     covariance = result.covariance[np.ix_(tested, tested)]
-    claimed = None if tolerance is None else covariance + tolerance.covariance(cad or result.model, result.base)[np.ix_(tested, tested)]
+    held: ChiSquare | None = None
+    needed: float | None = None
+    beyond: tuple[str, ...] = ()
+    if tolerance is not None:
+
+        def claimed(factor: float) -> Array:
+            wide = tolerance.scaled(factor).covariance(cad or result.model, result.base)
+            return np.asarray(covariance + wide[np.ix_(tested, tested)])
+
+        held = chi_square(difference[tested], claimed(1.0))
+        needed = (
+            None
+            if held.probability > level
+            else _widening(lambda factor: chi_square(difference[tested], claimed(factor)).probability - level)
+        )
+        exceeded = benjamini_hochberg(two_sided_probability(difference[tested] / np.sqrt(np.diag(claimed(1.0))))) <= level
+        beyond = tuple(name for name, out in zip(np.array(result.base.names)[tested].tolist(), exceeded, strict=True) if out)
     return Comparison(
         robot=result.robot,
         cad_source="CAD" if cad is None else cad.name,
@@ -270,10 +298,17 @@ def compare(
         torque=_paired(result, cad, values, validation),
         level=level,
         chi_square=chi_square(difference[tested], covariance) if tested.any() else None,
-        chi_square_tolerance=None if claimed is None else chi_square(difference[tested], claimed),
+        chi_square_tolerance=held,
         tolerance=tolerance,
+        tolerance_needed=needed,
+        beyond_tolerance=beyond,
         judged_by="" if result.evidence is None else recording_name(result.evidence.judged_by),
     )
+
+
+def _widening(excess: Callable[[float], float]) -> float | None:
+    """Return the factor from 1 to `WIDEST` at which the probability in excess of the level is zero, None where none is enough."""
+    return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None
 
 
 def parameter_table(

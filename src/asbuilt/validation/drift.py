@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.errors import ResultError
-from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, rounded, significant
+from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, rounded, significant, stacked
 from asbuilt.tables import share as percentage
 from asbuilt.validation.comparison import FALSE_DISCOVERY_RATE, MATTERS, recording_name
+from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import design_values, torque_units
 from asbuilt.validation.significance import ChiSquare, benjamini_hochberg, chi_square, holm, two_sided_probability
 from asbuilt.validation.torque_cost import torque_cost
@@ -24,7 +25,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
-    """One base parameter in two results: values, errors, their difference in its standard errors, tests, and the RMS torque it makes (None without evidence)."""
+    """One base parameter in two results: values, errors, their difference in its standard errors, tests, and the RMS torque it makes (None without evidence).
+
+    `changed` says that it did beyond doubt, `matters` that some joint notices what of its change no other parameter could make up for; where a joint notices only the whole,
+    `shared_with` names the parameters that could.
+    """
 
     id: int
     name: str
@@ -42,11 +47,30 @@ class ParameterChange:
     felt_at: int | None
     changed: bool
     matters: bool | None
+    words: str = ""
+    shared_with: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class JointChange:
+    """What all changes together do to the torque of one joint, on the motion that the later result was judged by, RMS [N m or N].
+
+    `torque` is the change, `by_chance` what the errors of both results alone would make, `torque_of_motion` the torque itself, `p_value` the probability of such a change of the
+    joint's torque by chance (Wald), and `holm` the same allowing for the number of joints. It does not matter here which parameters trade off with each other.
+    """
+
+    joint: str
+    unit: str
+    torque: float
+    by_chance: float
+    torque_of_motion: float
+    p_value: float
+    holm: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """Hold what changed from one result to another of the same robot; `sentences` say it joint by joint where friction did."""
+    """Hold what changed from one result to another of the same robot; `sentences` say it joint by joint, `joints` what it does to the torque (empty without evidence)."""
 
     robot: str
     before: str
@@ -57,6 +81,7 @@ class Drift:
     chi_square: ChiSquare
     level: float
     sentences: tuple[str, ...]
+    joints: tuple[JointChange, ...] = ()
 
     @property
     def n_changed(self) -> int:
@@ -78,14 +103,15 @@ class Drift:
         """Return the parameters of both, what changed most in torque first."""
         heads = (
             Column("id", align="right"),
-            Column("parameter", width=40),
+            Column("parameter", width=28),
+            Column("what it is"),
             Column("unit"),
             Column("before", align="decimal"),
             Column("after", align="decimal"),
             Column("std err", align="decimal"),
             Column("change", align="right"),
             Column("torque", align="decimal"),
-            Column("felt at", align="right"),
+            Column("joint", align="right"),
             Column("matters"),
         )
         rows: list[tuple[Cell, ...]] = []
@@ -96,6 +122,7 @@ class Drift:
                 (
                     each.id,
                     each.expression,
+                    each.words,
                     each.unit,
                     Shown(each.before, beside(each.before, error)),
                     Shown(each.after, rounded(each.after, error)[0]),
@@ -103,16 +130,39 @@ class Drift:
                     Shown(each.sigmas, outcome) if each.sigmas is not None else outcome,
                     Shown(each.torque_total, significant(each.torque_total)),
                     each.felt_at if each.felt_at is not None else "",
-                    "" if each.matters is None else "yes" if each.matters else "no",
+                    _matters(each),
                 )
             )
-        note = "std err: of the difference, both errors together; torque: RMS over all joints that the change makes on the motion the later result was judged by."
+        note = (
+            "std err: of the difference, both errors together; torque: RMS over all joints that the change makes on the motion the later result was judged by; joint: the one that "
+            "notices most. A change matters where it is beyond doubt and its own part is noticed; shared: others could make up for it, and only their sum is told."
+        )
         return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
 
     def as_text(self) -> str:
         """Return verdict, sentences and table for a terminal."""
         head = [f"{self.robot}: {self.after} against {self.before}", self.verdict(), *self.sentences]
-        return "\n".join(head) + "\n\n" + self.table().as_text()
+        return "\n".join(head) + "\n\n" + stacked([*([self.joint_table()] if self.joints else []), self.table()])
+
+    def joint_table(self) -> Table:
+        """Return what all changes together do to the torque of each joint."""
+        heads = (
+            Column("joint", width=20),
+            Column("unit"),
+            *(Column(name, align="decimal") for name in ("torque", "change", "by chance")),
+            Column("p", align="right"),
+            Column("", align="left"),
+        )
+        rows: list[tuple[Cell, ...]] = []
+        for each in self.joints:
+            rms = (Shown(value, significant(value)) for value in (each.torque_of_motion, each.torque, each.by_chance))
+            p = "below 1e-300" if each.holm < 1e-300 else f"{each.holm:.2g}"
+            rows.append((each.joint, each.unit, *rms, Shown(each.holm, p), "CHANGED" if each.holm <= self.level else "-"))
+        note = (
+            "RMS on the motion the later result was judged by. change: how far the two results predict differently there; by chance: how far their errors alone would let them; "
+            "p allows for the number of joints (Holm). What neither model has, such as a tilt or other friction, can read as change where the motions differ."
+        )
+        return Table(heads, tuple(rows), title="Torque that the changes make", notes=(note,))
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -126,7 +176,8 @@ class Drift:
             "chi_square": asdict(self.chi_square),
             "verdict": self.verdict(),
             "sentences": list(self.sentences),
-            "parameters": [asdict(change) for change in self.ranked],
+            "torque": [asdict(joint) for joint in self.joints],
+            "parameters": [asdict(change) | {"shared_with": list(change.shared_with)} for change in self.ranked],
         }
 
 
@@ -160,12 +211,20 @@ def compare_results(
     p_values = two_sided_probability(sigmas)
     tests = np.full((4, len(names)), np.nan)
     tests[:, tested] = sigmas, p_values, benjamini_hochberg(p_values), holm(p_values)
-    torque = left = None
+    cost = left = None
+    joints: tuple[JointChange, ...] = ()
     if after.evidence is not None:
         whole = np.zeros(after.n_base)
         whole[two] = difference
-        torque = torque_cost(after.evidence, after.base, whole).torque[two]
+        cost = torque_cost(after.evidence, after.base, whole)
         left = after.evidence.error_of(after.base.names, after.estimates)
+        joints = _joint_changes(after, names, difference, covariance)
+    words = in_words(after.base)
+    changed = tests[2] <= level
+    noticed, own = np.zeros((2, len(names)), dtype=bool)
+    if cost is not None and left is not None:
+        noticed = np.any(cost.torque[two] >= MATTERS * left, axis=1)
+        own = np.any(cost.own_part[two, None] * cost.torque[two] >= MATTERS * left, axis=1)
     changes = tuple(
         ParameterChange(
             id=int(after.base.ids[j]),
@@ -180,10 +239,14 @@ def compare_results(
             p_value=_number(tests[1, place]),
             false_discovery=_number(tests[2, place]),
             holm=_number(tests[3, place]),
-            torque_total=None if torque is None else float(np.linalg.norm(torque[place])),
-            felt_at=None if torque is None or not torque[place].any() else 1 + int(np.argmax(torque[place])),
-            changed=bool(tests[2, place] <= level),
-            matters=None if torque is None or left is None else bool(np.any(torque[place] >= MATTERS * left)),
+            torque_total=None if cost is None else float(cost.total[j]),
+            felt_at=None if cost is None or not cost.torque[j].any() else 1 + int(np.argmax(cost.torque[j])),
+            changed=bool(changed[place]),
+            matters=None if cost is None else bool(changed[place] and own[place]),
+            words=words[j],
+            shared_with=()
+            if cost is None or own[place] or not (noticed[place] and changed[place])
+            else tuple(after.base.names[k] for k in cost.partners[j]),
         )
         for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
     )
@@ -197,8 +260,56 @@ def compare_results(
         parameters=changes,
         chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
         level=level,
-        sentences=_friction(after, changes),
+        sentences=(*_torque_sentence(joints, level), *_friction(after, changes)),
+        joints=joints,
     )
+
+
+def _joint_changes(result: IdentificationResult, names: list[str], difference: Array, covariance: Array) -> tuple[JointChange, ...]:
+    """Return what differences of named parameters, of that covariance, do to the torque of every joint on the motion that a result was judged by."""
+    evidence = result.evidence
+    assert evidence is not None
+    places = evidence.places(names)
+    rows = [factor[:, [*places, -1]] / np.sqrt(evidence.n_judged) for factor in evidence.whole(evidence.judged)]
+    spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
+    tests = [chi_square(row[:, :-1] @ difference, spread) for row, spread in zip(rows, spreads, strict=True)]
+    strict = holm([test.probability for test in tests])
+    return tuple(
+        JointChange(
+            joint=name,
+            unit=unit,
+            torque=float(np.linalg.norm(row[:, :-1] @ difference)),
+            by_chance=float(np.sqrt(np.trace(spread))),
+            torque_of_motion=float(np.linalg.norm(row[:, -1])),
+            p_value=test.probability,
+            holm=float(adjusted),
+        )
+        for name, unit, row, spread, test, adjusted in zip(
+            result.joint_names, torque_units(result.model), rows, spreads, tests, strict, strict=True
+        )
+    )
+
+
+def _torque_sentence(joints: tuple[JointChange, ...], level: float) -> tuple[str, ...]:
+    """Say at which joints the torque changed beyond doubt."""
+    if not joints:
+        return ()
+    said = [
+        f"{each.joint} by {significant(each.torque)} {each.unit} RMS (by chance {significant(each.by_chance)})"
+        for each in joints
+        if each.holm <= level
+    ]
+    return (
+        f"The torque of the same motion changed: {', '.join(said)}."
+        if said
+        else "The torque of the same motion changed at no joint beyond doubt.",
+    )
+
+
+def _matters(change: ParameterChange) -> str:
+    if change.matters is None:
+        return ""
+    return "yes" if change.matters else f"shared with {', '.join(change.shared_with)}" if change.shared_with else "no"
 
 
 def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]) -> tuple[str, ...]:
@@ -213,7 +324,8 @@ def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]
             if change is None or not change.changed:
                 continue
             relative = f" ({100 * (change.after / change.before - 1):+.0f} %)" if change.before > 3 * change.before_error else ""
-            parts.append(f"{what} {significant(change.before)} to {significant(change.after)} {change.unit}{relative}")
+            traded = f", though only its sum with {' and '.join(change.shared_with)} is told" if change.shared_with else ""
+            parts.append(f"{what} {significant(change.before)} to {significant(change.after)} {change.unit}{relative}{traded}")
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
     return tuple(found) or ("No drive term changed beyond doubt.",)

@@ -12,7 +12,7 @@ DRIVE_WORDS = {"armature": "armature", "viscous": "viscous friction", "coulomb":
 
 
 def in_words(base: BaseParameters) -> tuple[str, ...]:
-    """Return what each base parameter is, in words: `first moment along z, links 4-7`.
+    """Return what each base parameter is, in words: `first moment along z, links 4 to 7`.
 
     A base parameter is called after the kept column and the last link that enters it.
 
@@ -21,7 +21,7 @@ def in_words(base: BaseParameters) -> tuple[str, ...]:
     >>> from asbuilt.dynamics.drives.selection import DriveSet
     >>> base = find_base_parameters(bundled_robot("kuka-iiwa7-r800"), DriveSet.parse("coulomb"))
     >>> dict(zip(base.names, in_words(base)))["mz4"]
-    'first moment along z, links 4-7'
+    'first moment along z, links 4 to 7'
     >>> in_words(base)[-1]
     'Coulomb friction, joint 7'
     """
@@ -39,7 +39,7 @@ def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
     own = {PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial}
     last = max(int(j) // per_link for j in entries if j < inertial)
     said = "mass" if name == "m" else f"first moment along {name[1]}" if name[0] == "m" else _moment(name, own)
-    where = f"link {link + 1}" if last == link else f"links {link + 1}-{last + 1}"
+    where = f"link {link + 1}" if last == link else f"links {link + 1} to {last + 1}"
     return f"{said}, {where}{' with rotors' if entries[-1] >= inertial else ''}"
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,9 @@ from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.errors import UsageError
 
 Array = NDArray[np.float64]
+
+NODES = ((-np.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (np.sqrt(3.0), 1.0 / 6.0))
+"""Places and weights that give the mean of a polynomial of fifth degree in a standard normal variable (Gauss and Hermite)."""
 
 SMALLEST_EIGENVALUE = 1e-10
 """Eigenvalue of a correlation matrix, relative to the largest, that counts as zero."""
@@ -104,8 +108,8 @@ class CadTolerance:
     def __post_init__(self) -> None:
         for what in ("mass", "centre", "inertia"):
             value = getattr(self, what)
-            if not 0.0 <= value < 1.0:
-                raise UsageError(f"a tolerance of CAD must lie between 0 and 1 (0 % and 100 %), got {value:g} for {what}")
+            if not 0.0 <= value < np.inf:
+                raise UsageError(f"a tolerance of CAD must be a fraction of at least 0, such as 0.05 or 5%, got {value:g} for {what}")
 
     @classmethod
     def parse(cls, text: str) -> CadTolerance:
@@ -118,44 +122,42 @@ class CadTolerance:
             values = [float(part.strip().removesuffix("%")) / (100.0 if part.strip().endswith("%") else 1.0) for part in text.split(",")]
         except ValueError:
             values = []
-        if len(values) not in (1, 3):
-            raise UsageError(f"a tolerance of CAD is one fraction such as 5%, or three for mass, centre of mass and inertia; got {text!r}")
+        if len(values) not in (1, 3) or any(value >= 1.0 for value in values):
+            raise UsageError(
+                f"a tolerance of CAD is one fraction below 1, such as 5% or 0.05, or three for mass, centre of mass and inertia; got {text!r}"
+            )
         return cls(*(values * 3 if len(values) == 1 else values))
 
     def covariance(self, model: RobotModel, base: BaseParameters) -> Array:
-        """Return the covariance (p, p) of the base parameters by design that the tolerances of all links, independent, make."""
+        """Return the mean square (p, p) of what the tolerances of all links, independent and normal, do to the base parameters by design."""
         spread = np.zeros((base.n_standard, base.n_standard))
         for i, link in enumerate(model.links):
-            mass = link.inertia.mass
-            if mass <= 0:
-                continue
-            J = jacobian_about_centre(link.inertia)
-            about_com = link.inertia.inertia_about_com
-            gyration = float(np.sqrt(max(np.trace(about_com), 0.0) / (2.0 * mass)))
-            scale = float(np.trace(about_com)) / 3.0
-            sigma = np.concatenate([np.full(6, self.inertia * scale), np.full(3, self.centre * gyration), [self.mass * mass]])
-            own = slice(10 * i, 10 * i + 10)
-            spread[own, own] = (J * sigma**2) @ J.T
+            if link.inertia.mass > 0:
+                own = slice(10 * i, 10 * i + 10)
+                spread[own, own] = self._mean_square(link.inertia)
         K = base.regrouping
         return np.asarray(K @ spread @ K.T)
 
+    def _mean_square(self, inertia: LinkInertia) -> Array:
+        """Return the mean square (10, 10) of the change of a link's parameters, exact: a product of mass and two coordinates of the centre, squared, is of fourth degree in each.
 
-def jacobian_about_centre(inertia: LinkInertia) -> Array:
-    """Return how the ten parameters about the link origin move with inertia about the centre (6), centre (3) and mass (1), shape (10, 10)."""
-    mass, com = inertia.mass, inertia.com
-    about = inertia.inertia_about_com
-    upper = np.triu_indices(3)
+        Gauss and Hermite's rule with three nodes for mass and each coordinate of the centre; the inertia about the centre adds its own.
+        """
+        moment = float(np.trace(inertia.inertia_about_com))
+        gyration = np.sqrt(max(moment, 0.0) / (2.0 * inertia.mass))
+        places, weights = (np.array(list(product(*[axis] * 4))) for axis in zip(*NODES, strict=True))
+        mass = inertia.mass * (1.0 + self.mass * places[:, 0])
+        centre = inertia.com + self.centre * gyration * places[:, 1:]
+        about_origin = np.einsum("s,sc,sc->s", mass, centre, centre)[:, None, None] * np.eye(3) - np.einsum(
+            "s,sa,sb->sab", mass, centre, centre
+        )
+        about_origin += inertia.inertia_about_com
+        upper = np.triu_indices(3)
+        moved = np.column_stack([about_origin[:, upper[0], upper[1]], mass[:, None] * centre, mass]) - inertia.parameters
+        found = moved.T @ (weights.prod(axis=1)[:, None] * moved)
+        found[range(6), range(6)] += (self.inertia * moment / 3.0) ** 2
+        return np.asarray(found)
 
-    def parameters(moments: Array, centre: Array, m: float) -> Array:
-        full = np.zeros((3, 3))
-        full[upper] = moments
-        return np.asarray(LinkInertia.from_com(m, centre, full + np.triu(full, 1).T).parameters)
-
-    at = np.concatenate([about[upper], com, [mass]])
-    columns = []
-    for j in range(10):
-        step = np.zeros(10)
-        step[j] = 1e-6 * max(1e-3, abs(at[j]))
-        high, low = at + step, at - step
-        columns.append((parameters(high[:6], high[6:9], high[9]) - parameters(low[:6], low[6:9], low[9])) / (2.0 * step[j]))
-    return np.column_stack(columns)
+    def scaled(self, factor: float) -> CadTolerance:
+        """Return tolerances that are all `factor` times these."""
+        return CadTolerance(factor * self.mass, factor * self.centre, factor * self.inertia)
