@@ -255,6 +255,20 @@ def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
         read_recording(tmp_path / "nothing.csv")
 
 
+@pytest.mark.parametrize("name", ["log.csv", "log.parquet", "log.npz", "log.mat", "bag"])
+def test_what_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    place = tmp_path / name
+    place.mkdir() if name == "bag" else place.write_text("x")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir" if name == "bag" else "open", refuse)
+    for read in (lambda: read_recording(place), lambda: read_recordings([place]), lambda: list(stream_recording(place))):
+        with pytest.raises(RecordingError, match=f"{name} cannot be read: Permission denied"):
+            read()
+
+
 def test_wrong_robot_and_wrong_rate(tmp_path: Path, logged: dict) -> None:
     spread(logged).drop("t").write_csv(tmp_path / "log.csv")
     with pytest.raises(RecordingError, match=r"has 3 position columns \(q_0 ... q_2\) but ur10e has 6 joints"):

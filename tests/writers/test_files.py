@@ -68,6 +68,6 @@ def test_a_place_is_looked_at_without_being_made(tmp_path: Path, monkeypatch: py
     for place in (tmp_path / "file", tmp_path / "file" / "x"):
         with pytest.raises(UsageError, match="is a file"):
             check_writable(place)
-    monkeypatch.setattr(files.os, "access", lambda path, mode: False)
+    monkeypatch.setattr(files.os, "access", lambda path, mode, **_: False)
     with pytest.raises(UsageError, match="not open to you"):
         check_writable(tmp_path / "a")

@@ -30,7 +30,8 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
     try:
         exists, is_folder = path.is_file(), path.is_dir() and bool(text)
     except OSError as error:
-        raise DescriptionError(f"{text[:60]!r}... is no robot and no path: {error.strerror}") from None
+        shown = text if len(text) < 200 else f"{text[:60]}..."
+        raise DescriptionError(f"{shown} cannot be read: {error.strerror}") from None
     if is_folder:
         raise DescriptionError(
             f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled robot ({', '.join(robot_names())})"

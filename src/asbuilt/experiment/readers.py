@@ -75,8 +75,7 @@ def read_recording(
     if not listed:
         raise RecordingError("no recording is given; give at least one file")
     for path in listed:
-        if not path.exists():
-            raise RecordingError(f"recording {path} does not exist")
+        check_readable(path)
     described, sheet_notes = find_sheet(listed[0], sheet)
     table = _read_tables(listed, described)
     if table.headless and described.columns.position is None:
@@ -99,6 +98,19 @@ def read_recordings(paths: Sequence[PathLike], **options: Unpack[ReadingOptions]
     Options are those of `read_recording` and hold for all.
     """
     return [read_recording(group, **options) for group in grouped_files([Path(path) for path in paths])]
+
+
+def check_readable(path: Path) -> None:
+    """Raise `RecordingError` where a file or folder is not there or may not be read."""
+    try:
+        if path.is_dir():
+            next(path.iterdir(), None)
+        elif path.is_file():
+            path.open("rb").close()
+        elif not path.exists():
+            raise RecordingError(f"recording {path} does not exist")
+    except OSError as error:
+        raise RecordingError(f"recording {path} cannot be read: {error.strerror or error}") from None
 
 
 def read_table(path: Path, sheet: RecordingSheet) -> Table:
@@ -238,6 +250,8 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
 
 def grouped_files(paths: list[Path]) -> list[list[Path]]:
     """Group files of one quantity each, but not whole recordings whose names say `torque` or `position` by chance."""
+    for path in paths:
+        check_readable(path)
     groups: list[list[Path]] = []
     for group in role_groups(paths):
         whole = len(group) > 1 and any(path.is_file() and _is_whole(read_table(path, RecordingSheet())) for path in group)

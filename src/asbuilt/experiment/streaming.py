@@ -20,6 +20,7 @@ from asbuilt.experiment.readers import (
     ReadingOptions,
     apply_sheet,
     build_recording,
+    check_readable,
     clock_origin,
     find_sheet,
     read_recording,
@@ -44,8 +45,7 @@ def stream_recording(
     if chunk_samples < 1 or overlap < 0:
         raise RecordingError(f"chunk_samples must be at least 1 and overlap at least 0, got {chunk_samples} and {overlap}")
     path = Path(path)
-    if not path.exists():
-        raise RecordingError(f"recording {path} does not exist")
+    check_readable(path)
     described, notes = find_sheet(path, options.get("sheet"))
     suffix = path.suffix.lower()
     blank = described.separator == " " or (suffix in TEXT_SUFFIXES and find_dialect(path).separator == "")

@@ -16,9 +16,9 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
     """
     target = Path(path)
     content = data.encode("utf-8") if isinstance(data, str) else data
-    if target.is_dir():
-        raise UsageError(f"cannot write {target}: it is a folder; give the name of a file in it")
     try:
+        if target.is_dir():
+            raise UsageError(f"cannot write {target}: it is a folder; give the name of a file in it")
         target.parent.mkdir(parents=True, exist_ok=True)
         descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:64]}.", suffix=".part", dir=target.parent)
     except OSError as error:
@@ -41,10 +41,13 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
 
 def check_writable(folder: Path) -> None:
     """Raise `UsageError` unless files can be written into a folder, or the folder itself be made; nothing is made."""
-    nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    try:
+        nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    except OSError as error:
+        raise UsageError(f"cannot write into {folder}: {error.strerror or error}; choose a folder you may write to") from None
     if not nearest.is_dir():
         raise UsageError(f"cannot write into {folder}: {nearest} is a file; choose a folder you may write to")
-    if not os.access(nearest, os.W_OK | os.X_OK):
+    if not os.access(nearest, os.W_OK | os.X_OK, effective_ids=os.access in os.supports_effective_ids):
         raise UsageError(f"cannot write into {folder}: {nearest} is not open to you; choose a folder you may write to")
 
 
