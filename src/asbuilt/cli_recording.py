@@ -21,6 +21,7 @@ from asbuilt.cli_options import (
     distinct_logs,
     number_list,
     one_of,
+    positive_number,
     robot_as_built,
     writable_file,
 )
@@ -155,12 +156,20 @@ def simulate(
     motion: Annotated[
         Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
     ] = None,
-    preset: Annotated[str, typer.Option("--preset", metavar="NAME", help="the robot and its sensors: ideal, lab or factory")] = "ideal",
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="the robot and its sensors: ideal (where none is named), lab or factory")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="change what the preset says, such as backlash=2e-4 or feedforward=none; repeat for more"
+        ),
+    ] = None,
     tool: Annotated[
         str | None, typer.Option("--tool", metavar="KG@X,Y,Z", help="a ball of this mass, its centre in the axes of --at [m]")
     ] = None,
     at: Annotated[
-        str | None, typer.Option("--at", metavar="NAME", help="link or frame that carries the tool (default: the last link)")
+        str | None, typer.Option("--at", metavar="NAME", help="link or frame that carries the tool (default: the flange)")
     ] = None,
     free: Annotated[
         str | None,
@@ -193,17 +202,25 @@ def simulate(
     from asbuilt.excitation.motion_csv import read_motion
     from asbuilt.excitation.random_motion import random_fourier
     from asbuilt.experiment.simulation import InstalledRobot, with_body
+    from asbuilt.identification.payload import payload_frame
     from asbuilt.writers.recording_files import simulate_document, write_simulation
 
     one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
-    one_of("--preset", preset, ("ideal", "lab", "factory"))
-    carried = None if tool is None else tool_from_text(tool)
+    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory"))
     model = robot_as_built(robot)
+    carried = None if tool is None else tool_from_text(tool)
+    if at is not None and carried is None:
+        raise UsageError("--at says where a tool is, but there is none; give --tool KG@X,Y,Z")
+    place = None if carried is None else payload_frame(model, at)[0]
     if free is not None:
         from asbuilt.experiment.free_motion import run_free
         from asbuilt.writers.free_motion_files import free_motion_document, free_motion_text, write_free_motion
 
-        let_go = model if carried is None else with_body(model, carried, at)
+        given = {"MOTION": motion, "--preset": preset, "--set": settings, "--rate": rate, "--engine inverse-dynamics": engine != "mujoco"}
+        idle = [name for name, value in given.items() if value]
+        if idle:
+            raise UsageError(f"--free lets the robot go as it is described, without controller and sensors; leave out {', '.join(idle)}")
+        let_go = model if carried is None else with_body(model, carried, place)
         freed = run_free(
             let_go,
             one_of("--free", free, ("drop", "step", "free")),
@@ -213,23 +230,26 @@ def simulate(
         files = write_free_motion(out or Path("free.csv"), freed)
         answer(as_json, lambda: free_motion_document(freed, files), lambda: free_motion_text(freed) + listed_files(files))
         return
-    moved = (
-        read_motion(motion, model)
-        if motion is not None
-        else random_fourier(model, rng=seed, duration=20.0 if duration is None else duration)
-    )
+    if start is not None:
+        raise UsageError("--start is for --free; a motion starts where its file says")
+    if motion is not None and duration is not None:
+        raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
+    seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
+    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=seconds)
     if engine == "mujoco":
         from asbuilt.experiment.virtual_robot import VirtualRobot
+        from asbuilt.experiment.virtual_settings import with_settings
 
-        virtual = VirtualRobot.preset(preset, model, rng=seed, tool=carried, at=at)
+        virtual = VirtualRobot.preset(kind, model, rng=seed, tool=carried, at=place).logging(rate)
+        virtual = with_settings(virtual, settings or ())
         with progress_bar() as report:
-            simulated = virtual.logging(rate).record(moved, rng=seed, progress=lambda fraction: report("move", fraction))
+            simulated = virtual.record(moved, rng=seed, progress=lambda fraction: report("move", fraction))
     else:
-        if preset == "factory":
-            raise UsageError("--engine inverse-dynamics knows no preset 'factory'; it has ideal and lab")
-        machine = InstalledRobot.typical(model, rng=seed) if preset == "lab" else InstalledRobot.ideal(model)
-        simulated = (machine if carried is None else machine.with_tool(carried, at)).record(
-            moved, 1000.0 if rate is None else rate, rng=seed
-        )
+        if kind == "factory" or settings:
+            what = "--set" if settings else "preset 'factory'"
+            raise UsageError(f"--engine inverse-dynamics knows no {what}; it has the presets ideal and lab as they are")
+        machine = InstalledRobot.typical(model, rng=seed) if kind == "lab" else InstalledRobot.ideal(model)
+        machine = machine if carried is None else machine.with_tool(carried, place)
+        simulated = machine.record(moved, 1000.0 if rate is None else rate, rng=seed)
     files = write_simulation(out or Path("recording.csv"), simulated)
     answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + listed_files(files))

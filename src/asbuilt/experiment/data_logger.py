@@ -32,7 +32,8 @@ class DataLogger:
     """Describe a logger: its `rate` [Hz], and what goes wrong in it.
 
     A time stamp misses the instant of its values by `clock_jitter` [s] (standard deviation); the fraction `dropped` of the samples gets lost, in
-    bursts of `burst` samples on average. `accelerations` logs velocities and accelerations too, which no real robot measures.
+    bursts of `burst` samples on average. `accelerations` logs velocities and accelerations too, which no real robot measures, as long as the sensors
+    are perfect: beside positions that an encoder rounds they would tell what it hides.
     """
 
     rate: float = 1000.0

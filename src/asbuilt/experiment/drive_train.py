@@ -69,7 +69,7 @@ class PositionController:
 
     M is the mass matrix of the description at the command, armature included, and `w = 2 pi bandwidth` [Hz], so that every joint answers alike
     (computed torque). The feed-forward is what the *description* says the command takes: nothing, its gravity, or all of it. The torque is held
-    between two ticks of `rate` [Hz] and limited to what the joint can give.
+    between two ticks of `rate` [Hz], rounded up to a multiple of the logger's, and limited to what the joint can give.
     """
 
     bandwidth: float = 12.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from asbuilt.excitation.motion import Array, Trajectory
 
 PerJoint = float | tuple[float, ...]
 """One number for all joints, or one per joint."""
+SIGNED = ("torque_bias", "torque_gain", "ripple_phase")
+"""Fields that may be negative."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +22,9 @@ class SensorNoise:
 
     Position: `round_to(q + N(0, position_noise), 2 pi / encoder_counts)`, with counts per turn at the joint, or per metre; 0 counts for no
     quantisation. Torque: `round_to(torque_gain tau + torque_bias + ripple + N(0, torque_noise), torque_resolution)` with the ripple
-    `torque_ripple sin(ripple_cycles q + phase)`, its phase drawn per joint, and `ripple_cycles` per turn at the joint, or per metre. Noise is white, and
-    independent of joint and time. Velocities are logged only where `velocity_noise` is given.
+    `torque_ripple sin(ripple_cycles q + ripple_phase)`, its phase in rad, and `ripple_cycles` per turn at the joint, or per metre. A negative
+    `torque_gain` is a sensor that counts the other way. Noise is white, and independent of joint and time. Velocities are logged only where
+    `velocity_noise` is given.
     """
 
     position_noise: PerJoint = 0.0
@@ -33,6 +36,14 @@ class SensorNoise:
     torque_gain: PerJoint = 1.0
     torque_ripple: PerJoint = 0.0
     ripple_cycles: PerJoint = 200.0
+    ripple_phase: PerJoint = 0.0
+
+    def check(self, n: int) -> None:
+        """Raise UsageError if a field has neither one number nor one for each of n joints, or a negative one where that makes no sense."""
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if value is not None:
+                per_joint(value, n, entry.name, signed=entry.name in SIGNED)
 
     def measured(self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator) -> tuple[Array, Array | None, Array]:
         """Return position, velocity (None where it is not logged) and torque, each (N, n), as these sensors see them.
@@ -47,12 +58,14 @@ class SensorNoise:
         turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, 1.0)
         step = np.divide(turn, counts, out=np.zeros(n), where=counts > 0)
         position = truth.q + per_joint(self.position_noise, n, "position_noise") * rng.standard_normal(truth.q.shape)
-        torque = tau * per_joint(self.torque_gain, n, "torque_gain") + per_joint(self.torque_bias, n, "torque_bias", signed=True)
+        torque = tau * per_joint(self.torque_gain, n, "torque_gain", signed=True) + per_joint(
+            self.torque_bias, n, "torque_bias", signed=True
+        )
         torque = torque + per_joint(self.torque_noise, n, "torque_noise") * rng.standard_normal(tau.shape)
         ripple = per_joint(self.torque_ripple, n, "torque_ripple")
         if np.any(ripple > 0):
             waves = per_joint(self.ripple_cycles, n, "ripple_cycles") * 2 * np.pi / turn
-            torque = torque + ripple * np.sin(waves * truth.q + rng.uniform(0.0, 2 * np.pi, n))
+            torque = torque + ripple * np.sin(waves * truth.q + per_joint(self.ripple_phase, n, "ripple_phase", signed=True))
         velocity = None
         if self.velocity_noise is not None:
             velocity = truth.qd + per_joint(self.velocity_noise, n, "velocity_noise") * rng.standard_normal(truth.qd.shape)

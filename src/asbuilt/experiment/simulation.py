@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -189,10 +189,11 @@ class InstalledRobot:
             qdd=sampled.qdd if perfect else None,
             joint_names=self.model.joint_names,
             source=f"simulation of {self.model.name}",
-            torque_source="sensor",
+            torque_source="motor" if "armature" in self.drive.keys else "sensor",
             notes=(f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at {rate:g} Hz, drive terms {self.drive}",),
         )
-        return SimulatedRecording(recording, self.truth, parameter_names(self.model, self.drive), self.model, self.drive)
+        names = parameter_names(self.model, self.drive)
+        return SimulatedRecording(recording, self.truth, names, self.model, self.drive, settings={"sensors": asdict(self.noise)})
 
 
 def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> RobotModel:

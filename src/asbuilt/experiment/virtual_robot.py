@@ -72,6 +72,7 @@ class VirtualRobot:
         for entry in fields(DriveTrain):
             if entry.name not in ("warming", "warming_time"):
                 self.train.of(entry.name, self.model.n_joints)
+        self.sensors.check(self.model.n_joints)
 
     @classmethod
     def preset(
@@ -109,10 +110,15 @@ class VirtualRobot:
 
     @property
     def drive(self) -> DriveSet:
-        """The drive terms that the logged torque contains."""
-        if self.name == "ideal":
-            return described_drive(self.described)[0]
-        return DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
+        """The drive terms that the logged torque contains; of an `ideal` robot those that its description gives or that are not zero."""
+        felt = DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
+        if self.name != "ideal":
+            return felt
+        n, described = self.model.n_joints, described_drive(self.described)[0].keys
+        acting = {key for key in felt.keys if np.any(self.train.of(key, n))}
+        if np.any(np.asarray(self.sensors.torque_bias)):
+            acting.add("offset")
+        return DriveSet.parse(",".join(key for key in felt.keys if key in described or key in acting) or "none")
 
     @property
     def truth(self) -> Array:
@@ -150,6 +156,9 @@ class VirtualRobot:
             f"virtual robot {self.name!r} on MuJoCo, {seed}: {motion.parametrisation} motion of {motion.duration:g} s at {self.logger.rate:g} Hz, "
             f"torque from the {self.torque}, largest tracking error {np.abs(moved.q - command.q).max():.2g}"
         )
+        absent = [key for key in described_drive(self.described)[0].keys if key not in DriveSet.parse(FULL_DRIVE).keys]
+        if absent:
+            note += f"; without the drive terms {', '.join(absent)} of the description, which the engine does not have (--engine inverse-dynamics does)"
         logged = self.logger.logged(self.model, self.sensors, at_motor, torque, command.q, generator)
         recording = Recording(
             t=logged.t,
@@ -206,14 +215,9 @@ LONGEST_STEP = 1e-3
 
 def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     drive, values = described_drive(model)
-    further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
-    if further:
-        raise UsageError(
-            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know; simulate with --engine inverse-dynamics, which has all terms"
-        )
-    columns = np.reshape(values, (model.n_joints, -1)).T
-    stated = {key: _numbers(column) for key, column in zip(drive.keys, columns, strict=True)}
-    armature, viscous, coulomb, offset = (stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys)
+    column = iter(np.reshape(values, (model.n_joints, -1)).T)
+    stated = {term.key: [_numbers(next(column)) for _ in term.letters] for term in drive.terms}
+    armature, viscous, coulomb, offset = (stated.get(key, [0.0])[0] for key in DriveSet.parse(FULL_DRIVE).keys)
     train = DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
     return VirtualRobot(model=model, described=model, train=train, name="ideal", logger=DataLogger(accelerations=True))
 
@@ -229,6 +233,7 @@ def _lab(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
         torque_resolution=_numbers(1e-4 * torque),
     )
     built = InstalledRobot(model).with_perturbed_links(0.03, rng).model
+    sensors = replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, model.n_joints)))
     return VirtualRobot(model=built, described=model, train=train, sensors=sensors, torque="sensor", behind=0.3, name="lab")
 
 
@@ -256,6 +261,7 @@ def _factory(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     )
     tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
     built = InstalledRobot(model).with_perturbed_links(0.08, rng).tilted(float(tilt[0]), float(tilt[1])).model
+    sensors = replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, n)))
     logger = DataLogger(rate=250.0, clock_jitter=5e-5, dropped=0.005)
     controller = PositionController(feedforward="gravity", bandwidth=15.0)
     return VirtualRobot(

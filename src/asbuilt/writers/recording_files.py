@@ -5,15 +5,19 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+import tomli_w
 
+from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.simulation import SimulatedRecording
+from asbuilt.identification.cause_evidence import PLAIN_TERMS
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.robot_toml import write_robot_toml
 from asbuilt.writers.tabular import write_json
@@ -38,11 +42,33 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
 
 
 def write_simulation(path: str | os.PathLike[str], simulated: SimulatedRecording) -> dict[str, Path]:
-    """Write a simulated recording and beside it the parameters (JSON) and the robot (TOML) that made it."""
+    """Write a simulated recording, the sheet that says what its torques are (LOG.toml), and the parameters (JSON) and the robot (TOML) that made it."""
     log = write_recording(path, simulated.recording)
+    sheet = atomic_write(log.with_name(f"{log.name}.toml"), _sheet_text(simulated.recording, log.name))
     truth = write_json(log.with_name(f"{log.stem}_truth.json"), truth_document(simulated))
-    robot = write_robot_toml(log.with_name(f"{log.stem}_robot.toml"), simulated.model)
-    return {"recording": log, "truth": truth, "robot": robot}
+    robot = write_robot_toml(log.with_name(f"{log.stem}_robot.toml"), robot_that_moved(simulated))
+    return {"recording": log, "sheet": sheet, "truth": truth, "robot": robot}
+
+
+def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
+    """Return the robot behind a recording with the drive values that its logged torques contain."""
+    model, drive = simulated.model, simulated.drive
+    values = simulated.truth[len(model.parameters) :].reshape(model.n_joints, -1)
+    keys = [term.key for term in drive.terms for _ in term.letters]
+    joints = []
+    for joint, own in zip(model.joints, values, strict=True):
+        plain = {key: float(value) for key, value in zip(keys, own, strict=True) if key in PLAIN_TERMS}
+        joints.append(replace(joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=joint.drive.terms)))
+    return replace(model, joints=tuple(joints))
+
+
+def _sheet_text(recording: Recording, log: str) -> str:
+    told = f"# Recording sheet of {log}, which asbuilt reads beside it: what its torques are.\n"
+    if recording.torque_source == "current":
+        told += (
+            "# Currents times the nominal torque constant [N m]; gains = [...] takes corrections of it, such as `asbuilt gains` finds.\n"
+        )
+    return told + tomli_w.dumps({"torque_source": recording.torque_source})
 
 
 def truth_document(simulated: SimulatedRecording) -> dict[str, Any]:
