@@ -95,3 +95,15 @@ def test_a_new_term_brings_columns_parameters_and_load():
     np.testing.assert_allclose(columns[1:3], [np.abs(load) * np.tanh(qd / 0.2), [0.01, -9.0]])
     with pytest.raises(UsageError, match="'load' needs the rigid-body torque"):
         drive.evaluate(qd, qd, qd)
+
+
+@pytest.mark.parametrize("key", sorted(set(available_terms()) - {"stribeck", "smooth_coulomb", "balancer"}))
+def test_what_a_gear_does_to_a_parameter_is_what_it_does_to_speed_and_torque(key):
+    """`f(q) = N^(1 - p) f(N q)` for a term whose parameter is divided by N^p; shapes in units of speed and position are those of the joint."""
+    term, ratio = available_terms()[key], 50.0
+    q, qd, qdd, load = np.random.default_rng(4).normal(size=(4, 30))
+    at_joint, at_motor = np.zeros((2, len(term.letters), 30))
+    term.evaluate(q, qd, qdd, load, at_joint)
+    term.evaluate(ratio * q, ratio * qd, ratio * qdd, load / ratio, at_motor)
+    powers = np.array(term.powers_of_ratio())[:, None]
+    np.testing.assert_allclose(at_joint, ratio ** (1.0 - powers) * at_motor, atol=1e-12)

@@ -22,13 +22,6 @@ SMALLEST_REACH = 0.05
 """Size [m] of a body whose joints leave it none."""
 GUESSED_STRENGTH = 0.1
 """Weight of a guessed body, beside 1 for one that CAD describes."""
-NON_NEGATIVE_DRIVES = frozenset(
-    (
-        *("armature", "viscous", "coulomb", "asymmetric_viscous", "asymmetric_coulomb", "smooth_coulomb", "load_friction"),
-        *("motor_armature", "motor_viscous", "motor_coulomb"),
-    )
-)
-"""Drive terms whose parameters no drive has below zero."""
 
 PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
@@ -200,6 +193,5 @@ def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
 
 
 def _non_negative(model: RobotModel, drive: DriveSet) -> NDArray[np.int64]:
-    keys = [term.key for term in drive.terms for _ in term.letters] * model.n_joints
-    first = 10 * model.n_joints
-    return np.asarray([first + j for j, key in enumerate(keys) if key in NON_NEGATIVE_DRIVES], dtype=np.int64)
+    bounded = [term.non_negative for term in drive.terms for _ in term.letters] * model.n_joints
+    return 10 * model.n_joints + np.flatnonzero(bounded)

@@ -77,7 +77,8 @@ class CandidateColumns:
     """The normal equations of each joint and time block in `[W_k | candidates of joint k | tau_k]`, in one pass over the samples.
 
     They answer for any choice of candidates, joint by joint, what is left of the torque, learnt from some blocks and judged on others. The p base parameters of `base` come first
-    in the vector of parameters, then the candidates' joint by joint, P in all; `weights` (n,) multiply the rows of each joint. The load of load-dependent terms is that of
+    in the vector of parameters, then the candidates' joint by joint, P in all; `drive_places` says where the drive parameters of each joint are among the first. `weights` (n,)
+    multiply the rows of each joint. The load of load-dependent terms is that of
     `model`. Normal equations square the condition of the problem, which must be small.
     """
 
@@ -98,6 +99,7 @@ class CandidateColumns:
             np.concatenate([support, p + k * extra + np.arange(extra), [self.n_parameters]]) for k, support in enumerate(plans[0].support)
         ]
         self._weights = weights
+        self.drive_places = [_drive_places(base, k) for k in range(n)]
         grams: list[list[Array]] = []
         counts = []
         for stretch in thinned(model, samples):
@@ -112,22 +114,13 @@ class CandidateColumns:
         self.counts = np.array(counts)
 
     @property
-    def n_blocks(self) -> int:
-        """Number of time blocks."""
-        return len(self.counts)
+    def blocks(self) -> Indices:
+        """The time blocks, counted from 0."""
+        return np.arange(len(self.counts))
 
     def own_places(self, placed: Placed) -> Indices:
         """Return where the parameters of a candidate at a joint stand in the vector of parameters."""
         return self._places[placed]
-
-    def drive_places(self, joint: int) -> dict[str, Indices]:
-        """Return where the drive parameters of a joint stand among the base parameters, by key of their term."""
-        names = self.base.names
-        found = {}
-        for term in self.base.drive.terms:
-            own = [names.index(f"{letter}{joint + 1}") for letter in term.letters if f"{letter}{joint + 1}" in names]
-            found[term.key] = np.array(own, dtype=np.int64)
-        return found
 
     def learnt(self, choice: Choice, blocks: Indices) -> Array:
         """Return the parameters (P,) that fit these blocks best, zero for those that the choice does not have."""
@@ -150,9 +143,12 @@ class CandidateColumns:
 
     def indices(self, choice: Choice) -> Indices:
         """Return which parameters a choice has: a candidate that stands for a simpler term takes its place at that joint."""
-        replaced = [self.drive_places(k).get(self.tried[c].term.stands_for or "", np.zeros(0, dtype=np.int64)) for k, c in choice]
-        kept = np.setdiff1d(np.arange(self.base.n_base), np.concatenate([np.zeros(0, dtype=np.int64), *replaced]))
-        return np.concatenate([kept, *(self._places[placed] for placed in choice)])
+        kept = np.ones(self.base.n_base, dtype=bool)
+        for k, c in choice:
+            for term, places in self.drive_places[k]:
+                if term.key == self.tried[c].term.stands_for:
+                    kept[places] = False
+        return np.concatenate([np.flatnonzero(kept), *(self._places[placed] for placed in choice)])
 
     def solved(self, total: Array, indices: Indices) -> Array:
         """Return the parameters (P,) that solve normal equations, those outside `indices` being zero."""
@@ -168,6 +164,15 @@ class CandidateColumns:
         """Return the squared error of each joint, (n,)."""
         left = np.append(-parameters, 1.0)
         return np.array([left[positions] @ gram @ left[positions] for positions, gram in zip(self._positions, grams, strict=True)])
+
+
+def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Indices]]:
+    """Return the drive terms of a joint with the places of their parameters among the base parameters."""
+    found = []
+    for term in base.drive.terms:
+        names = [f"{letter}{joint + 1}" for letter in term.letters]
+        found.append((term, np.array([base.names.index(name) for name in names if name in base.names], dtype=np.int64)))
+    return found
 
 
 class Folds:

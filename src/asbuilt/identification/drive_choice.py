@@ -16,7 +16,7 @@ from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.errors import UsageError
 from asbuilt.identification.drive_candidates import CandidateColumns, Choice, Folds, Placed, candidates, chosen_drive
-from asbuilt.identification.drive_shapes import fit_shapes
+from asbuilt.identification.drive_shapes import fit_shapes, thinned
 from asbuilt.identification.identify import LARGE_CONDITION
 from asbuilt.identification.least_squares import fit_least_squares
 from asbuilt.identification.square_root_information import accumulate_stream
@@ -43,8 +43,6 @@ CERTAIN_TOGETHER = 1.0
 MOST_PER_JOINT = 4
 LOADS = 3
 """Times that the load, of which friction may depend, is taken from the arm as fitted so far."""
-MAY_BE_NEGATIVE = frozenset({"offset", "spring", "balancer"})
-"""Terms whose parameters have no sign; all others are inertia or friction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,10 +140,11 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
     """
     start = default if default is not None else usual_drive(model, samples[0].torque_source)
     start = start if start.is_shaped else fit_shapes(model, start, samples).drive
-    plain = accumulate_stream(model, find_base_parameters(model, start), samples)
-    if plain.n_blocks < FEWEST_BLOCKS:
-        said = f"drive terms {_named(start)} kept: {plain.n_blocks} time blocks are too few to choose among more by holding some out"
+    n_blocks = len(thinned(model, samples))
+    if n_blocks < FEWEST_BLOCKS:
+        said = f"drive terms {_named(start)} kept: {n_blocks} time blocks are too few to choose among more by holding some out"
         return DriveChoice(start, (said,))
+    plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     fitted = fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base))
     condition = fitted.solution.scaled_condition_number
     if not condition <= LARGE_CONDITION:
@@ -161,16 +160,11 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
         for _ in range(LOADS):
             loaded, before = carrying(model, plain.base, arm), choice
             columns = CandidateColumns(loaded, plain.base, tried, samples, 1.0 / fitted.sigma)
-            if columns.n_blocks < FEWEST_BLOCKS:
-                return DriveChoice(
-                    start, (f"drive terms {_named(start)} kept: {columns.n_blocks} time blocks are too few to hold some out",)
-                )
-            every = np.arange(columns.n_blocks)
-            choice, additions = _chosen(columns, every)
+            choice, additions = _chosen(columns, columns.blocks)
             if choice == before or not any(tried[c].term.needs_load for _, c in choice):
                 break
-            arm = columns.learnt(choice, every)[: plain.base.n_base]
-        gain = _nested_gain(columns, every) if choice else None
+            arm = columns.learnt(choice, columns.blocks)[: plain.base.n_base]
+        gain = _nested_gain(columns) if choice else None
     return _concluded(loaded, samples, start, columns, choice, gain, additions)
 
 
@@ -222,9 +216,9 @@ def _objection(columns: CandidateColumns, before: Array, after: Array, placed: P
         return f"its best {shape[0].name} lies at an end of the credible range"
     if not np.all(_surely_positive(after[:, columns.own_places(placed)])):
         return "its parameters do not come out positive"
-    for key, places in columns.drive_places(placed[0]).items():
-        if key not in MAY_BE_NEGATIVE and np.any(_surely_positive(-after[:, places]) & ~_surely_positive(-before[:, places])):
-            return f"{key} would become negative beside it"
+    for term, places in columns.drive_places[placed[0]]:
+        if term.non_negative and np.any(_surely_positive(-after[:, places]) & ~_surely_positive(-before[:, places])):
+            return f"{term.key} would become negative beside it"
     return None
 
 
@@ -235,12 +229,12 @@ def _surely_positive(parameters: Array) -> NDArray[np.bool_]:
     return np.asarray(mean > CERTAIN * errors)
 
 
-def _nested_gain(columns: CandidateColumns, blocks: Indices) -> Gain:
+def _nested_gain(columns: CandidateColumns) -> Gain:
     """Return what the choice gains on blocks that have no part in it, the choice repeated on the others."""
     before: list[Array] = []
     after: list[Array] = []
-    for fold in np.array_split(blocks, min(OUTER_FOLDS, len(blocks))):
-        rest = np.setdiff1d(blocks, fold)
+    for fold in np.array_split(columns.blocks, OUTER_FOLDS):
+        rest = np.setdiff1d(columns.blocks, fold)
         before.append(columns.squared_error(columns.learnt((), rest), fold))
         after.append(columns.squared_error(columns.learnt(_chosen(columns, rest)[0], rest), fold))
     return Gain.between(np.array(before), np.array(after))

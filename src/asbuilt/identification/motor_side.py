@@ -13,9 +13,6 @@ from asbuilt.errors import DescriptionError
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
 
-POWERS = {"Ia": 2, "Iam": 2, "Fv": 2, "Fvp": 2, "Fvn": 2, "Fvm": 2, "Fq": 3, "Fk": 4, "Ks": 2, "Fl": 0}
-"""By which power of the gear ratio a parameter shrinks on its way to the motor; torques by the first."""
-
 
 @dataclass(frozen=True, slots=True)
 class MotorSideParameter:
@@ -44,12 +41,11 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
     known = {parameter.name: parameter for parameter in result.parameters if parameter.name in alone}
     for joint, ratio in ratios.items():
         for term in drive.at(joint).terms:
-            for letter, unit in zip(term.letters, term.units(revolute=True), strict=True):
+            for letter, unit, power in zip(term.letters, term.units(revolute=True), term.powers_of_ratio(), strict=True):
                 parameter = known.get(f"{letter}{joint + 1}")
                 if parameter is None:
                     continue
-                power = 1.0 + term.value("exponent") if term.key == "power" else float(POWERS.get(letter, 1))
-                shrunk = float(np.abs(ratio) ** power) * (np.sign(ratio) if power == 1.0 and letter == "Fo" else 1.0)
+                shrunk = float(np.abs(ratio) ** power) * (np.sign(ratio) if term.key == "offset" else 1.0)
                 found.append(
                     MotorSideParameter(
                         parameter.name, ratio, parameter.estimate, parameter.estimate / shrunk, parameter.std_error / abs(shrunk), unit

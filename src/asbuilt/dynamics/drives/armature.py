@@ -17,6 +17,8 @@ class Armature(DriveTerm):
     letters = ("Ia",)
     revolute_units = ("kg m^2",)
     prismatic_units = ("kg",)
+    non_negative = True
+    ratio_powers = (2.0,)
     formula = "Ia qdd"
     default_for = MOTOR_SOURCES
     tried_for = ("unknown",)

@@ -18,6 +18,7 @@ class AsymmetricCoulomb(DriveTerm):
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
     stands_for = "coulomb"
+    non_negative = True
     formula = "Fcp [qd > 0] - Fcn [qd < 0]"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

@@ -21,6 +21,8 @@ class AsymmetricViscous(DriveTerm):
     prismatic_units = ("N s/m", "N s/m")
     tried_for = ALL_SOURCES
     stands_for = "viscous"
+    non_negative = True
+    ratio_powers = (2.0, 2.0)
     formula = "Fvp max(qd, 0) + Fvn min(qd, 0)"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

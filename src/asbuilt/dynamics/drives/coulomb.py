@@ -19,6 +19,7 @@ class Coulomb(DriveTerm):
     letters = ("Fc",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    non_negative = True
     formula = "Fc sign(qd)"
     default_for = ALL_SOURCES
 

@@ -17,6 +17,7 @@ class Cubic(DriveTerm):
     letters = ("Fk",)
     revolute_units = ("N m s^3/rad^3",)
     prismatic_units = ("N s^3/m^3",)
+    ratio_powers = (4.0,)
     formula = "Fk qd^3"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

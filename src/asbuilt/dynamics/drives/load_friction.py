@@ -23,6 +23,8 @@ class LoadFriction(DriveTerm):
     revolute_units = ("1",)
     prismatic_units = ("1",)
     tried_for = ALL_SOURCES
+    non_negative = True
+    ratio_powers = (0.0,)
     formula = "Fl |load| sign(qd)"
     needs_load = True
 

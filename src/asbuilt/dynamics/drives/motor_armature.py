@@ -19,6 +19,8 @@ class MotorArmature(DriveTerm):
     letters = ("Iam",)
     revolute_units = ("kg m^2",)
     prismatic_units = ("kg",)
+    non_negative = True
+    ratio_powers = (2.0,)
     formula = "T^T Iam (T qdd)"
     of_motor = True
 

@@ -21,6 +21,7 @@ class MotorCoulomb(DriveTerm):
     letters = ("Fcm",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    non_negative = True
     formula = "T^T Fcm sign(T qd)"
     of_motor = True
 

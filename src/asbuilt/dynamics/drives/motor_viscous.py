@@ -19,6 +19,8 @@ class MotorViscous(DriveTerm):
     letters = ("Fvm",)
     revolute_units = ("N m s/rad",)
     prismatic_units = ("N s/m",)
+    non_negative = True
+    ratio_powers = (2.0,)
     formula = "T^T Fvm (T qd)"
     of_motor = True
 

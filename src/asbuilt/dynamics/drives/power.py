@@ -36,6 +36,10 @@ class Power(DriveTerm):
         """Write `|qd|^exponent sign(qd)`."""
         out[0] = np.sign(qd) * np.abs(qd) ** self.value("exponent")
 
+    def powers_of_ratio(self) -> tuple[float, ...]:
+        """Return 1 + exponent."""
+        return (1.0 + self.value("exponent"),)
+
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
         """Return the power; 0, 1, 2 and 3 are those of other terms."""
         exponent = self.value("exponent")

@@ -19,6 +19,7 @@ class Quadratic(DriveTerm):
     letters = ("Fq",)
     revolute_units = ("N m s^2/rad^2",)
     prismatic_units = ("N s^2/m^2",)
+    ratio_powers = (3.0,)
     formula = "Fq qd |qd|"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

@@ -25,6 +25,7 @@ class SmoothCoulomb(DriveTerm):
     prismatic_units = ("N",)
     tried_for = ALL_SOURCES
     stands_for = "coulomb"
+    non_negative = True
     formula = "Fct tanh(qd / width)"
     shapes = (Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),)
 

@@ -18,6 +18,7 @@ class Spring(DriveTerm):
     revolute_units = ("N m/rad",)
     prismatic_units = ("N/m",)
     by_construction = True
+    ratio_powers = (2.0,)
     formula = "Ks q"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

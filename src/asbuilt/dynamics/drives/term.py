@@ -73,6 +73,10 @@ class DriveTerm(ABC):
     """Key of the simpler term whose place it takes then."""
     by_construction: ClassVar[bool] = False
     """Whether a robot was built with it or has it not, whatever a recording seems to say: it is never chosen, and part of the usual terms where the description has it."""
+    non_negative: ClassVar[bool] = False
+    """Whether no drive has parameters of it below zero: it is inertia, or friction that nothing beside it can take back."""
+    ratio_powers: ClassVar[tuple[float, ...]] = ()
+    """By which power of the gear ratio each parameter shrinks on its way to the motor, where that is not one as for torques; see `powers_of_ratio`."""
     needs_load: ClassVar[bool] = False
     """Whether the columns depend on the rigid-body torque of the joint."""
     of_motor: ClassVar[bool] = False
@@ -100,6 +104,10 @@ class DriveTerm(ABC):
         """Return what the description says of each parameter, None where it is silent."""
         stated: float | None = getattr(drive, self.key, None)
         return (stated,) if len(self.letters) == 1 else (None,) * len(self.letters)
+
+    def powers_of_ratio(self) -> tuple[float, ...]:
+        """Return by which power of the gear ratio N each parameter shrinks on its way to the motor, with `theta = N q` and `tau_joint = N tau_motor`."""
+        return self.ratio_powers or (1.0,) * len(self.letters)
 
     @property
     def free_shapes(self) -> tuple[Shape, ...]:

@@ -17,6 +17,8 @@ class Viscous(DriveTerm):
     letters = ("Fv",)
     revolute_units = ("N m s/rad",)
     prismatic_units = ("N s/m",)
+    non_negative = True
+    ratio_powers = (2.0,)
     formula = "Fv qd"
     default_for = ALL_SOURCES
 
