@@ -72,6 +72,7 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "cannot read the motion"),
+        ("t,q_a\n", "a header but no data"),
         ("time,x\n0,1\n1,2\n", "not a motion: it needs a column t and columns q_<joint>; it has time, x"),
         ("t,q_a,qd_a,qdd_a\n0,1,0,0\n0,2,0,0\n", "rise from line to line and there must be two; they do not at line 3"),
         ("t,q_a,qd_a,qdd_a\n0,1,0,0\n", "must be two"),

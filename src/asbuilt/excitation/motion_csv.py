@@ -86,6 +86,8 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
     names = tuple(column.removeprefix("q_") for column in table.columns if column.startswith("q_"))
     if "t" not in table.columns or not names:
         raise MotionError(f"{source} is not a motion: it needs a column t and columns q_<joint>; it has {', '.join(table.columns[:12])}")
+    if not table.height:
+        raise MotionError(f"{source} is not a motion: it has a header but no data")
     if model is not None:
         missing = [name for name in model.joint_names if name not in names]
         unknown = [name for name in names if name not in model.joint_names]
