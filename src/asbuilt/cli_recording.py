@@ -34,7 +34,7 @@ def check(
     *,
     reading: Reading,
     information: Annotated[
-        bool, typer.Option("--information/--no-information", help="say how much of the attainable information it carries (takes seconds)")
+        bool, typer.Option("--information/--no-information", help="say how much of the attainable information it carries (takes a second)")
     ] = True,
     as_json: AsJson = False,
 ) -> None:
