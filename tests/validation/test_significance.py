@@ -6,7 +6,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.errors import UsageError
-from asbuilt.validation.significance import CadTolerance, benjamini_hochberg, chi_square, holm, two_sided_probability
+from asbuilt.validation.significance import CadTolerance, benjamini_hochberg, chi_square, holm, size_probability, two_sided_probability
 
 
 def test_false_discovery_rates_are_those_of_scipy() -> None:
@@ -39,6 +39,16 @@ def test_chi_square_is_that_of_the_distribution_and_takes_singular_covariances()
     assert stats.kstest([test.statistic for test in found], stats.chi2(4).cdf).pvalue > 1e-3
     assert stats.kstest([test.probability for test in found], "uniform").pvalue > 1e-3
     assert chi_square([1.0], [[0.0]]).probability == 1.0
+
+
+@pytest.mark.parametrize("sizes", [(3.0, 1.0, 0.5, 0.2, 0.1), (1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.9, 0.1, 0.0, 0.0)])
+def test_long_normal_vectors_are_as_rare_as_their_probability_says(sizes: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(8, 5)) * sizes
+    found = np.array([size_probability(vector, A @ A.T) for vector in rng.normal(size=(4000, 5)) @ A.T])
+    assert 0.035 < np.mean(found < 0.05) < 0.065
+    assert 0.005 < np.mean(found < 0.01) < 0.018
+    assert size_probability([0.0], [[0.0]]) == 1.0
 
 
 def test_tolerance_of_a_body_is_that_of_bodies_drawn_from_it() -> None:

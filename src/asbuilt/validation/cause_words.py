@@ -29,13 +29,13 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
         _, mass, error, centre = fits.possible_payload
         away = float(np.linalg.norm(centre))
         where = ", ".join(f"{round(1e3 * float(c))}" for c in centre)
-        body = f"{plus_minus(mass, error)} kg with its centre at ({where}) mm in the frame of {fits.result.model.link_names[-1]}"
+        body = f"{plus_minus(mass, error)} kg, its centre at ({where}) mm in the frame of {fits.result.model.link_names[-1]}"
         if "links" not in weighed:
             found.append(f"The last link carries {body}.")
         elif "payload" in weighed:
             found.append(
-                f"Part of what the links' mass distribution explains, {body} at the flange would explain as well; free links can imitate any payload, "
-                "so only simplicity speaks for it."
+                f"A body at the flange of {body}, would explain much of what a changed mass distribution of the links explains; free links can imitate any "
+                "payload, so only simplicity speaks for it."
             )
         elif mass <= 0:
             found.append(f"A payload is no explanation: it would have a mass of {plus_minus(mass, error)} kg.")

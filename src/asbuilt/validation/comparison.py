@@ -18,7 +18,15 @@ from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant, stacked
 from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import Validation, design_values, torque_units
-from asbuilt.validation.significance import CadTolerance, ChiSquare, benjamini_hochberg, chi_square, holm, two_sided_probability
+from asbuilt.validation.significance import (
+    CadTolerance,
+    ChiSquare,
+    benjamini_hochberg,
+    chi_square,
+    holm,
+    probability_text,
+    two_sided_probability,
+)
 from asbuilt.validation.torque_cost import torque_cost
 
 if TYPE_CHECKING:
@@ -385,11 +393,7 @@ def _outcome(parameter: ComparedParameter) -> str:
 
 
 def _chi_square(test: ChiSquare) -> str:
-    return f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p {_probability(test.probability)}"
-
-
-def _probability(p: float) -> str:
-    return "below 1e-300" if p < 1e-300 else f"{p:.2g}"
+    return f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p {probability_text(test.probability)}"
 
 
 def recording_name(source: str) -> str:

@@ -14,7 +14,15 @@ from asbuilt.tables import share as percentage
 from asbuilt.validation.comparison import FALSE_DISCOVERY_RATE, MATTERS, recording_name
 from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import design_values, torque_units
-from asbuilt.validation.significance import ChiSquare, benjamini_hochberg, chi_square, holm, two_sided_probability
+from asbuilt.validation.significance import (
+    ChiSquare,
+    benjamini_hochberg,
+    chi_square,
+    holm,
+    probability_text,
+    size_probability,
+    two_sided_probability,
+)
 from asbuilt.validation.torque_cost import torque_cost
 
 if TYPE_CHECKING:
@@ -55,8 +63,8 @@ class ParameterChange:
 class JointChange:
     """What all changes together do to the torque of one joint, on the motion that the later result was judged by, RMS [N m or N].
 
-    `torque` is the change, `by_chance` what the errors of both results alone would make, `torque_of_motion` the torque itself, `p_value` the probability of such a change of the
-    joint's torque by chance (Wald), and `holm` the same allowing for the number of joints. It does not matter here which parameters trade off with each other.
+    `torque` is the change, `by_chance` what the errors of both results alone would make, `torque_of_motion` the torque itself, `p_value` the probability of a change of the
+    torque's size by chance, and `holm` the same allowing for the number of joints. It does not matter here which parameters trade off with each other.
     """
 
     joint: str
@@ -96,7 +104,7 @@ class Drift:
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         compared = sum(parameter.sigmas is not None for parameter in self.parameters)
-        together = f"all at once: chi-square {significant(self.chi_square.statistic)} with {self.chi_square.degrees} degrees of freedom, p {self.chi_square.probability:.2g}"
+        together = f"all at once: chi-square {significant(self.chi_square.statistic)} with {self.chi_square.degrees} degrees of freedom, p {probability_text(self.chi_square.probability)}"
         return f"{self.n_changed} of {compared} parameters changed (false discovery rate {percentage(self.level, 0)}); {together}."
 
     def table(self) -> Table:
@@ -156,8 +164,9 @@ class Drift:
         rows: list[tuple[Cell, ...]] = []
         for each in self.joints:
             rms = (Shown(value, significant(value)) for value in (each.torque_of_motion, each.torque, each.by_chance))
-            p = "below 1e-300" if each.holm < 1e-300 else f"{each.holm:.2g}"
-            rows.append((each.joint, each.unit, *rms, Shown(each.holm, p), "CHANGED" if each.holm <= self.level else "-"))
+            rows.append(
+                (each.joint, each.unit, *rms, Shown(each.holm, probability_text(each.holm)), "CHANGED" if each.holm <= self.level else "-")
+            )
         note = (
             "RMS on the motion the later result was judged by. change: how far the two results predict differently there; by chance: how far their errors alone would let them; "
             "p allows for the number of joints (Holm). What neither model has, such as a tilt or other friction, can read as change where the motions differ."
@@ -272,8 +281,8 @@ def _joint_changes(result: IdentificationResult, names: list[str], difference: A
     places = evidence.places(names)
     rows = [factor[:, [*places, -1]] / np.sqrt(evidence.n_judged) for factor in evidence.whole(evidence.judged)]
     spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
-    tests = [chi_square(row[:, :-1] @ difference, spread) for row, spread in zip(rows, spreads, strict=True)]
-    strict = holm([test.probability for test in tests])
+    chances = [size_probability(row[:, :-1] @ difference, spread) for row, spread in zip(rows, spreads, strict=True)]
+    strict = holm(chances)
     return tuple(
         JointChange(
             joint=name,
@@ -281,11 +290,11 @@ def _joint_changes(result: IdentificationResult, names: list[str], difference: A
             torque=float(np.linalg.norm(row[:, :-1] @ difference)),
             by_chance=float(np.sqrt(np.trace(spread))),
             torque_of_motion=float(np.linalg.norm(row[:, -1])),
-            p_value=test.probability,
+            p_value=chance,
             holm=float(adjusted),
         )
-        for name, unit, row, spread, test, adjusted in zip(
-            result.joint_names, torque_units(result.model), rows, spreads, tests, strict, strict=True
+        for name, unit, row, spread, chance, adjusted in zip(
+            result.joint_names, torque_units(result.model), rows, spreads, chances, strict, strict=True
         )
     )
 

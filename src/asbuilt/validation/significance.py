@@ -93,6 +93,27 @@ def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
     return ChiSquare(statistic, int(kept.sum()), float(chdtrc(int(kept.sum()), statistic)))
 
 
+def size_probability(vector: ArrayLike, covariance: ArrayLike) -> float:
+    """Return the probability that a normal vector of mean zero and this covariance (m, m) is as long as `vector` (m,), or longer.
+
+    The squared length is a sum of chi-square variables with the eigenvalues as weights; one scaled chi-square variable of the same mean and variance stands in for it
+    (Satterthwaite, Biometrics Bulletin 2, 1946).
+
+    >>> round(size_probability([1.96], [[1.0]]), 3)
+    0.05
+    """
+    v, C = np.asarray(vector, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    mean, square = float(np.trace(C)), float(np.sum(C**2))
+    if mean <= 0.0:
+        return 0.0 if v.any() else 1.0
+    return float(chdtrc(mean**2 / square, float(v @ v) * mean / square))
+
+
+def probability_text(p: float) -> str:
+    """Return a probability with two digits, in words where it is too small for a number."""
+    return "below 1e-300" if p < 1e-300 else f"{p:.2g}"
+
+
 @dataclass(frozen=True, slots=True)
 class CadTolerance:
     """State how well CAD is believed to know every link, one standard deviation.
