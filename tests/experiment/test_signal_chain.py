@@ -151,6 +151,11 @@ def test_wrong_options_are_refused():
         prepare_samples(moving(100.0, 0.3), SignalChain(cutoff=3.0))
     with pytest.raises(UsageError, match="between 0 and 50 Hz"):
         prepare_samples(moving(100.0), SignalChain(cutoff=60.0))
+    with pytest.raises(UsageError, match="raise the cutoff"):
+        prepare_samples(moving(100.0), SignalChain(cutoff=1e-9))
+    slow = moving(100.0)
+    with pytest.raises(RecordingError, match="are the time stamps in seconds"):
+        prepare_samples(replace(slow, t=slow.t * 1e9))
 
 
 def test_the_shuffled_states_are_found_to_be_polled(shared):

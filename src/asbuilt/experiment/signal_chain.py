@@ -27,6 +27,8 @@ Velocity = Literal["auto", "measured", "derived"]
 
 POSITION_BANDWIDTHS = 10.0
 """Default position cutoff, in bandwidths of the motion."""
+SLOWEST_RATE = 1.0
+"""Slower logs [Hz] tell no velocities; their clock rather counts in another unit than seconds."""
 LOWEST_CUTOFF = 3.0
 """Lowest default cutoff [Hz]: however slow the motion, friction changes sign within a fraction of a second."""
 HIGHEST_CUTOFF = 0.2
@@ -187,6 +189,8 @@ def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = 
 
 def _resolved(chain: SignalChain, runs: Sequence[UniformRun], rate: float) -> tuple[SignalChain, tuple[str, ...]]:
     notes: list[str] = []
+    if rate < SLOWEST_RATE:
+        raise RecordingError(f"{rate:.3g} samples a second are too few to differentiate; are the time stamps in seconds?")
     longest = max(run.t.size for run in runs) / rate
     if chain.cutoff is not None and chain.cutoff * longest < 0.1:
         raise UsageError(
