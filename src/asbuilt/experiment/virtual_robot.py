@@ -156,9 +156,6 @@ class VirtualRobot:
             f"virtual robot {self.name!r} on MuJoCo, {seed}: {motion.parametrisation} motion of {motion.duration:g} s at {self.logger.rate:g} Hz, "
             f"torque from the {self.torque}, largest tracking error {np.abs(moved.q - command.q).max():.2g}"
         )
-        absent = [key for key in described_drive(self.described)[0].keys if key not in DriveSet.parse(FULL_DRIVE).keys]
-        if absent:
-            note += f"; without the drive terms {', '.join(absent)} of the description, which the engine does not have (--engine inverse-dynamics does)"
         logged = self.logger.logged(self.model, self.sensors, at_motor, torque, command.q, generator)
         recording = Recording(
             t=logged.t,
@@ -215,9 +212,14 @@ LONGEST_STEP = 1e-3
 
 def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     drive, values = described_drive(model)
-    column = iter(np.reshape(values, (model.n_joints, -1)).T)
-    stated = {term.key: [_numbers(next(column)) for _ in term.letters] for term in drive.terms}
-    armature, viscous, coulomb, offset = (stated.get(key, [0.0])[0] for key in DriveSet.parse(FULL_DRIVE).keys)
+    further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
+    if further:
+        raise UsageError(
+            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know; simulate with --engine inverse-dynamics, which has all terms"
+        )
+    columns = np.reshape(values, (model.n_joints, -1)).T
+    stated = {key: _numbers(column) for key, column in zip(drive.keys, columns, strict=True)}
+    armature, viscous, coulomb, offset = (stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys)
     train = DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
     return VirtualRobot(model=model, described=model, train=train, name="ideal", logger=DataLogger(accelerations=True))
 
