@@ -22,7 +22,7 @@ from asbuilt.dynamics.recursion import (
     WRITE,
     accelerated,
     cross,
-    gather,
+    gather_states,
     move_link,
     move_screws,
     out_of,
@@ -152,9 +152,7 @@ def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
-        gather(q, block, count, n, rows, angles)
-        gather(qd, block, count, n, rows, angles + n)
-        gather(qdd, block, count, n, rows, angles + 2 * n)
+        gather_states(q, qd, qdd, block, count, n, rows, angles)
         if count == BLOCK:
             _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, block)
         else:
@@ -178,9 +176,7 @@ def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, 
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
-        gather(q, block, count, n, rows, angles)
-        gather(qd, block, count, n, rows, angles + n)
-        gather(qdd, block, count, n, rows, angles + 2 * n)
+        gather_states(q, qd, qdd, block, count, n, rows, angles)
         _regressor_block(codes, chain, placements, n_slots, places, rows, tile, BLOCK, 0)
         for k in range(n):
             row = bounds[k, 0]
@@ -266,9 +262,7 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
     rest(rows, gravity)
     for block in range(start, stop, BLOCK):
         count = min(BLOCK, stop - block)
-        gather(q, block, count, n, rows, angles // BLOCK)
-        gather(qd, block, count, n, rows, angles // BLOCK + n)
-        gather(qdd, block, count, n, rows, angles // BLOCK + 2 * n)
+        gather_states(q, qd, qdd, block, count, n, rows, angles // BLOCK)
         for i in range(n):
             angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
             if codes[i, REVOLUTE]:

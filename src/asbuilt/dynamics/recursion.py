@@ -116,6 +116,14 @@ def gather(source, start, count, n, rows, row):
 
 
 @compiled
+def gather_states(q, qd, qdd, start, count, n, rows, row):
+    """Turn `count` samples of the joints' motion into 3 n rows of a block: positions, then rates, then accelerations."""
+    gather(q, start, count, n, rows, row)
+    gather(qd, start, count, n, rows, row + n)
+    gather(qdd, start, count, n, rows, row + 2 * n)
+
+
+@compiled
 def trigonometry(rows, angle, cosine, sine):
     """Write cosine and sine of a row."""
     for at in range(0, BLOCK, LANES):

@@ -25,6 +25,7 @@ from asbuilt.dynamics.recursion import (
     STATE,
     cross,
     gather,
+    gather_states,
     layout_of,
     move_link,
     move_screws,
@@ -269,9 +270,7 @@ def _adjoint(codes, chain, placements, gravity, places, weights, stride, loads, 
     place = np.empty(4, np.int64)
     for block in range(0, n_samples, BLOCK):
         count = min(BLOCK, n_samples - block)
-        gather(q, block, count, n, rows, angles // BLOCK)
-        gather(qd, block, count, n, rows, angles // BLOCK + n)
-        gather(qdd, block, count, n, rows, angles // BLOCK + 2 * n)
+        gather_states(q, qd, qdd, block, count, n, rows, angles // BLOCK)
         if loaded:
             gather(loads, block, count, n, rows, lam // BLOCK)
         for i in range(n):

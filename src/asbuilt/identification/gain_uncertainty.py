@@ -26,7 +26,7 @@ MOST = 0.5
 RANK_TOLERANCE = 1e-10
 
 
-def gain_uncertainty(source: TorqueSource, n_joints: int, stated: ArrayLike | None = None) -> Array:
+def relative_gain_errors(source: TorqueSource, n_joints: int, stated: ArrayLike | None = None) -> Array:
     """Return the standard deviation of each joint's gain, (n,), as fractions: what is stated (one for all joints or one each), else what is usual for the source.
 
     Raises UsageError for another number of values, and for values that are no fractions from 0 to 0.5.

@@ -17,8 +17,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.identification.consistency import PSEUDO_INERTIA
-from asbuilt.identification.gain_uncertainty import arm_by_joint, gain_covariance
-from asbuilt.identification.gain_uncertainty import gain_uncertainty as relative_gain_errors
+from asbuilt.identification.gain_uncertainty import arm_by_joint, gain_covariance, relative_gain_errors
 from asbuilt.identification.least_squares import solve_factor
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.payload_rows import PayloadRows
@@ -148,7 +147,7 @@ def identify_payload(
             x, carried = _solved(rows.blocks, prior, vague, p, arm)
     with one_blas_thread():
         noise = _jackknife(rows.blocks, prior, vague, p, arm) + carried
-        slopes = _gain_slopes(result, rows, prior, vague, x, arm)
+        slopes = _gain_slopes(result, rows, prior, vague, arm)
     gains = slopes @ gain_covariance(uncertainty) @ slopes.T
     beta, estimate = x[:p], x[p:]
     if not estimate[9] > 0:
@@ -191,7 +190,7 @@ def identify_payload(
     )
 
 
-def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, x: Array, arm: Arm) -> Array:
+def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm) -> Array:
     """Return how pi changes per fraction by which the torque of each joint changes in all recordings, those behind the result too, (10, n).
 
     pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
