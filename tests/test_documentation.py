@@ -8,7 +8,6 @@ import shlex
 from importlib import import_module
 from pathlib import Path
 
-import click
 import pytest
 import typer
 
@@ -16,7 +15,7 @@ from asbuilt.cli import app
 
 HOUSE = Path(__file__).resolve().parents[1]
 PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]
-COMMANDS: dict[str, click.Command] = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+COMMANDS = typer.main.get_command(app).commands
 OPTIONS = {
     name: [{*parameter.opts, *parameter.secondary_opts} for parameter in command.params if parameter.param_type_name == "option"]
     for name, command in COMMANDS.items()
