@@ -12,8 +12,11 @@ import typer
 from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
+    Carrier,
     Drive,
     Filtering,
+    Holdout,
+    Judges,
     Logs,
     Out,
     Reading,
@@ -32,12 +35,8 @@ def identify(
     robot: Robot,
     log: Logs,
     *,
-    validate: Annotated[
-        list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording to judge by; repeat for more")
-    ] = None,
-    holdout: Annotated[
-        str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3")
-    ] = None,
+    validate: Judges = None,
+    holdout: Holdout = None,
     drive: Drive = None,
     method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "auto",
     undetermined: Annotated[
@@ -200,13 +199,9 @@ def payload(
     unloaded: Annotated[
         list[Path] | None, typer.Option("--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more")
     ] = None,
-    validate: Annotated[list[Path] | None, typer.Option("--validate", metavar="LOG", help="a loaded recording to judge by")] = None,
-    holdout: Annotated[
-        str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 or last:0.3, of the loaded recordings")
-    ] = None,
-    frame: Annotated[
-        str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
-    ] = None,
+    validate: Judges = None,
+    holdout: Holdout = None,
+    frame: Carrier = None,
     arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
     gain_uncertainty: Annotated[
         str | None,

@@ -39,11 +39,23 @@ def writable_file(file: Path | None) -> Path | None:
 
 
 Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
+RobotOrResult = Annotated[
+    str, typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote")
+]
 Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
 Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
 AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
 Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)]
+Judges = Annotated[
+    list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording of the same kind to judge by; repeat for more")
+]
+Holdout = Annotated[
+    str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3, to judge by")
+]
+Carrier = Annotated[
+    str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries the payload (default: the flange)")
+]
 Drive = Annotated[
     str | None,
     typer.Option(

@@ -11,11 +11,13 @@ import typer
 from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
+    Carrier,
     Drive,
     Filtering,
     Logs,
     Reading,
     Robot,
+    RobotOrResult,
     Seed,
     described_robot,
     distinct_logs,
@@ -70,9 +72,7 @@ def gains(
     com: Annotated[
         str | None, typer.Option("--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known")
     ] = None,
-    frame: Annotated[
-        str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries it (default: the flange)")
-    ] = None,
+    frame: Carrier = None,
     drive: Drive = None,
     reading: Reading,
     filtering: Filtering,
@@ -149,10 +149,7 @@ def channels(
 
 
 def simulate(
-    robot: Annotated[
-        str,
-        typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote"),
-    ],
+    robot: RobotOrResult,
     motion: Annotated[
         Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
     ] = None,

@@ -14,6 +14,7 @@ from asbuilt.cli_options import (
     Drive,
     Result,
     Robot,
+    RobotOrResult,
     described_robot,
     one_of,
     read_result,
@@ -60,10 +61,7 @@ def base(robot: Robot, drive: Drive = "none", as_json: AsJson = False) -> None:
 
 
 def view(
-    robot: Annotated[
-        str,
-        typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote"),
-    ],
+    robot: RobotOrResult,
     motion: Annotated[Path | None, typer.Argument(metavar="[MOTION]", help="motion or recording as CSV (t, q_*, ...) to play")] = None,
     save: Annotated[
         Path | None,
