@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -154,3 +155,16 @@ def test_result_says_method_margin_and_weight(shared):
         assert "physically consistent" in text.splitlines()[0]
         assert any("real body" in note for note in result.notes)
         assert result.std_errors.min() > 0
+
+
+@pytest.mark.parametrize("weight", [0.1, 1.0])
+def test_bodies_far_from_cad_are_reached(trial, weight):
+    """A tool of 10 kg that CAD does not know, noisy torques: a descent straight from CAD stalls."""
+    bare = trial("ur10e", "armature,viscous,coulomb,offset", seed=12, duration=10.0)
+    chi = bare.chi.copy()
+    chi[50:60] += LinkInertia.from_com(10.0, [0.0, -0.16, 0.05], 0.02 * np.eye(3)).parameters
+    case = trial("ur10e", "armature,viscous,coulomb,offset", noise=0.05, seed=12, duration=10.0, chi=chi)
+    found = fit_toward_cad(case.information, case.prior, weight=weight)
+    assert found.part > 0.0
+    place = case.base.names.index("my6")
+    np.testing.assert_allclose(found.beta[place], case.beta[place], rtol=0.1)

@@ -16,7 +16,7 @@ from asbuilt.identification.cad_prior import CadPrior, body_metric_root, cad_pri
 from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, fit_real_bodies
 from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, closest_to_cad
 from asbuilt.identification.least_squares import Estimate, FactorSolution, fit_least_squares
-from asbuilt.identification.prior_weight import choose_weight
+from asbuilt.identification.prior_weight import WEIGHTS, choose_weight
 from asbuilt.identification.square_root_information import SquareRootInformation
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def fit_toward_cad(
     """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2 / 2 + weight * distance(chi, CAD)` over real bodies and passive drives.
 
     The distance is the divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its quadratic form at CAD (`"euclidean"`:
-    a conic program). `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to nothing, are not pulled.
+    a conic program). The entropic minimum is reached through those of stronger pulls, each from the last, for bodies may lie far from CAD. `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to nothing, are not pulled.
     """
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")
@@ -116,8 +116,12 @@ def fit_toward_cad(
     def fit(factor: Array, pull: float, warm: Array | None) -> Array:
         if metric == "euclidean":
             return fit_real_bodies(prior, base.regrouping, factor=factor, bounds=limits, weight=pull).chi
-        start = _inside(prior, limits) if warm is None else warm
-        return closest_to_cad(prior, coordinates, start, weight=pull, factor=factor, bounds=limits).chi
+        if warm is not None:
+            return closest_to_cad(prior, coordinates, warm, weight=pull, factor=factor, bounds=limits).chi
+        chi = _inside(prior, limits)
+        for weaker in (*(stronger for stronger in WEIGHTS if stronger > pull), pull):
+            chi = closest_to_cad(prior, coordinates, chi, weight=weaker, factor=factor, bounds=limits).chi
+        return chi
 
     with one_blas_thread():
         w, rounds = _joint_weights(information, prior, limits, weights)
