@@ -173,6 +173,10 @@ def test_springs_are_for_those_who_ask():
     assert "spring" not in choose_drive(model, [samples]).drive.keys
     asked = settle_drive(model, [samples], "auto,spring:joints=2")
     assert asked.drive == DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
+    grease = recorded(model, DriveSet.parse("power:exponent=0.6,coulomb,offset"), np.tile([1.0, 2.0, 0.2], 3))
+    stated = settle_drive(model, [grease], "auto,stribeck:velocity=0.05").drive
+    assert {"power", "stribeck"} <= set(stated.keys)
+    assert "stribeck:velocity=0.05" in stated.specifications
     with pytest.raises(UsageError, match="did you mean 'spring'"):
         settle_drive(model, [samples], "auto,sprang")
     with pytest.raises(UsageError, match="do not leave a choice"):

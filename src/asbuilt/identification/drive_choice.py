@@ -165,7 +165,11 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
                 break
             arm = columns.learnt(choice, columns.blocks)[: plain.base.n_base]
         gain = _nested_gain(columns) if choice else None
-    return _concluded(loaded, samples, start, columns, choice, gain, additions)
+    chosen, untold = _refined(loaded, samples, start, columns, choice)
+    additions = [
+        replace(each, taken=False, objection="its shape is not told") if (each.joint, each.term) in untold else each for each in additions
+    ]
+    return _concluded(loaded.joint_names, start, chosen, len(tried), gain if chosen != start else None, additions)
 
 
 def _chosen(columns: CandidateColumns, blocks: Indices) -> tuple[Choice, list[Addition]]:
@@ -241,15 +245,9 @@ def _nested_gain(columns: CandidateColumns) -> Gain:
 
 
 def _concluded(
-    loaded: RobotModel,
-    samples: Sequence[Samples],
-    start: DriveSet,
-    columns: CandidateColumns,
-    choice: Choice,
-    gain: Gain | None,
-    additions: Sequence[Addition],
+    names: Sequence[str], start: DriveSet, chosen: DriveSet, n_tried: int, gain: Gain | None, additions: Sequence[Addition]
 ) -> DriveChoice:
-    names = loaded.joint_names
+    """Return the choice with what is to be said of it; `gain` None where nothing was chosen."""
     refused = [
         f"{each.term} at {names[each.joint]} ({each.gain}; {each.objection})"
         for each in additions
@@ -257,9 +255,10 @@ def _concluded(
     ]
     objections = (f"not credible, so left out: {'; '.join(refused)}",) if refused else ()
     if gain is None:
-        said = f"drive terms {_named(start)} kept: of {len(columns.tried)} others none is credible and surely lowers the torque error on held-out blocks"
+        said = (
+            f"drive terms {_named(start)} kept: of {n_tried} others none is credible and surely lowers the torque error on held-out blocks"
+        )
         return DriveChoice(start, (said, *objections), (), None, tuple(additions))
-    chosen = _refined(loaded, samples, chosen_drive(start, columns.tried, choice, loaded.n_joints))
     added = ", ".join(
         f"{each.term} at {names[each.joint]} ({each.gain})" for each in sorted(additions, key=lambda a: a.joint) if each.taken
     )
@@ -274,17 +273,25 @@ def _concluded(
     return DriveChoice(chosen, (*sentences, *((f"fitted shapes: {shaped}",) if shaped else ()), *objections), (), gain, tuple(additions))
 
 
-def _refined(loaded: RobotModel, samples: Sequence[Samples], chosen: DriveSet) -> DriveSet:
-    """Return the set with the shapes of its terms refined between the values tried, where the data tell them."""
-    free = DriveSet(tuple(replace(available_terms()[term.key], joints=term.joints) if term.shapes else term for term in chosen.terms))
+def _refined(
+    loaded: RobotModel, samples: Sequence[Samples], start: DriveSet, columns: CandidateColumns, choice: Choice
+) -> tuple[DriveSet, set[tuple[int, str]]]:
+    """Return the set of a choice with its shapes refined between the values tried, less the terms, by joint and key, whose shape all blocks together do not tell."""
+    n = loaded.n_joints
+    rough = chosen_drive(start, columns.tried, choice, n)
+    free = DriveSet(
+        tuple(term if term.key in start.keys else replace(available_terms()[term.key], joints=term.joints) for term in rough.terms)
+    )
     if free.is_shaped:
-        return chosen
-    for found in fit_shapes(loaded, free, samples).shapes:
-        term = next(term for term in chosen.terms if term.key == found.term)
-        rough = [term.at(k).value(found.shape.name) for k in range(loaded.n_joints)]
-        values = tuple(value if told else coarse for value, told, coarse in zip(found.values, found.told, rough, strict=True))
-        chosen = chosen.with_term(term.with_shapes({found.shape.name: values}))
-    return chosen
+        return rough, set()
+    fitted = fit_shapes(loaded, free, samples).shapes
+    untold = {(k, found.term) for found in fitted for k, c in choice if columns.tried[c].key == found.term and not found.told[k]}
+    chosen = chosen_drive(start, columns.tried, tuple((k, c) for k, c in choice if (k, columns.tried[c].key) not in untold), n)
+    for found in fitted:
+        for term in chosen.terms:
+            if term.key == found.term:
+                chosen = chosen.with_term(term.with_shapes({found.shape.name: found.values}))
+    return chosen, untold
 
 
 def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:
