@@ -63,6 +63,15 @@ def test_every_command_and_option_is_told() -> None:
     assert {name: [names for names in options if not names & words] for name, options in OPTIONS.items()} == {name: [] for name in OPTIONS}
 
 
+def test_commands_that_read_logs_read_them_alike() -> None:
+    reading = {"--rate", "--flip-torque", "--gain", "--torque-source", "--sheet"}
+    filtering = {"--cutoff", "--decimate", "--preset"}
+    for name in ("check", "identify", "validate", "compare", "payload", "gains", "channels"):
+        told = set().union(*OPTIONS[name])
+        assert reading <= told
+        assert filtering <= told or name in {"check", "compare"}
+
+
 def test_no_option_is_told_that_there_is_not() -> None:
     known = GENERATED.union({"--help"}, *(names for options in OPTIONS.values() for names in options))
     for page in PAGES:
