@@ -89,6 +89,7 @@ def excite(
     from asbuilt.excitation.design import design_motion
     from asbuilt.excitation.design_options import DesignOptions
     from asbuilt.excitation.precision import design_for_precision
+    from asbuilt.excitation.programs.registry import program_format
     from asbuilt.excitation.static_poses import design_static_poses
     from asbuilt.identification.known_information import known_information
     from asbuilt.writers.design_tables import excite_document, excite_text, static_document, static_text, write_design, write_static
@@ -103,7 +104,8 @@ def excite(
             raise UsageError(f"{given} belongs to {known.robot}, not to {model.name}")
         model, drives, prior = known.model, known.base.drive, known_information(known)
         sigma = number_list("--noise", noise) or tuple(known.sigma.tolist())
-    _check_programs(model, program)
+    for form in program or ():
+        program_format(form, model, "point-to-point" if static is not None else parametrisation)
     constraints = watched(model, collision=collision, tool_box=number_list("--tool-box", tool_box), tool_frame=tool_frame)
     if static is not None:
         standing = design_static_poses(
@@ -115,7 +117,7 @@ def excite(
             constraints=constraints,
             seed=seed,
         )
-        files = write_static(out, standing, rate) | _programs(model, standing.motion, program, out)
+        files = write_static(out, standing, rate) | _programs(model, standing.motion, program, out, collision)
         answer(as_json, lambda: static_document(standing, files), lambda: static_text(standing) + listed_files(files))
         return
     options = DesignOptions(
@@ -146,25 +148,18 @@ def excite(
             )
         else:
             design, trials = design_motion(model, drives, options, prior=prior, constraints=constraints, progress=progress), ()
-        files = write_design(out, design, rate) | _programs(model, design.motion, program, out)
+        files = write_design(out, design, rate) | _programs(model, design.motion, program, out, collision)
     answer(as_json, lambda: excite_document(design, files, trials), lambda: excite_text(design, trials) + listed_files(files))
 
 
-def _check_programs(model: RobotModel, forms: Sequence[str] | None) -> None:
-    from asbuilt.excitation.programs.registry import program_format
-
-    for form in forms or ():
-        program_format(form, model)
-
-
-def _programs(model: RobotModel, motion: Motion, forms: Sequence[str] | None, out: Path) -> dict[str, Path]:
+def _programs(model: RobotModel, motion: Motion, forms: Sequence[str] | None, out: Path, collision: str | None) -> dict[str, Path]:
     """Write the programs of a motion into folders beside its file."""
     from asbuilt.excitation.programs.registry import make_program
     from asbuilt.writers.program_files import write_program
 
     files: dict[str, Path] = {}
     for form in forms or ():
-        written = write_program(out.with_name(f"{out.stem}_{form}"), make_program(model, motion, form, name=out.stem))
+        written = write_program(out.with_name(f"{out.stem}_{form}"), make_program(model, motion, form, name=out.stem, collision=collision))
         files |= {f"{form}_{role}": path for role, path in written.items()}
     return files
 
@@ -175,6 +170,12 @@ def program(
     form: Annotated[str, typer.Option("--format", metavar="FORMAT", help="sunrise, fri, ros2, urscript, franka or csv")],
     rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="rate of points or recording (default: what suits)")] = None,
     name: Annotated[str | None, typer.Option("--name", help="name of the motion and its files (default: the file's)")] = None,
+    collision: Annotated[
+        str | None,
+        typer.Option(
+            "--collision", metavar="SOURCE", help="say how near bodies come, and refuse a motion on which they touch: as for excite"
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)] = Path(
         "program"
     ),
@@ -187,6 +188,6 @@ def program(
 
     model = described_robot(robot)
     chosen = program_format(form, model)
-    request = program_request(model, read_motion(motion, model), form, name=name or motion.stem, rate=rate)
+    request = program_request(model, read_motion(motion, model), form, name=name or motion.stem, rate=rate, collision=collision)
     files = write_program(out, chosen.files(request))
     answer(as_json, lambda: program_document(request, form, files), lambda: program_text(request, form) + listed_files(files))

@@ -20,13 +20,17 @@ from asbuilt.description.model import JointLimits, RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.bspline import BSplineMotion
+from asbuilt.excitation.capsules import surroundings
+from asbuilt.excitation.collision import CollisionGuard
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motion import Motion
 from asbuilt.excitation.motion_csv import read_motion
 from asbuilt.excitation.point_to_point import PointToPointMotion
 from asbuilt.excitation.programs.naming import class_name, file_stem, identifier, plain_text
-from asbuilt.excitation.programs.registry import PROGRAM_FORMATS, make_program
+from asbuilt.excitation.programs.registry import PROGRAM_FORMATS, make_program, program_format
+from asbuilt.excitation.programs.request import ProgramFile
 from asbuilt.excitation.programs.via_points import hermite_knots, point_to_point_stretches
+from asbuilt.excitation.quintic import QuinticMotion
 from asbuilt.excitation.random_motion import random_fourier, random_point_to_point
 from asbuilt.experiment.readers import read_recording
 from asbuilt.experiment.sheet import read_sheet
@@ -287,6 +291,115 @@ def test_log_of_the_rtde_comes_back_with_currents(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.q, s.q, atol=1e-7)
     np.testing.assert_allclose(recording.tau, s.qdd, atol=1e-6)
     assert recording.torque_source == "current"
+
+
+def test_table_logged_as_the_proposal_says_comes_back(tmp_path: Path) -> None:
+    model = bundled_robot("scara")
+    motion = excitation(model)
+    written = write_program(tmp_path, make_program(model, motion, "csv", name="run"))
+    s = motion.sample(250.0)
+    tau = inverse_dynamics(model, s.q, s.qd, s.qdd)
+    names = model.joint_names
+    header = ",".join(["t", *(f"q_{name}" for name in names), *(f"tau_{name}" for name in names)])
+    np.savetxt(written["sheet"].with_suffix(".csv"), np.column_stack([s.t, s.q, tau]), delimiter=",", header=header, comments="")
+    recording = read_recording(written["sheet"].with_suffix(".csv"), model=model)
+    np.testing.assert_allclose(recording.q, s.q, atol=1e-9)
+    np.testing.assert_allclose(recording.tau, tau, atol=1e-9)
+
+
+def test_bag_comes_back_by_joint_name(tmp_path: Path) -> None:
+    """The joint state broadcaster orders joints as it likes."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    model = bundled_robot("ur10e")
+    motion = excitation(model)
+    written = write_program(tmp_path, make_program(model, motion, "ros2", name="run"))
+    s, order = motion.sample(100.0), [3, 0, 5, 1, 4, 2]
+    tau = inverse_dynamics(model, s.q, s.qd, s.qdd)
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    types = store.types
+    state = types["sensor_msgs/msg/JointState"]
+    with rosbag2.Writer(written["sheet"].with_suffix(""), version=8) as bag:
+        topic = bag.add_connection("/joint_states", state.__msgtype__, typestore=store)
+        for t, q, qd, torque in zip(s.t, s.q, s.qd, tau, strict=True):
+            stamp = types["builtin_interfaces/msg/Time"](sec=int(t), nanosec=round(1e9 * (t % 1)))
+            message = state(
+                header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+                name=[model.joint_names[k] for k in order],
+                position=q[order],
+                velocity=qd[order],
+                effort=torque[order],
+            )
+            bag.write(topic, round(1e9 * t), store.serialize_cdr(message, state.__msgtype__))
+    recording = read_recording(written["sheet"].with_suffix(""), model=model)
+    np.testing.assert_allclose(recording.q, s.q, atol=1e-12)
+    np.testing.assert_allclose(recording.tau, tau, atol=1e-12)
+    assert recording.rate == pytest.approx(100.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("form", "robot"), [("urscript", "ur10e"), ("ros2", "ur10e"), ("csv", "kuka-iiwa7-r800")])
+def test_sheets_of_currents_have_a_place_for_gains(form: str, robot: str, tmp_path: Path) -> None:
+    """Filled in as the sheet says, the line is read as gains; left as it is, there are none."""
+    model = limited(robot)
+    sheet = write_program(tmp_path, make_program(model, excitation(model), form, name="run"))["sheet"]
+    assert read_sheet(sheet).gains is None
+    line = f"# gains = [{', '.join(f'g{k + 1}' for k in range(model.n_joints))}]"
+    text = sheet.read_text()
+    assert text.count(line) == 1
+    assert "N m per ampere" in text
+    assert "asbuilt gains" in text
+    gains = [10.0 + k for k in range(model.n_joints)]
+    sheet.write_text(text.replace(line, f"gains = {gains}"))
+    assert read_sheet(sheet).gains == gains
+
+
+@pytest.mark.parametrize("form", sorted(ALLOWED))
+def test_programs_say_which_collisions_were_checked(form: str) -> None:
+    model = limited(ALLOWED[form][0])
+    motion = excitation(model)
+    head = {collision: program_text(make_program(model, motion, form, collision=collision)) for collision in (None, "skeleton:0.01")}
+    assert "neither on the motion nor on the way" in head[None]
+    said = re.search(r"come no nearer than (\d+) mm", head["skeleton:0.01"])
+    assert said is not None
+    guard = CollisionGuard(model, surroundings(model, "skeleton:0.01"))
+    nearest = min(guard.smallest_distance(motion.derivative(np.array([t]))) for t in np.arange(0.0, 5.0005, 0.01))
+    assert int(said[1]) == pytest.approx(1000 * nearest, abs=2.0)
+    assert "NOT checked: collisions on the way to the start pose" in head["skeleton:0.01"]
+
+
+def test_motions_on_which_bodies_touch_are_refused() -> None:
+    model = bundled_robot("ur10e")
+    with pytest.raises(MotionError, match="run into each other by"):
+        make_program(model, excitation(model), "urscript", collision="skeleton:0.2")
+
+
+@pytest.mark.parametrize("form", sorted(PROGRAM_FORMATS))
+@pytest.mark.parametrize("parametrisation", ["fourier", "bspline", "quintic", "point-to-point"])
+def test_kinds_of_motion_are_refused_by_name_as_they_would_be_by_motion(form: str, parametrisation: str) -> None:
+    """What `excite` is told before its search is what the program says of a motion of that kind."""
+    model = limited(ALLOWED[form][0])
+    poses = excitation(model).derivative(np.linspace(0.0, 5.0, 6))
+    motion: Motion = {
+        "fourier": excitation(model),
+        "bspline": BSplineMotion(poses[[0, 0, 0, 1, 2, 3, 3, 3]], 20.0),
+        "quintic": QuinticMotion.through(poses, np.linspace(0.0, 25.0, 6)),
+        "point-to-point": PointToPointMotion.within(poses, velocity=0.5, acceleration=6.0),
+    }[parametrisation]
+    refused = []
+    for call in (lambda: program_format(form, model, parametrisation), lambda: make_program(model, motion, form)):
+        try:
+            call()
+            refused.append(False)
+        except MotionError:
+            refused.append(True)
+    assert refused[0] == refused[1]
+
+
+def program_text(files: tuple[ProgramFile, ...]) -> str:
+    """The header of a program as running text."""
+    texts = {file.role: file.text for file in files}
+    head = texts.get("notes", texts["program"])[:6000]
+    return re.sub(r"\s+", " ", re.sub(r"\n[ \t]*(#|//|\*)", "\n", head))
 
 
 def test_point_to_point_motions_are_told_from_others() -> None:

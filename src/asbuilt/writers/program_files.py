@@ -33,16 +33,23 @@ def program_document(request: ProgramRequest, form: str, files: Mapping[str, Pat
         "rate": request.rate,
         "start": request.motion.start.tolist(),
         "worst_margin": request.report.worst_margin,
+        "collision_distance": None if request.clearance is None else request.clearance.distance,
         "files": {role: str(path) for role, path in files.items()},
     }
 
 
 def program_text(request: ProgramRequest, form: str) -> str:
     """Return what `asbuilt program` prints."""
+    known = request.clearance
+    collisions = (
+        "NOT checked: collisions, and the way to the start pose."
+        if known is None
+        else f"Bodies of {known.source} come no nearer than {1000 * known.distance:.0f} mm on the motion. NOT checked: collisions with anything else, and the way to the start pose."
+    )
     return "\n".join(
         (
             f"{form} program of {request.name} for {request.model.name}: {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s",
             str(request.report),
-            "NOT checked: collisions, and the way to the start pose. Run the dry run first; the header of the program says how.",
+            f"{collisions} Run the dry run first; the header of the program says how.",
         )
     )

@@ -26,6 +26,7 @@ class FrankaFormat(ProgramFormat):
     title = "libfranka program (C++)"
     default_rate = 1000.0
     n_joints = 7
+    smooth = True
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return the program, its table and the sheet of its log.
@@ -98,5 +99,5 @@ def _check_smoothness(request: ProgramRequest) -> None:
         raise MotionError(
             f"the acceleration of {request.model.joint_names[j]} jumps by {jerk[k, j] / CONTROL_RATE:.3g} rad/s^2 within one millisecond at "
             f"t = {t[min(k, t.size - 1)]:.3f} s, a jerk of {jerk[k, j]:.4g} rad/s^3 where the robot stops above {limit[j]:g}; "
-            "give a motion with continuous acceleration from rest to rest (FourierMotion, BSplineMotion, quintic spline), or slow it down"
+            "give a motion with continuous acceleration from rest to rest (fourier, bspline, quintic), or slow it down"
         )

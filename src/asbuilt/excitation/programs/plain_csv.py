@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.excitation.motion import Motion
 from asbuilt.excitation.motion_csv import PREFIXES, times_to_end
-from asbuilt.excitation.programs.log_sheet import sheet_text
+from asbuilt.excitation.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.excitation.programs.preamble import preamble
 from asbuilt.excitation.programs.request import ProgramFile, ProgramFormat, ProgramRequest
 
@@ -47,6 +47,7 @@ class CsvFormat(ProgramFormat):
                 "columns": {"time": "t", "position": [f"q_{name}" for name in names], "torque": [f"tau_{name}" for name in names]},
                 "units": {"time": "s"} | ({"position": "rad", "torque": "N m"} if all(request.revolute) else {}),
             },
+            gains=f"Where the torques are currents (then units.torque is A): {GAINS_TO_FILL_IN}:",
         )
         return (
             ProgramFile("program", f"{stem}.csv", motion_csv(request.motion, names, request.rate)),

@@ -51,12 +51,7 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             limits.append((" " * len(label), f"NOT CHECKED for {', '.join(missing)}"))
     safety = [
         ("", "SAFETY"),
-        (
-            "- ",
-            "Checked: the joint limits above, on the description of the robot. NOT checked: collisions of the robot with itself, with its tool, "
-            "with cables or with anything around it, neither on the motion nor on the way to its start pose; nor the load of a tool that is "
-            "not in the description.",
-        ),
+        ("- ", _checked(request)),
         (
             "- ",
             "The description must have the robot's own zero positions and directions of motion: move each joint a little by hand or jogging and "
@@ -78,6 +73,25 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             lines += wrapped(text, label)
         lines.append("")
     return tuple(lines[:-1])
+
+
+def _checked(request: ProgramRequest) -> str:
+    """Return what was checked and what nobody has checked."""
+    limits = "Checked: the joint limits above, on the description of the robot."
+    load = "nor the load of a tool that is not in the description."
+    if request.clearance is None:
+        return (
+            f"{limits} NOT checked: collisions of the robot with itself, with its tool, with cables or with anything around it, neither on the motion "
+            f"nor on the way to its start pose; {load}"
+        )
+    known = request.clearance
+    around = f" and the obstacles {', '.join(known.obstacles)}" if known.obstacles else ""
+    touching = f" Pairs that touch in nearly every pose were left out: {', '.join(known.left_out)}." if known.left_out else ""
+    return plain_text(
+        f"{limits} Checked on the motion: bodies of the robot{around}, as {known.source} has them, come no nearer than {1000 * known.distance:.0f} mm to each "
+        f"other.{touching} NOT checked: collisions on the way to the start pose; collisions with anything that {known.source} does not have, such as tool, "
+        f"cables and surroundings; {load}"
+    )
 
 
 def wrapped(text: str, label: str = "") -> list[str]:

@@ -13,6 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motion import Array, Motion, read_only
+from asbuilt.excitation.programs.clearance import Clearance
 from asbuilt.excitation.programs.naming import file_stem
 
 DRY_RUN_SLOWDOWN = 10.0
@@ -29,6 +30,9 @@ START_TOLERANCE = {True: 0.01, False: 0.002}
 
 REST = 1e-3
 """A motion is at rest at its ends when it moves slower than this part of its top speed there."""
+
+JUMPING = ("point-to-point",)
+"""Parametrisations whose acceleration jumps."""
 
 DRY_RUN_CHECK_RATE = 100.0
 """Rate at which the slow dry run is checked against the limits [Hz]."""
@@ -48,6 +52,8 @@ class ProgramFile:
 class ProgramRequest:
     """Ask for a program that moves `model` along `motion`, sampled at `rate` [Hz] where the format samples; `name` is free text.
 
+    `clearance` says how near bodies come to each other on the way, None where nobody looked.
+
     Raises
     ------
     MotionError
@@ -58,6 +64,7 @@ class ProgramRequest:
     motion: Motion
     name: str
     rate: float
+    clearance: Clearance | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
@@ -122,16 +129,28 @@ class ProgramRequest:
 
 
 class ProgramFormat(ABC):
-    """A kind of controller: `key` names it, `default_rate` [Hz] suits it; `n_joints` is how many revolute joints it moves, None for any."""
+    """A kind of controller: `key` names it, `default_rate` [Hz] suits it; `n_joints` is how many revolute joints it moves, None for any.
+
+    `smooth` says that it takes only motions whose acceleration does not jump.
+    """
 
     key: ClassVar[str]
     title: ClassVar[str]
     default_rate: ClassVar[float]
     n_joints: ClassVar[int | None] = None
+    smooth: ClassVar[bool] = False
 
     @abstractmethod
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return the files of the program, the recording sheet among them."""
+
+    def check_parametrisation(self, parametrisation: str) -> None:
+        """Raise MotionError if motions of this kind are none that the controller takes, before any is designed."""
+        if self.smooth and parametrisation in JUMPING:
+            raise MotionError(
+                f"the format {self.key} takes no {parametrisation} motion, nor static poses joined by such: its acceleration jumps, where the robot stops; "
+                "choose --parametrisation fourier, bspline or quintic and no --static, or another format"
+            )
 
     def check_joints(self, model: RobotModel) -> None:
         """Raise MotionError if the format cannot move this robot."""

@@ -6,7 +6,7 @@ import json
 
 from asbuilt.excitation.motion import Motion
 from asbuilt.excitation.motion_csv import times_to_end
-from asbuilt.excitation.programs.log_sheet import sheet_text
+from asbuilt.excitation.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.excitation.programs.preamble import commented, preamble
 from asbuilt.excitation.programs.rendering import numbers, render
 from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramFormat, ProgramRequest
@@ -54,6 +54,7 @@ class Ros2Format(ProgramFormat):
                 "Set torque_source, sign and gains to what yours does; `asbuilt check` tells a wrong sign or scale.",
             ),
             {"joints": list(names), "topic": "/joint_states", "torque_source": "unknown", "sign": 1},
+            gains=f"Where the effort is a current: {GAINS_TO_FILL_IN}:",
         )
         return (
             ProgramFile("program", f"{stem}_run.py", script, executable=True),

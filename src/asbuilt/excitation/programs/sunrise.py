@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.programs.log_sheet import sheet_text
@@ -44,6 +45,17 @@ class SunriseFormat(ProgramFormat):
     default_rate = 500.0
     n_joints = 7
 
+    def check_joints(self, model: RobotModel) -> None:
+        """Raise MotionError if the robot is none of KUKA's kind, or has joints without a velocity limit."""
+        super().check_joints(model)
+        limit = MotionBounds.of(model).velocity
+        unknown = [name for name, v in zip(model.joint_names, limit, strict=True) if not np.isfinite(v)]
+        if unknown:
+            raise MotionError(
+                f"the format sunrise gives speeds as parts of the axes' maximum, but the description of {model.name} has no velocity "
+                f"limit for {', '.join(unknown)}; add it"
+            )
+
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return the Java class and the sheet of its DataRecorder log."""
         stretches = point_to_point_stretches(request.motion)
@@ -55,12 +67,6 @@ class SunriseFormat(ProgramFormat):
                 "format fri, which streams"
             )
         limit = MotionBounds.of(request.model).velocity
-        if not np.all(np.isfinite(limit)):
-            unknown = [name for name, v in zip(request.model.joint_names, limit, strict=True) if not np.isfinite(v)]
-            raise MotionError(
-                f"the format sunrise gives speeds as parts of the axes' maximum, but the description of {request.model.name} has no velocity "
-                f"limit for {', '.join(unknown)}; add it"
-            )
         speeds = [float(np.clip((stretch.speed / limit).max(), LEAST_SPEED, 1.0)) for stretch in stretches]
         approach = min(0.1, float((request.approach_speed / limit).min()))
         name = class_name(request.name, suffix="Excitation")

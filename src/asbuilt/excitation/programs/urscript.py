@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.programs.log_sheet import sheet_text
+from asbuilt.excitation.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.excitation.programs.naming import identifier, plain_text
 from asbuilt.excitation.programs.preamble import DRY_RUN_PART, commented, preamble
 from asbuilt.excitation.programs.rendering import numbers, render
@@ -111,8 +111,7 @@ def _sheet(request: ProgramRequest) -> str:
         request,
         (
             "Written by record.py of Universal Robots' RTDE client library: joint currents [A], not torques.",
-            "MISSING: gains = [g1, g2, g3, g4, g5, g6], the N m per ampere of your robot's joints; without them torques stay in amperes. Enter "
-            "them below torque_source, or give --gain g1,g2,...",
+            "MISSING: the gains below. Without them torques stay in amperes and identify refuses them.",
             "With PolyScope 5.23 or later record actual_current_as_torque instead: N m already, torque_source is then motor.",
         ),
         {
@@ -122,4 +121,5 @@ def _sheet(request: ProgramRequest) -> str:
             "columns": {"time": "timestamp", **columns},
             "units": {"time": "s", "position": "rad", "velocity": "rad/s", "torque": "A"},
         },
+        gains=f"Gains: {GAINS_TO_FILL_IN}. Or give --gain g1,g2,...:",
     )
