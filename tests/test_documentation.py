@@ -40,7 +40,7 @@ def python_blocks() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_commands_can_be_typed(page: str, line: str) -> None:
-    _, name, *arguments = shlex.split(line, comments=True)
+    _, name, *arguments = shlex.split(line.translate({ord(bracket): None for bracket in "[]"}), comments=True)
     with COMMANDS[name].make_context(name, arguments):
         pass
 
