@@ -27,6 +27,8 @@ CAUSE_COLOURS: dict[str, str] = {
 """One colour per cause, after Okabe and Ito (2008)."""
 UNEXPLAINED = "#D5D9DE"
 QUIET = "#5F656D"
+LABELLED = 0.09
+"""Share from which there is room for its number."""
 
 
 def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
@@ -50,18 +52,11 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
                 label=CAUSES[each.cause],
             )
             axis.bar(place, 100 * down, bottom=100 * below, width=0.68, color=CAUSE_COLOURS[each.cause], edgecolor="white", linewidth=0.6)
-            for k in range(n):
-                if up[k] >= 0.09:
-                    dark = each.cause in ("friction", "payload", "links", "mounting")
-                    axis.text(
-                        k,
-                        100 * (above[k] + up[k] / 2),
-                        f"{100 * up[k]:.0f}",
-                        ha="center",
-                        va="center",
-                        fontsize=7.5,
-                        color="white" if dark else INK,
-                    )
+            dark = each.cause in ("friction", "payload", "links", "mounting")
+            for k, part in enumerate(each.share):
+                if abs(part) >= LABELLED:
+                    middle = (above[k] if part > 0 else below[k]) + part / 2
+                    axis.text(k, 100 * middle, f"{100 * part:.0f}", ha="center", va="center", fontsize=7.5, color="white" if dark else INK)
             above, below = above + up, below + down
         axis.bar(
             place,
