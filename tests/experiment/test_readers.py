@@ -187,6 +187,20 @@ def test_whole_recordings_named_after_a_quantity_stay_apart(tmp_path: Path, logg
         assert_same(recording, logged)
 
 
+def test_what_is_logged_beside_is_kept_under_its_own_name(tmp_path: Path) -> None:
+    t = np.arange(50) * 0.01
+    names = ("q", "qd", "tau", "motor_torque", "external_torque", "torque_sensor", "current", "position_sensor", "temperature")
+    columns = {f"{name}_{k}": 10.0 * i + np.sin(t + k) for i, name in enumerate(names) for k in (1, 2)}
+    pl.DataFrame({"t": t} | columns).write_csv(tmp_path / "log.csv")
+    recording = read_recording(tmp_path / "log.csv")
+    np.testing.assert_array_equal(recording.tau[:, 1], columns["tau_2"])
+    expected = {"tau_motor": "motor_torque", "tau_ext": "external_torque", "tau_sensor": "torque_sensor", "current": "current"}
+    expected |= {"position_sensor": "position_sensor"}
+    assert set(recording.extra) == set(expected)
+    for name, column in expected.items():
+        np.testing.assert_array_equal(recording.extra[name][:, 0], columns[f"{column}_1"])
+
+
 BAD = {
     "empty.csv": ("", "is not a recording: it is empty"),
     "page.csv": ("<!DOCTYPE html><html>", "is not a recording: it starts with '<!DOCTYPE"),

@@ -13,6 +13,7 @@ from asbuilt.experiment.roles import Role, recognise, unit_scale
 from asbuilt.experiment.sheet import ColumnName, RecordingSheet
 
 _QUANTITIES = ("position", "velocity", "acceleration", "torque")
+_EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 
 @dataclass(frozen=True)
@@ -77,18 +78,7 @@ def find_layout(
             f"{source} has no columns for {absent}. Its columns are: {listing}. Usual names are q_1, position_1, <joint>_pos and tau_1, effort_1, "
             '<joint>_torque; name others in a recording sheet beside the log: [columns] position = ["..."], torque = ["..."].'
         )
-    chosen: dict[str, _Group] = {"position": position, "torque": torque}
-    for quantity in ("velocity", "acceleration"):
-        if (quantity, "") in groups:
-            chosen[quantity] = groups[quantity, ""]
-    for (quantity, kind), group in groups.items():
-        if group is torque or kind == "":
-            continue
-        chosen[quantity if kind == "sheet" else {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}.get(kind, kind)] = (
-            group
-        )
-    if ("current", "") in groups and groups["current", ""] is not torque:
-        chosen["current"] = groups["current", ""]
+    chosen = _chosen(groups, position, torque)
     labels = _sorted_labels(source, "position", position, sheet)
     ordered: dict[str, tuple[str, ...]] = {"position": tuple(position.names)}
     for quantity, group in chosen.items():
@@ -110,6 +100,19 @@ def find_layout(
     if time is not None:
         scales[time] = time_scale
     return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes))
+
+
+def _chosen(groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group) -> dict[str, _Group]:
+    """Return the groups by the names of their quantities; what is beside position, velocity, acceleration and torque is extra."""
+    chosen = {"position": position, "torque": torque}
+    for (quantity, kind), group in groups.items():
+        if group is position or group is torque or quantity == "time":
+            continue
+        if kind in ("", "sheet"):
+            chosen[quantity] = group
+        else:
+            chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
+    return chosen
 
 
 def _group(names: Sequence[str], known: Mapping[str, tuple[str, str]]) -> dict[tuple[str, str], _Group]:
@@ -157,7 +160,6 @@ def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | No
         ("torque", "sensor"): "sensor",
         ("torque", "motor"): "motor",
         ("current", ""): "current",
-        ("current", "motor"): "current",
     }
     for key, torque_source in sources.items():
         if key in groups:
