@@ -245,6 +245,8 @@ def test_clocks_in_other_units(iiwa: RobotModel, clean: Recording, unit: str, fa
     assert f"look like {unit}" in found.message
     assert f'time = "{unit}"' in found.cure
     assert finding(iiwa, replace(clean, t=clean.t / 1e3), "clock-unit").severity == "error"
+    flipped = check_recording(iiwa, replace(clean, t=clean.t * factor, tau=-clean.tau))
+    assert [item.code for item in flipped.errors] == ["clock-unit"]
 
 
 def test_a_robot_that_stands_still_is_refused(iiwa: RobotModel, clean: Recording) -> None:

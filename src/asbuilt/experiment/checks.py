@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,7 +75,8 @@ class RecordingCheck:
 def check_recording(model: RobotModel, recording: Recording) -> RecordingCheck:
     """Look for everything that would spoil an identification of `model` from `recording`, and say it with place, value and cure.
 
-    Checked are the clock, missing values, units, signs, the order of joints, limits, saturation, filtering and excitation.
+    Checked are the clock, missing values, units, signs, the order of joints, limits, saturation, filtering and excitation; where the clock is wrong,
+    the clock and missing values alone.
 
     Raises
     ------
@@ -88,18 +90,10 @@ def check_recording(model: RobotModel, recording: Recording) -> RecordingCheck:
         )
     if recording.joint_names != model.joint_names and set(recording.joint_names) == set(model.joint_names):
         recording = recording.reordered(model.joint_names)
-    given, recording = recording, believable(recording)
-    motion = smoothed_motion(recording)
-    degrees = in_degrees(model, recording, motion) is not None
-    revolute = np.array([joint.is_revolute for joint in model.joints])
-    position_scale = np.where(revolute & degrees, DEGREE, 1.0)
-    findings = [
-        *clock_findings(given),
-        *motion_findings(model, recording, motion),
-        *torque_findings(model, recording, motion, position_scale),
-        *([] if degrees else excitation_findings(model, recording, motion)),
-        *(Finding("note", "info", note.removesuffix(".")) for note in recording.notes),
-    ]
+    findings = list(clock_findings(recording))
+    if not any(finding.severity == "error" and finding.code.startswith("clock") for finding in findings):
+        findings += _findings_in_time(model, believable(recording))
+    findings += (Finding("note", "info", note.removesuffix(".")) for note in recording.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,
@@ -109,3 +103,14 @@ def check_recording(model: RobotModel, recording: Recording) -> RecordingCheck:
         duration=recording.duration,
         findings=tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity])),
     )
+
+
+def _findings_in_time(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+    """Look at motion, torque and excitation, which means nothing before the clock is right."""
+    motion = smoothed_motion(recording)
+    degrees = in_degrees(model, recording, motion) is not None
+    revolute = np.array([joint.is_revolute for joint in model.joints])
+    yield from motion_findings(model, recording, motion)
+    yield from torque_findings(model, recording, motion, np.where(revolute & degrees, DEGREE, 1.0))
+    if not degrees:
+        yield from excitation_findings(model, recording, motion)
