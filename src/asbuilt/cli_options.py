@@ -173,7 +173,7 @@ def robot_as_built(robot: str) -> RobotModel:
     """Return a described robot, or an identified one as built where a result is given."""
     if Path(robot).suffix.lower() != ".json":
         return described_robot(robot)
-    from asbuilt.writers.robot_toml import as_built_model
+    from asbuilt.writers.as_built import as_built_model
 
     return as_built_model(read_result(Path(robot)))
 

@@ -19,12 +19,13 @@ from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
-from asbuilt.errors import DescriptionError
+from asbuilt.errors import DescriptionError, InertiaError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.validation.prediction import design_values
 from asbuilt.writers.export import export_result
+from asbuilt.writers.mjcf import exported_mjcf
 from asbuilt.writers.robot_toml import robot_toml
 from asbuilt.writers.sample_states import sample_states
 
@@ -208,3 +209,10 @@ def test_commands_take_the_exported_robot(tmp_path: Path, capsys: pytest.Capture
     assert status == 2
     assert "--engine inverse-dynamics" in err
     assert call(capsys, "simulate", robot, "--engine", "inverse-dynamics", "--duration", 1, "--out", tmp_path / "log.csv")[0] == 0
+
+
+def test_further_terms_that_push_are_refused() -> None:
+    pushing = DriveValues(terms={"load_friction": {"Fl": -0.1}})
+    model = bundled_robot("two-link")
+    with pytest.raises(InertiaError, match=r"joint 1: load_friction Fl is -0\.1"):
+        exported_mjcf(replace(model, joints=(replace(model.joints[0], drive=pushing), model.joints[1])))

@@ -13,7 +13,8 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.writers.robot_toml import as_built_model, robot_toml, write_robot_toml
+from asbuilt.writers.as_built import as_built_model
+from asbuilt.writers.robot_toml import robot_toml, write_robot_toml
 
 
 def same_torques(one: RobotModel, two: RobotModel) -> None:

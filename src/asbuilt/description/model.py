@@ -18,6 +18,8 @@ Letters = tuple[tuple[tuple[float, str], ...], ...]
 """A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g. `(((1.0, "a2"),), (), ((1.0, "b2"),))`."""
 
 STANDARD_GRAVITY = 9.81
+PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
+"""Drive terms that a description states by themselves; all others are further terms."""
 ROOT = -1
 """Parent index of a joint that hangs on the root link."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import PLAIN_TERMS, RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
 RICHER_TERMS = ("load_friction", "quadratic", "stribeck")
 """Friction beyond the plain one whose columns need no fitted shape, or do with the usual one."""
 TILTS = ("tilt 1", "tilt 2")

@@ -8,39 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import PLAIN_TERMS, RobotModel
 from asbuilt.description.xml import described_text, outermost_tag
-from asbuilt.dynamics.drive_torque import drive_torque
-from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.errors import DescriptionError, InertiaError, UsageError
-from asbuilt.identification.cad_prior import cad_prior
-from asbuilt.identification.cause_evidence import PLAIN_TERMS
-from asbuilt.identification.impossibility import why_impossible
+from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.identification.standard_parameters import StandardParameters, random_motion_rows
 from asbuilt.tables import significant
-from asbuilt.validation.significance import chi_square
-from asbuilt.validation.stand_in import BADLY, StandIn, stand_in
+from asbuilt.validation.stand_in import StandIn, stand_in
+from asbuilt.writers.as_built import AsBuilt, as_built, keeping_described_drives, load_counted
 from asbuilt.writers.c_code import write_c
 from asbuilt.writers.mjcf import write_mjcf
-from asbuilt.writers.physical import impossibilities
-from asbuilt.writers.robot_toml import as_built_model, as_built_parameters, keeping_described_drives, write_robot_toml
-from asbuilt.writers.sample_states import sample_states
+from asbuilt.writers.physical import refuse_bad_stand_in, refuse_impossible_result
+from asbuilt.writers.robot_toml import write_robot_toml
 from asbuilt.writers.urdf import write_urdf
 
-Array = NDArray[np.float64]
 Place = str | os.PathLike[str]
-
-CHECKED_STATES = 100
-SAME_TORQUE = 1e-9
-"""Torques [N m or N] that differ by less are the same."""
-
-CURES = (
-    "Identify with real bodies imposed (identify --method consistent, or entropic), which the report then judges; let it find how the robot stands "
-    "(--mounting estimate), for free links imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate what those lack"
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +49,7 @@ class Export:
             "files": {kind: str(path) for kind, path in self.files.items()},
             "notes": {kind: list(notes) for kind, notes in self.notes.items()},
             "cost": None if self.cost is None else self.cost.as_document(),
+            "beyond": self.beyond,
         }
 
     def as_text(self) -> str:
@@ -112,17 +96,15 @@ def export_result(
         raise UsageError(
             "--force writes the nearest possible robot whatever it costs, so it needs --nearest; an impossible robot is never written"
         )
-    found, model = as_built_parameters(result, nearest=nearest), as_built_model(result, nearest=nearest)
-    if impossibilities(model):
-        raise InertiaError(
-            f"{result.robot} is not exported, for no robot can have this model: {_reasons(result, model)}. {CURES}; or write the nearest robot that can be (--nearest)"
-        )
+    built = as_built(result, nearest=nearest)
+    found, model = built.parameters, built.model
+    refuse_impossible_result(result, model)
     cost = None if found.exact else stand_in(result, found.beta)
     if not (found.exact or force):
-        _refuse_bad(result, found, cost)
+        refuse_bad_stand_in(result, found.beta, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
-    in_simulators, kept, load = keeping_described_drives(model, result.model), _kept(result), _load_note(result, found, model)
+    in_simulators, kept, load = keeping_described_drives(model, result.model), _kept(result), _load_note(result, built)
     if c is not None:
         files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
         notes["c"] = load
@@ -138,35 +120,6 @@ def export_result(
         notes["toml"] = load
     said_of = {kind: said for kind, said in notes.items() if said}
     return Export(result.robot, found.verdict, files, said_of, cost, "" if found.exact else _beyond(result, found))
-
-
-def _reasons(result: IdentificationResult, model: RobotModel) -> str:
-    """Say which base parameters no robot has; where they alone are possible but for a drive or by rounding, what of the model is not."""
-    proof = why_impossible(result.base, cad_prior(result.model, result.base.drive), result.estimates, result.covariance)
-    return "; ".join(impossibilities(model)) if proof is None else proof.sentence
-
-
-def _refuse_bad(result: IdentificationResult, found: StandardParameters, cost: StandIn | None) -> None:
-    """Raise `InertiaError` where the nearest possible robot predicts the recordings badly."""
-    head = f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings badly"
-    if cost is not None:
-        if cost.bad or cost.worse_than_cad:
-            raise InertiaError(f"{head}: on {cost.judged_by}, {cost.complaint()}. {CURES}; or write it all the same (--nearest --force)")
-        return
-    grown = _error_growth(result, found.beta)
-    if grown > BADLY:
-        raise InertiaError(
-            f"{head}: its error on the data used is {significant(grown)} times that of the identified one. {CURES}; or write it all the same (--nearest --force)"
-        )
-
-
-def _error_growth(result: IdentificationResult, beta: Array) -> float:
-    """Return the weighted RMS torque error of other base parameters (p,) on the data used, in multiples of that of the estimate.
-
-    `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's own error: exact for least squares.
-    """
-    d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
-    return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
@@ -196,21 +149,10 @@ def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | 
     return None, ()
 
 
-def _load_note(result: IdentificationResult, found: StandardParameters, model: RobotModel) -> tuple[str, ...]:
-    """Return a note where friction that depends on load is not quite that of the result, whose base parameters count armatures among the load."""
-    drive = result.base.drive
-    if not drive.needs_load:
-        return ()
-    q, qd, qdd = sample_states(model, CHECKED_STATES)
-    rigid, shares = len(model.parameters), model.motor_shares
-    whole = np.zeros(result.n_standard)
-    whole[result.base.columns] = found.beta
-    torques = []
-    for chi in (whole, found.parameters):
-        load = inverse_dynamics(model, q, qd, qdd, parameters=chi[:rigid])
-        torques.append(load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares))
-    apart = float(np.abs(torques[1] - torques[0]).max())
-    if apart <= SAME_TORQUE:
+def _load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
+    """Return a note where friction that depends on load is not quite that of the result."""
+    apart = load_counted(result, built)
+    if not apart:
         return ()
     return (
         f"load-dependent friction sees the load of the links alone; in the result the load counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque",

@@ -4,9 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+import numpy as np
+from numpy.typing import NDArray
+
 from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.errors import InertiaError
+from asbuilt.identification.cad_prior import cad_prior
+from asbuilt.identification.impossibility import why_impossible
+from asbuilt.identification.result import IdentificationResult
+from asbuilt.tables import significant
+from asbuilt.validation.significance import chi_square
+from asbuilt.validation.stand_in import BADLY, StandIn
+
+Array = NDArray[np.float64]
+
+CURES = (
+    "Identify with real bodies imposed (identify --method consistent, or entropic), which the report then judges; let it find how the robot stands "
+    "(--mounting estimate), for free links imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate what those lack"
+)
 
 
 def impossibilities(model: RobotModel) -> tuple[str, ...]:
@@ -18,6 +35,13 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
             if value is not None and value < 0.0:
                 what = {"armature": "armature", "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
                 reasons.append(f"joint {number}: {what} is {value:.4g}; it must not be negative")
+        reasons += [
+            f"joint {number}: {key} {letter} is {numbers[letter]:.4g}; it must not be negative"
+            for key, numbers in joint.drive.terms.items()
+            if available_terms()[key].non_negative
+            for letter in available_terms()[key].letters
+            if numbers.get(letter, 0.0) < 0.0
+        ]
     return tuple(reasons)
 
 
@@ -44,3 +68,43 @@ def refuse_impossible(model: RobotModel, cure: str = "take the nearest possible 
             f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}. Identify with physical consistency "
             f"(--method consistent), {cure}, or leave out drive terms that the recording does not tell"
         )
+
+
+def refuse_impossible_result(result: IdentificationResult, model: RobotModel) -> None:
+    """Raise `InertiaError` where the robot as built is impossible, with what proves it and the cures."""
+    if impossibilities(model):
+        raise InertiaError(
+            f"{result.robot} is not exported, for no robot can have this model: {_reasons(result, model)}. {CURES}; or write the nearest robot that can be (--nearest)"
+        )
+
+
+def _reasons(result: IdentificationResult, model: RobotModel) -> str:
+    """Say which base parameters no robot has; where they alone are possible but for a drive or by rounding, what of the model is not."""
+    proof = why_impossible(result.base, cad_prior(result.model, result.base.drive), result.estimates, result.covariance)
+    return "; ".join(impossibilities(model)) if proof is None else proof.sentence
+
+
+def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn | None) -> None:
+    """Raise `InertiaError` where the nearest possible robot, of base parameters beta (p,), predicts the recordings badly.
+
+    `cost` says so joint by joint; without it, as the result carries no evidence, the growth of the error on the data used does.
+    """
+    head = f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings badly"
+    if cost is not None:
+        if cost.bad or cost.worse_than_cad:
+            raise InertiaError(f"{head}: on {cost.judged_by}, {cost.complaint()}. {CURES}; or write it all the same (--nearest --force)")
+        return
+    grown = _error_growth(result, beta)
+    if grown > BADLY:
+        raise InertiaError(
+            f"{head}: its error on the data used is {significant(grown)} times that of the identified one. {CURES}; or write it all the same (--nearest --force)"
+        )
+
+
+def _error_growth(result: IdentificationResult, beta: Array) -> float:
+    """Return the weighted RMS torque error of other base parameters (p,) on the data used, in multiples of that of the estimate.
+
+    `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's own error: exact for least squares.
+    """
+    d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
+    return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))

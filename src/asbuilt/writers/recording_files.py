@@ -13,11 +13,10 @@ import numpy as np
 import polars as pl
 import tomli_w
 
-from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.simulation import SimulatedRecording
-from asbuilt.identification.cause_evidence import PLAIN_TERMS
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.robot_toml import write_robot_toml
 from asbuilt.writers.tabular import write_json

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,7 @@ from numpy.typing import NDArray
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values
-from asbuilt.description.model import ROOT, DriveValues, Joint, Letters, Link, RobotModel
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.identification.cause_evidence import PLAIN_TERMS
-from asbuilt.identification.result import IdentificationResult
-from asbuilt.identification.standard_parameters import StandardParameters, standard_parameters
+from asbuilt.description.model import PLAIN_TERMS, ROOT, Joint, Letters, Link, RobotModel
 from asbuilt.writers.files import atomic_write
 
 Array = NDArray[np.float64]
@@ -26,76 +21,8 @@ Array = NDArray[np.float64]
 SAME_LENGTH = 1e-12
 """Letters are written for a length where they give it to within this [m]."""
 
-QUIETEST = 1e-6
-"""Noise of a joint, as a part of the largest, below which its weight grows no further: simulations have none."""
-
-INFORMATION_TOLERANCE = 1e-13
-"""Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
-
 _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
-
-
-def as_built_parameters(result: IdentificationResult, *, nearest: bool = False) -> StandardParameters:
-    """Return standard parameters of the whole robot as built, drives included: real bodies closest to CAD that give the identified torques exactly.
-
-    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose torque on the data used differs least, joints weighted by their noise.
-    """
-    return standard_parameters(result.model, result.base, result.estimates, nearest=nearest, information=_torque_information(result))
-
-
-def _torque_information(result: IdentificationResult) -> Array:
-    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used: from the evidence, or else the inverse of the textbook covariance."""
-    if result.evidence is not None:
-        places = result.evidence.places(result.base.names)
-        quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
-        rows = [
-            factor[:, places] / max(float(sigma), quietest)
-            for factor, sigma in zip(result.evidence.whole(result.evidence.fitted), result.sigma, strict=True)
-        ]
-        return np.asarray(sum(R.T @ R for R in rows))
-    covariance = np.array(result.textbook_covariance)
-    size = np.sqrt(np.diag(covariance))
-    size[size == 0.0] = 1.0
-    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True) / np.outer(size, size))
-
-
-def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
-    """Return the robot with the standard parameters of `as_built_parameters`, all identified drive terms and no others: its torques are those of the result."""
-    found = as_built_parameters(result, nearest=nearest)
-    robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
-    note = f"identified ({result.method}) from {', '.join(result.sources)}; {found.verdict}"
-    return replace(robot, notes=(*result.model.notes, note), source=f"identified from {', '.join(result.sources)}")
-
-
-def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
-    """Return a robot with other standard parameters (n_standard,), and these drive terms with their values and shapes in place of its own."""
-    rigid = 10 * model.n_joints
-    robot = model.with_parameters(parameters[:rigid])
-    values = parameters[rigid:].reshape(model.n_joints, -1)
-    turned = np.any(model.motor_shares, axis=1)
-    joints = []
-    for k, joint in enumerate(robot.joints):
-        left = values[k].tolist()
-        plain: dict[str, float] = {}
-        terms: dict[str, dict[str, float]] = {}
-        for term in drive.at(k).terms:
-            own, left = left[: len(term.letters)], left[len(term.letters) :]
-            if term.key in PLAIN_TERMS and term.is_at(k):
-                plain[term.key] = own[0]
-            elif term.is_at(k) and (turned[k] or not term.of_motor):
-                terms[term.key] = dict(zip(term.letters, own, strict=True)) | {shape.name: term.value(shape.name) for shape in term.shapes}
-        joints.append(replace(joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=terms)))
-    return replace(robot, joints=tuple(joints), drives_by_design=True)
-
-
-def keeping_described_drives(robot: RobotModel, described: RobotModel) -> RobotModel:
-    """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants."""
-    joints = []
-    for joint, before in zip(robot.joints, described.joints, strict=True):
-        kept = {key: getattr(before.drive, key) for key in PLAIN_TERMS if getattr(joint.drive, key) is None}
-        joints.append(replace(joint, drive=replace(joint.drive, **kept)))
-    return replace(robot, joints=tuple(joints))
 
 
 def robot_toml(model: RobotModel) -> str:

@@ -12,6 +12,7 @@ from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.study import Study
+from asbuilt.writers.as_built import as_built_model, keeping_described_drives
 from asbuilt.writers.cutoff_figure import cutoff_figure
 from asbuilt.writers.drive_tables import motor_side_table
 from asbuilt.writers.export import urdf_to_edit
@@ -19,7 +20,7 @@ from asbuilt.writers.figures import save_figure, torque_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.report import write_report
-from asbuilt.writers.robot_toml import as_built_model, keeping_described_drives, write_robot_toml
+from asbuilt.writers.robot_toml import write_robot_toml
 from asbuilt.writers.tabular import identify_document, prediction_table, write_parameters_csv
 from asbuilt.writers.urdf import write_urdf
 
