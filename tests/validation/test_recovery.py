@@ -35,6 +35,9 @@ def test_a_lab_recording_leads_back_to_the_truth(identified: tuple[Identificatio
     assert len(recovery.names) == 36 + 18
     assert recovery.within(2.0) > 0.85
     assert recovery.within(4.0) > 0.95
+    assert (recovery.of_links.sum(), (~recovery.of_links).sum()) == (36, 18)
+    links, drives = (recovery.within(2.0, of_links=of_links) for of_links in (True, False))
+    assert 36 * links + 18 * drives == pytest.approx(54 * recovery.within(2.0))
     assert recovery.torque_error < 0.1 * recovery.cad_error
     assert recovery.torque_error < 2e-3
 

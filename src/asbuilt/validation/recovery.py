@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recovery:
-    """Hold what was found of a truth: `truth`, `estimate` and `std_error` (p,) of the base parameters `names`.
+    """Hold what was found of a truth: `truth`, `estimate` and `std_error` (p,) of the base parameters `names`; `of_links` (p,) says which are of bodies, not of drives.
 
     `torque_error` is what the errors of the parameters make wrong in the torque of a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` the same for
     the values of the description.
@@ -28,6 +28,7 @@ class Recovery:
     truth: Array
     estimate: Array
     std_error: Array
+    of_links: NDArray[np.bool_]
     torque_error: float
     cad_error: float
 
@@ -36,9 +37,10 @@ class Recovery:
         """`(estimate - truth) / std_error`, shape (p,)."""
         return (self.estimate - self.truth) / self.std_error
 
-    def within(self, sigmas: float) -> float:
-        """Return the share of parameters that lie within so many of their standard errors from the truth."""
-        return float(np.mean(np.abs(self.deviations) <= sigmas))
+    def within(self, sigmas: float, *, of_links: bool | None = None) -> float:
+        """Return the share of parameters that lie within so many of their standard errors from the truth: of all, of links, or of drives (`of_links` False)."""
+        chosen = np.ones(len(self.names), dtype=np.bool_) if of_links is None else self.of_links == of_links
+        return float(np.mean(np.abs(self.deviations[chosen]) <= sigmas))
 
 
 def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecording) -> Recovery:
@@ -71,6 +73,7 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
         truth=truth,
         estimate=estimate,
         std_error=np.array([parameter.std_error for parameter in result.parameters]),
+        of_links=base.columns < 10 * result.model.n_joints,
         torque_error=float(np.linalg.norm(W @ (estimate - truth))) / size,
         cad_error=float(np.linalg.norm(W @ (cad - truth))) / size,
     )
