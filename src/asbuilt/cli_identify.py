@@ -162,10 +162,10 @@ def compare(
     """Compare CAD with the robot as built: what differs, what that costs in torque, which causes explain it; or two results of one robot."""
     from asbuilt.identification.determination import determination
     from asbuilt.validation.attribution import attribute
+    from asbuilt.validation.cad_tolerance import CadTolerance
     from asbuilt.validation.comparison import compare as compare_with
     from asbuilt.validation.controller_model import compare_with_controller
     from asbuilt.validation.drift import compare_results
-    from asbuilt.validation.significance import CadTolerance
     from asbuilt.writers.compare_files import CadVerdict, with_files, write_comparison, write_drift
 
     identified, files = read_result(result), {}

@@ -6,7 +6,8 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.errors import UsageError
-from asbuilt.validation.significance import CadTolerance, benjamini_hochberg, chi_square, holm, size_probability, two_sided_probability
+from asbuilt.validation.cad_tolerance import CadTolerance
+from asbuilt.validation.significance import benjamini_hochberg, chi_square, holm, size_probability, two_sided_probability
 
 
 def test_false_discovery_rates_are_those_of_scipy() -> None:

@@ -14,9 +14,9 @@ from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.identification.cause_evidence import gather_evidence
 from asbuilt.identification.identify import identify
+from asbuilt.validation.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison import compare
 from asbuilt.validation.prediction import validate
-from asbuilt.validation.significance import CadTolerance
 from asbuilt.validation.torque_cost import torque_cost
 from asbuilt.writers.cause_figures import difference_figure
 

@@ -2,90 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from dataclasses import fields as dataclass_fields
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from asbuilt.description.model import RobotModel
 from asbuilt.identification.cause_evidence import CauseEvidence
 from asbuilt.identification.metrics import TorqueMetrics
-from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant, stacked
+from asbuilt.tables import Cell, Column, Shown, Table, share, significant, stacked
+from asbuilt.validation.cad_tolerance import CadTolerance, check_tolerance
+from asbuilt.validation.compared_parameter import ComparedParameter, parameter_table
 from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import Validation, design_values, torque_units
-from asbuilt.validation.significance import (
-    CadTolerance,
-    ChiSquare,
-    benjamini_hochberg,
-    chi_square,
-    holm,
-    probability_text,
-    two_sided_probability,
-)
+from asbuilt.validation.significance import ChiSquare, benjamini_hochberg, chi_square, holm, probability_text, two_sided_probability
 from asbuilt.validation.torque_cost import torque_cost
 
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
 
 Array = NDArray[np.float64]
-Verdict = Literal["differs", "agrees", "no CAD value", "not determined"]
-
-
 FALSE_DISCOVERY_RATE = 0.05
 """Share of the parameters said to differ that may do so by chance."""
-WIDEST = 100.0
-"""Factor on the tolerances of CAD up to which it is sought how wide they would have to be."""
-MATTERS = 0.5
-"""Torque that a difference costs a joint, in multiples of the error left there as built, from which it matters: the error would grow by an eighth."""
-
-
-@dataclass(frozen=True, slots=True)
-class ComparedParameter:
-    """One base parameter by design and as built; `sigmas` is their difference in standard errors, None where it has no meaning.
-
-    `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque`
-    is what the difference costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up
-    for; None without evidence. `matters` says whether some joint would notice that part; where it would notice only the whole, `shared_with` names the parameters that could
-    make up for it, and the recording tells no more than their sum.
-    """
-
-    id: int
-    name: str
-    expression: str
-    unit: str
-    cad: float | None
-    estimate: float
-    std_error: float | None
-    sigmas: float | None
-    verdict: Verdict
-    p_value: float | None = None
-    false_discovery: float | None = None
-    holm: float | None = None
-    torque: tuple[float, ...] | None = None
-    torque_total: float | None = None
-    torque_own: float | None = None
-    matters: bool | None = None
-    words: str = ""
-    shared_with: tuple[str, ...] = ()
-
-    @property
-    def interval(self) -> tuple[float, float] | None:
-        """The 95 % interval of the value as built."""
-        return None if self.std_error is None else (self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers and texts, ready for JSON."""
-        fields: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclass_fields(self)}
-        return fields | {
-            "interval": None if self.interval is None else list(self.interval),
-            "torque": None if self.torque is None else list(self.torque),
-            "shared_with": list(self.shared_with),
-        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,35 +209,20 @@ def compare(
             )
             place += 1
         if cost is not None and left is not None and known is not None:
-            own = bool(np.any(cost.own_part[j] * cost.torque[j] >= MATTERS * left))
-            noticed = bool(np.any(cost.torque[j] >= MATTERS * left))
             found = replace(
                 found,
                 torque=tuple(cost.torque[j].tolist()),
                 torque_total=float(cost.total[j]),
                 torque_own=float(cost.own[j]),
-                matters=own,
-                shared_with=tuple(result.base.names[k] for k in cost.partners[j]) if noticed and not own else (),
+                matters=bool(cost.noticed(left, alone=True)[j]),
+                shared_with=cost.shared_with(j, left, result.base.names),
             )
         compared.append(found)
-    covariance = result.covariance[np.ix_(tested, tested)]
-    held: ChiSquare | None = None
-    needed: float | None = None
-    beyond: tuple[str, ...] = ()
-    if tolerance is not None:
-
-        def claimed(factor: float) -> Array:
-            wide = tolerance.scaled(factor).covariance(cad or result.model, result.base)
-            return np.asarray(covariance + wide[np.ix_(tested, tested)])
-
-        held = chi_square(difference[tested], claimed(1.0))
-        needed = (
-            None
-            if held.probability > level
-            else _widening(lambda factor: chi_square(difference[tested], claimed(factor)).probability - level)
-        )
-        exceeded = benjamini_hochberg(two_sided_probability(difference[tested] / np.sqrt(np.diag(claimed(1.0))))) <= level
-        beyond = tuple(name for name, out in zip(np.array(result.base.names)[tested].tolist(), exceeded, strict=True) if out)
+    held = (
+        None
+        if tolerance is None
+        else check_tolerance(tolerance, cad or result.model, result.base, difference, result.covariance, tested, level=level)
+    )
     return Comparison(
         robot=result.robot,
         cad_source="CAD" if cad is None else cad.name,
@@ -305,91 +231,13 @@ def compare(
         parameters=tuple(compared),
         torque=_paired(result, cad, values, validation),
         level=level,
-        chi_square=chi_square(difference[tested], covariance) if tested.any() else None,
-        chi_square_tolerance=held,
+        chi_square=chi_square(difference[tested], result.covariance[np.ix_(tested, tested)]) if tested.any() else None,
+        chi_square_tolerance=None if held is None else held.chi_square,
         tolerance=tolerance,
-        tolerance_needed=needed,
-        beyond_tolerance=beyond,
+        tolerance_needed=None if held is None else held.needed,
+        beyond_tolerance=() if held is None else held.beyond,
         judged_by="" if result.evidence is None else recording_name(result.evidence.judged_by),
     )
-
-
-def _widening(excess: Callable[[float], float]) -> float | None:
-    """Return the factor from 1 to `WIDEST` at which the probability in excess of the level is zero, None where none is enough."""
-    return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None
-
-
-def parameter_table(
-    parameters: Sequence[ComparedParameter], *, level: float = FALSE_DISCOVERY_RATE, units: Sequence[str] = (), width: int | None = 28
-) -> Table:
-    """Return the table of compared parameters; text cuts expressions at `width` characters, HTML and CSV have them whole."""
-    with_torque = any(parameter.torque_total is not None for parameter in parameters)
-    heads = [
-        Column("id", align="right"),
-        Column("parameter", width=width),
-        Column("what it is"),
-        Column("unit"),
-        Column("CAD", align="decimal"),
-        Column("as built", align="decimal"),
-        Column("std err", align="decimal"),
-        Column("%", align="decimal"),
-        Column("CAD vs built", align="right"),
-    ]
-    if with_torque:
-        unit = "N m" if set(units) <= {"N m"} else "N m, N"
-        heads += [Column("torque", unit, "decimal"), Column("its own", align="right"), Column("joint", align="right"), Column("matters")]
-    rows = []
-    for parameter in parameters:
-        shown, error = rounded(parameter.estimate, parameter.std_error)
-        cad = None if parameter.cad is None else Shown(parameter.cad, beside(parameter.cad, parameter.std_error))
-        outcome = _outcome(parameter)
-        relative = None
-        if parameter.std_error is not None and parameter.estimate:
-            relative = 100.0 * abs(parameter.std_error / parameter.estimate)
-        row: list[Cell] = [
-            parameter.id,
-            parameter.expression,
-            parameter.words,
-            parameter.unit,
-            cad,
-            Shown(parameter.estimate, shown),
-            Shown(parameter.std_error, error),
-            Shown(relative, percent(parameter.estimate, parameter.std_error)),
-            Shown(parameter.sigmas, outcome) if parameter.sigmas is not None else outcome,
-        ]
-        if with_torque:
-            row += _torque_cells(parameter)
-        rows.append(tuple(row))
-    notes = [
-        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini and Hochberg); standard errors allow for correlated "
-        "torque errors."
-    ]
-    if with_torque:
-        notes.append(
-            "torque: RMS over all joints that the difference costs on the motion judged by; its own: the part of it that no other parameter could make up for; joint: "
-            f"the one that notices most. A difference matters where its own part costs a joint {share(MATTERS, 0)} or more of the error left as built. Shared: only the "
-            "whole costs as much, and the parameters named could make up for it; the recording tells their sum, not each."
-        )
-    return Table(tuple(heads), tuple(rows), title="Base parameters", notes=tuple(notes))
-
-
-def _torque_cells(parameter: ComparedParameter) -> list[Cell]:
-    if parameter.torque is None or parameter.torque_total is None or parameter.torque_own is None:
-        return [None, None, "", ""]
-    own = parameter.torque_own / parameter.torque_total if parameter.torque_total else None
-    felt = f"{1 + int(np.argmax(parameter.torque))}" if parameter.torque_total else ""
-    return [
-        Shown(parameter.torque_total, significant(parameter.torque_total)),
-        Shown(own, share(own, 0)),
-        felt,
-        "yes" if parameter.matters else f"shared with {', '.join(parameter.shared_with)}" if parameter.shared_with else "no",
-    ]
-
-
-def _outcome(parameter: ComparedParameter) -> str:
-    if parameter.verdict == "differs":
-        return "DIFFERS"
-    return deviation(parameter.sigmas, np.inf) if parameter.verdict == "agrees" else parameter.verdict
 
 
 def _chi_square(test: ChiSquare) -> str:

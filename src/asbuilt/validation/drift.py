@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from asbuilt.errors import ResultError
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, rounded, significant, stacked
 from asbuilt.tables import share as percentage
-from asbuilt.validation.comparison import FALSE_DISCOVERY_RATE, MATTERS, recording_name
+from asbuilt.validation.compared_parameter import matters_text
+from asbuilt.validation.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import design_values, torque_units
 from asbuilt.validation.significance import (
@@ -138,7 +139,7 @@ class Drift:
                     Shown(each.sigmas, outcome) if each.sigmas is not None else outcome,
                     Shown(each.torque_total, significant(each.torque_total)),
                     each.felt_at if each.felt_at is not None else "",
-                    _matters(each),
+                    matters_text(each.matters, each.shared_with),
                 )
             )
         note = (
@@ -230,10 +231,9 @@ def compare_results(
         joints = _joint_changes(after, names, difference, covariance)
     words = in_words(after.base)
     changed = tests[2] <= level
-    noticed, own = np.zeros((2, len(names)), dtype=bool)
+    own = np.zeros(len(names), dtype=bool)
     if cost is not None and left is not None:
-        noticed = np.any(cost.torque[two] >= MATTERS * left, axis=1)
-        own = np.any(cost.own_part[two, None] * cost.torque[two] >= MATTERS * left, axis=1)
+        own = cost.noticed(left, alone=True)[two]
     changes = tuple(
         ParameterChange(
             id=int(after.base.ids[j]),
@@ -253,9 +253,7 @@ def compare_results(
             changed=bool(changed[place]),
             matters=None if cost is None else bool(changed[place] and own[place]),
             words=words[j],
-            shared_with=()
-            if cost is None or own[place] or not (noticed[place] and changed[place])
-            else tuple(after.base.names[k] for k in cost.partners[j]),
+            shared_with=() if cost is None or left is None or not changed[place] else cost.shared_with(int(j), left, after.base.names),
         )
         for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
     )
@@ -313,12 +311,6 @@ def _torque_sentence(joints: tuple[JointChange, ...], level: float) -> tuple[str
         if said
         else "The torque of the same motion changed at no joint beyond doubt.",
     )
-
-
-def _matters(change: ParameterChange) -> str:
-    if change.matters is None:
-        return ""
-    return "yes" if change.matters else f"shared with {', '.join(change.shared_with)}" if change.shared_with else "no"
 
 
 def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]) -> tuple[str, ...]:

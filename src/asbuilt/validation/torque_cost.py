@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,8 @@ Array = NDArray[np.float64]
 
 TOLD = 1e-10
 """Squared singular value, relative to the largest with columns scaled alike, below which a direction makes no torque."""
+MATTERS = 0.5
+"""Torque that a difference costs a joint, in multiples of the error left there as built, from which it matters: the error would grow by an eighth."""
 ABLE = 0.2
 """Torque that a partner puts in place of a parameter's, as a part of it, from which it is named,"""
 MOST_PARTNERS = 2
@@ -44,6 +47,16 @@ class TorqueCost:
     def own_part(self) -> Array:
         """The part of the torque of each difference that is its own, (p,): 1 where no other parameter could make up for any of it."""
         return np.divide(self.own, self.total, out=np.zeros_like(self.own), where=self.total > 0)
+
+    def noticed(self, left: Array, *, alone: bool = False) -> NDArray[np.bool_]:
+        """Whether a difference matters to some joint, (p,), beside the errors `left` (n,) there; `alone` counts only what is the parameter's own."""
+        torque = self.torque * self.own_part[:, None] if alone else self.torque
+        return np.asarray(np.any(torque >= MATTERS * left, axis=1))
+
+    def shared_with(self, j: int, left: Array, names: Sequence[str]) -> tuple[str, ...]:
+        """Return the names of the partners of a parameter whose difference matters, but not alone; none of another."""
+        shared = self.noticed(left)[j] and not self.noticed(left, alone=True)[j]
+        return tuple(names[k] for k in self.partners[j]) if shared else ()
 
 
 def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array) -> TorqueCost:

@@ -9,7 +9,8 @@ from markupsafe import Markup
 from asbuilt.identification.determination import Determination
 from asbuilt.tables import share
 from asbuilt.validation.attribution import Attribution
-from asbuilt.validation.comparison import Comparison, parameter_table, recording_name
+from asbuilt.validation.compared_parameter import parameter_table
+from asbuilt.validation.comparison import Comparison, recording_name
 from asbuilt.writers.cause_figures import attribution_figure, difference_figure, figure_address
 from asbuilt.writers.report import CITATION, Finding, _environment, _resource, _version
 

@@ -26,7 +26,8 @@ from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Table, beside, deviation, percent, rounded, share, significant
 from asbuilt.validation.attribution import Attribution, attribute
-from asbuilt.validation.comparison import ComparedParameter, Comparison, compare, recording_name
+from asbuilt.validation.compared_parameter import ComparedParameter
+from asbuilt.validation.comparison import Comparison, compare, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.cause_figures import attribution_figure, figure_address
