@@ -41,10 +41,16 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
         np.testing.assert_allclose(cost.own[j], np.linalg.norm(alone * difference[j]) / np.sqrt(len(W)), rtol=1e-3, atol=1e-9)
     assert np.all(cost.own <= cost.total * (1 + 1e-9))
     unit = rows / np.linalg.norm(rows, axis=0)
-    for j in (17, 30, 40):
-        imitation = np.abs(np.linalg.lstsq(np.delete(unit, j, axis=1), unit[:, j], rcond=None)[0])
-        best = int(np.argmax(imitation))
-        assert cost.partners[j][:1] == ((best + (best >= j),) if imitation[best] >= 0.2 else ())
+    for j in range(result.n_base):
+        likeness = np.abs(unit.T @ unit[:, j])
+        likeness[j] = 0.0
+        best = int(np.argmax(likeness))
+        assert cost.partners[j][:1] == ((best,) if likeness[best] ** 2 >= 0.25 else ())
+        for two in (cost.partners[j],) if len(cost.partners[j]) == 2 else ():
+            one_left, both_left = (
+                unit[:, j] - unit[:, places] @ np.linalg.lstsq(unit[:, places], unit[:, j], rcond=None)[0] for places in (two[:1], two)
+            )
+            assert both_left @ both_left <= 0.75 * (one_left @ one_left)
 
 
 def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself() -> None:

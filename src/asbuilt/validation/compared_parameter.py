@@ -22,7 +22,7 @@ class ComparedParameter:
     `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque`
     is what the difference costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up
     for; None without evidence. `matters` says whether some joint would notice that part; where it would notice only the whole, `shared_with` names the parameters that could
-    make up for it, and the recording tells no more than their sum.
+    make up for the rest, which the recording hardly tells apart.
     """
 
     id: int
@@ -106,7 +106,7 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, level: float, un
         notes.append(
             "torque: RMS over all joints that the difference costs on the motion judged by; its own: the part of it that no other parameter could make up for; joint: "
             f"the one that notices most. A difference matters where its own part costs a joint {share(MATTERS, 0)} or more of the error left as built. Shared: only the "
-            "whole costs as much, and the parameters named could make up for it; the recording tells their sum, not each."
+            "whole costs as much, and the parameters named could make up for the rest; this recording hardly tells them apart."
         )
     return Table(tuple(heads), tuple(rows), title="Base parameters", notes=tuple(notes))
 

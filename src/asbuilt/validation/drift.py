@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+TELLING_GROWTH = 3.0
+"""Relative change beyond which it is said in numbers alone: what was next to nothing has grown beyond measure."""
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
@@ -144,7 +147,7 @@ class Drift:
             )
         note = (
             "std err: of the difference, both errors together; torque: RMS over all joints that the change makes on the motion the later result was judged by; joint: the one that "
-            "notices most. A change matters where it is beyond doubt and its own part is noticed; shared: others could make up for it, and only their sum is told."
+            "notices most. A change matters where it is beyond doubt and its own part is noticed; shared: those named could make up for the rest, and this recording hardly tells them apart."
         )
         return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
 
@@ -324,8 +327,9 @@ def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]
             change = by_name.get(f"{letter}{k + 1}")
             if change is None or not change.changed:
                 continue
-            relative = f" ({100 * (change.after / change.before - 1):+.0f} %)" if change.before > 3 * change.before_error else ""
-            traded = f", though only its sum with {' and '.join(change.shared_with)} is told" if change.shared_with else ""
+            growth = change.after / change.before - 1 if change.before > 3 * change.before_error else np.inf
+            relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= TELLING_GROWTH else ""
+            traded = f", some of which {' and '.join(change.shared_with)} could make up for" if change.shared_with else ""
             parts.append(f"{what} {significant(change.before)} to {significant(change.after)} {change.unit}{relative}{traded}")
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")

@@ -21,10 +21,11 @@ TOLD = 1e-10
 """Squared singular value, relative to the largest with columns scaled alike, below which a direction makes no torque."""
 MATTERS = 0.5
 """Torque that a difference costs a joint, in multiples of the error left there as built, from which it matters: the error would grow by an eighth."""
-ABLE = 0.2
-"""Torque that a partner puts in place of a parameter's, as a part of it, from which it is named,"""
+ABLE = 0.25
+"""Part of the squared torque of a parameter, or of what another partner leaves of it, that a partner makes up for, from which it is named,"""
 MOST_PARTNERS = 2
 """and how many are."""
+SEVERAL = "several others"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +55,9 @@ class TorqueCost:
         return np.asarray(np.any(torque >= MATTERS * left, axis=1))
 
     def shared_with(self, j: int, left: Array, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of the partners of a parameter whose difference matters, but not alone; none of another."""
+        """Return the names of the partners of a parameter whose difference matters, but not alone, `SEVERAL` where it takes more than a few; none of another."""
         shared = self.noticed(left)[j] and not self.noticed(left, alone=True)[j]
-        return tuple(names[k] for k in self.partners[j]) if shared else ()
+        return (tuple(names[k] for k in self.partners[j]) or (SEVERAL,)) if shared else ()
 
 
 def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array) -> TorqueCost:
@@ -72,7 +73,6 @@ def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array
     scaled = stacked[:, present] / length[present]
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
     kept = eigenvalues > TOLD * eigenvalues.max(initial=0.0)
-    inverse = (vectors / np.maximum(eigenvalues, TOLD * eigenvalues.max(initial=0.0))) @ vectors.T
     variance = np.sum(vectors[:, kept] ** 2 / eigenvalues[kept], axis=1)
     hidden = np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6
     own = np.zeros(len(d))
@@ -82,18 +82,28 @@ def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array
         total=np.sqrt(np.sum(torque**2, axis=1)),
         own=own,
         together=np.array([np.linalg.norm(W @ d) for W in rows]) / np.sqrt(n),
-        partners=_partners(np.flatnonzero(present), inverse, len(d)),
+        partners=_partners(np.flatnonzero(present), scaled.T @ scaled, len(d)),
     )
 
 
-def _partners(present: NDArray[np.int64], inverse: Array, p: int) -> tuple[tuple[int, ...], ...]:
-    """Return for each of p columns those that imitate it best, from the inverse of the Gram matrix of the columns present, each of length 1.
+def _partners(present: NDArray[np.int64], gram: Array, p: int) -> tuple[tuple[int, ...], ...]:
+    """Return for each of p columns those that together imitate it best, one after the other, from the Gram matrix of the columns present, each of length 1.
 
-    The least-squares imitation of column j by the others has the coefficients `-inverse_jk / inverse_jj`.
+    Orthogonal matching pursuit: each next column is the one most like what the others leave (Pati, Rezaiifar & Krishnaprasad, Asilomar 1993).
     """
     found: list[tuple[int, ...]] = [()] * p
-    for place, row in zip(present, inverse, strict=True):
-        work = np.where(present == place, 0.0, np.abs(row) / row[present == place])
-        order = np.argsort(-work)[:MOST_PARTNERS]
-        found[place] = tuple(int(present[k]) for k in order if work[k] >= max(ABLE, 0.5 * work[order[0]]))
+    for j, place in enumerate(present):
+        chosen: list[int] = []
+        left = 1.0
+        for _ in range(MOST_PARTNERS):
+            weights = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], gram[chosen, j], rcond=None)[0]
+            likeness = np.abs(gram[:, j] - gram[:, chosen] @ weights)
+            likeness[[j, *chosen]] = 0.0
+            best = int(np.argmax(likeness))
+            together = [*chosen, best]
+            remaining = 1.0 - float(gram[j, together] @ np.linalg.lstsq(gram[np.ix_(together, together)], gram[together, j], rcond=None)[0])
+            if left - remaining < ABLE * left:
+                break
+            chosen, left = together, remaining
+        found[place] = tuple(int(present[k]) for k in chosen)
     return tuple(found)
