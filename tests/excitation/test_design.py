@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from asbuilt.excitation.attained import information_efficiency
 from asbuilt.excitation.design import design_motion, position_of
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.multistart import Candidate, Deadline, search_all
 from asbuilt.excitation.precision import design_for_precision, predicted_precision
 from asbuilt.excitation.random_motion import random_fourier
 
@@ -192,3 +194,19 @@ def test_a_recording_is_told_how_much_it_carries(arm) -> None:
     still = information_efficiency(model, DRIVE, held)
     assert still.d_efficiency == 0
     assert still.by_joint[1] == 0
+
+
+def test_a_search_whose_time_is_up_still_has_an_answer() -> None:
+    """The first search runs, no other does; a deadline that has been reached by then is the searches' own to look at."""
+    ran: list[int] = []
+
+    def numbered(number: int) -> Callable[[], Candidate]:
+        def search() -> Candidate:
+            ran.append(number)
+            return Candidate(number, np.zeros((1, 1)), float(number))
+
+        return search
+
+    found = search_all([numbered(k) for k in range(5)], Deadline(0.0), threads=1)
+    assert ran == [0]
+    assert [candidate.number for candidate in found] == [0]

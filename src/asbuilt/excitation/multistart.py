@@ -73,7 +73,7 @@ def search_all(
 ) -> list[Candidate]:
     """Run the searches, best first in the answer; a keyboard interrupt or the deadline ends them early and keeps what they have.
 
-    Each search must look at the deadline itself. The order does not depend on timing: equal values are ordered by number.
+    Each search must look at the deadline itself; the first begins even where the time is up, so that there is an answer however slow the machine. The order does not depend on timing: equal values are ordered by number.
     """
     found: list[Candidate] = []
     count = min(len(searches), threads or cores())
@@ -82,7 +82,7 @@ def search_all(
         pending: set[Future[Candidate]] = set()
         try:
             while True:
-                while len(pending) < count and not deadline():
+                while len(pending) < count and not (deadline() and (found or pending)):
                     following = next(waiting, None)
                     if following is None:
                         break
