@@ -13,7 +13,8 @@ from chromium import chromium
 
 from asbuilt.validation.comparison import compare
 from asbuilt.validation.prediction import validate
-from asbuilt.writers.report import report_html, verdict, write_report
+from asbuilt.writers.report import report_html, write_report
+from asbuilt.writers.report_verdict import verdict
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "line", "circle"}
 

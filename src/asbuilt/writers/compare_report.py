@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from markupsafe import Markup
-
 from asbuilt.identification.determination import Determination
 from asbuilt.tables import share
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.compared_parameter import parameter_table
 from asbuilt.validation.comparison import Comparison, recording_name
 from asbuilt.writers.cause_figures import attribution_figure, difference_figure, figure_address
-from asbuilt.writers.report import CITATION, Finding, _environment, _resource, _version
+from asbuilt.writers.page import page, table_markup
+from asbuilt.writers.report_verdict import Finding
 
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
@@ -22,8 +21,8 @@ def comparison_html(
     result: IdentificationResult, comparison: Comparison, attribution: Attribution | None, determination: Determination
 ) -> str:
     """Return the page as text; it asks the network for nothing, and every name in it is escaped."""
-    page = _environment().get_template("comparison.html.j2")
-    return page.render(
+    return page(
+        "comparison.html.j2",
         title=f"{result.robot}: CAD against as built",
         robot=result.robot,
         cad=comparison.cad_source,
@@ -33,18 +32,15 @@ def comparison_html(
         comparison=comparison,
         attribution=attribution,
         determination=determination,
-        torque_table=Markup(comparison.torque_table().as_html("torque-table")) if comparison.torque else "",
-        joint_table="" if attribution is None else Markup(attribution.joint_table(comparison.torque[0][1].rms).as_html("joint-table")),
-        share_table="" if attribution is None else Markup(attribution.share_table().as_html("shares")),
-        step_table="" if attribution is None else Markup(attribution.step_table().as_html("steps")),
-        parameter_table=Markup(
-            parameter_table(comparison.ranked, level=comparison.level, units=comparison.units, width=None).as_html("parameters-by-torque")
+        torque_table=table_markup(comparison.torque_table(), "torque-table") if comparison.torque else "",
+        joint_table="" if attribution is None else table_markup(attribution.joint_table(comparison.torque[0][1].rms), "joint-table"),
+        share_table="" if attribution is None else table_markup(attribution.share_table(), "shares"),
+        step_table="" if attribution is None else table_markup(attribution.step_table(), "steps"),
+        parameter_table=table_markup(
+            parameter_table(comparison.ranked, level=comparison.level, units=comparison.units, width=None), "parameters-by-torque"
         ),
         attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
         difference_image="" if attribution is None else figure_address(difference_figure(comparison)),
-        citation=CITATION,
-        version=_version(),
-        style=Markup(_resource("report.css")),
     )
 
 

@@ -9,48 +9,32 @@ import math
 import os
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
 from asbuilt.identification.determination import determination
-from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
-from asbuilt.tables import Table, beside, deviation, percent, rounded, share, significant
+from asbuilt.tables import beside, deviation, percent, rounded, share, significant
 from asbuilt.validation.attribution import Attribution, attribute
 from asbuilt.validation.compared_parameter import ComparedParameter
-from asbuilt.validation.comparison import Comparison, compare, recording_name
+from asbuilt.validation.comparison import compare, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.cause_figures import attribution_figure, figure_address
 from asbuilt.writers.files import atomic_write
+from asbuilt.writers.page import page, resource, table_markup
+from asbuilt.writers.report_verdict import verdict
 from asbuilt.writers.thinning import thinned
 
 Array = NDArray[np.float64]
-Mood = Literal["good", "bad", "neutral"]
 
 CURVE_POINTS = 120_000
 """Points of all torque curves of a page together; each joint of each recording gets its share, 400 to 2500."""
-
-CITATION = "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic identification of manipulator: comparison between CAD and actual parameters, iNaCoMM 2015."
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One statement of the verdict: a figure, what it is, and a sentence in plain words."""
-
-    mood: Mood
-    figure: str
-    label: str
-    sentence: str
 
 
 def write_report(
@@ -85,8 +69,8 @@ def report_html(
     shown = [*validations, *fitted]
     analyses = [item.residuals() for item in shown]
     labels = [recording_name(item.source) + ("" if place < len(validations) else ", used for fitting") for place, item in enumerate(shown)]
-    page = _environment().get_template("report.html.j2")
-    return page.render(
+    return page(
+        "report.html.j2",
         title=f"{result.robot}, as built",
         robot=result.robot,
         result=result,
@@ -94,93 +78,20 @@ def report_html(
         findings=verdict(result, comparison),
         comparison=comparison,
         parameters=[_parameter_row(parameter) for parameter in comparison.parameters],
-        torque_table=_table(comparison.torque_table(), "torque-table"),
+        torque_table=table_markup(comparison.torque_table(), "torque-table"),
         sources=", ".join(recording_name(source) for source in result.sources),
         determination=determination(result),
         attribution=attribution,
         attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
-        share_table="" if attribution is None else _table(attribution.share_table(), "shares"),
+        share_table="" if attribution is None else table_markup(attribution.share_table(), "shares"),
         labels=labels,
         residual_rows=[_residual_rows(item, analysis) for item, analysis in zip(shown, analyses, strict=True)],
         data=_page_data(result, shown, analyses),
         command=shlex.join(command),
-        citation=CITATION,
         robot_citation=result.model.citation,
-        version=_version(),
-        style=Markup(_resource("report.css")),
-        script=Markup(_resource("report.js")),
+        script=resource("report.js"),
         plotly=Markup(get_plotlyjs()),
     )
-
-
-def verdict(result: IdentificationResult, comparison: Comparison) -> tuple[Finding, ...]:
-    """Return what a reader must know first, each with its sentence."""
-    return (_prediction(result, comparison), _consistency(result), _determination(result), _difference(comparison))
-
-
-def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding:
-    cad, built = comparison.torque[0]
-    error = share(built.relative_error)
-    weak = _weakest_joint(built)
-    source = recording_name(built.source)
-    if not result.validation:
-        return Finding(
-            "neutral",
-            error,
-            "torque error, on the data fitted",
-            f"No recording was held out, so {error} is the error on the data used for fitting and says little about other motion.{weak}",
-        )
-    if cad is None or not cad.relative_error > 0:
-        return Finding("neutral", error, "torque error, held out", f"The error on {source} is {error} of the measured torque.{weak}")
-    factor = cad.relative_error / built.relative_error if built.relative_error > 0 else math.inf
-    against = f"{share(cad.relative_error)} by design"
-    if factor >= 1.0:
-        sentence = f"On {source}, not used for fitting, the torque error falls from {against} to {error} as built: {significant(factor, 2)} times smaller."
-        return Finding("good", error, f"torque error held out, against {against}", sentence + weak)
-    sentence = f"On {source}, not used for fitting, the identified model predicts WORSE than the design: {error} against {against}."
-    return Finding(
-        "bad", error, f"torque error held out, against {against}", sentence + " Do not use it as it is; see the warnings." + weak
-    )
-
-
-def _weakest_joint(metrics: TorqueMetrics) -> str:
-    relative = metrics.relative_error_per_joint
-    if not np.any(np.isfinite(relative)):
-        return ""
-    worst = int(np.nanargmax(relative))
-    return f" Joint {metrics.joint_names[worst]} is predicted worst: its error is {share(float(relative[worst]), 0)} of its own torque."
-
-
-def _consistency(result: IdentificationResult) -> Finding:
-    if result.physically_consistent is None:
-        return Finding("neutral", "not checked", "physical consistency", "Whether rigid bodies can have these parameters was not checked.")
-    if result.physically_consistent:
-        return Finding("good", "consistent", "physically", "Rigid bodies with these parameters exist, so a simulator can use the model.")
-    sentence = "NO rigid bodies have these parameters: torques are predicted well enough, but a simulator may become unstable. Fit with consistency imposed."
-    return Finding("bad", "inconsistent", "physically", sentence)
-
-
-def _determination(result: IdentificationResult) -> Finding:
-    figure, lost = f"{result.rank} of {result.n_base}", result.n_base - result.rank
-    poor = sum(parameter.poorly_determined for parameter in result.parameters)
-    if lost <= 0 and poor == 0:
-        return Finding("good", figure, "parameters determined", "This recording excites every base parameter.")
-    if lost <= 0:
-        sentence = f"This recording excites every base parameter, {poor} of them poorly: their errors are large beside their values."
-        return Finding("neutral", figure, f"parameters determined, {poor} poorly", sentence)
-    sentence = (
-        f"This recording leaves {lost} combination{'s' if lost > 1 else ''} of parameters undetermined; they lean on the design values."
-    )
-    return Finding("bad", figure, "parameters determined", sentence)
-
-
-def _difference(comparison: Comparison) -> Finding:
-    figure = f"{comparison.n_differing} of {comparison.n_compared}"
-    sentence = (
-        f"{comparison.n_differing} of the {comparison.n_compared} parameters that have a design value and are determined differ from it "
-        f"({comparison.rule()})."
-    )
-    return Finding("neutral", figure, "parameters differ from the design", sentence)
 
 
 def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
@@ -312,31 +223,3 @@ def _joint_data(validation: Validation, analysis: ResidualAnalysis, friction: Ve
 
 def _listed(values: Array, digits: int = 5) -> list[float | None]:
     return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
-
-
-def _table(table: Table, identifier: str) -> Markup:
-    return Markup(table.as_html(identifier))
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("asbuilt.writers", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["share"] = share
-    return environment
-
-
-def _resource(name: str) -> str:
-    return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8")
-
-
-def _version() -> str:
-    try:
-        return version("asbuilt")
-    except PackageNotFoundError:
-        return "unknown version"
