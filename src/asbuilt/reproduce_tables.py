@@ -11,7 +11,8 @@ import numpy as np
 from asbuilt.reproduce import Reproduction
 from asbuilt.tables import Cell, Column, Table
 from asbuilt.validation.prediction import Validation
-from asbuilt.writers.figures import save_figure, torque_figure
+from asbuilt.writers.figure_style import save_figure
+from asbuilt.writers.figures import torque_figure
 from asbuilt.writers.files import atomic_write
 
 SOURCE = "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator: Comparison between CAD and Actual Parameters, iNaCoMM 2015-94"

@@ -49,7 +49,7 @@ def test_a_robot_as_designed_needs_no_cause() -> None:
     found = attribute(identified(ARM, ""))
     assert found.chosen == ()
     assert found.shares == ()
-    assert all(line.endswith("which no cause explains.") for line in found.sentences)
+    assert all(line.endswith("no cause explains it.") for line in found.sentences)
 
 
 def test_sizes_are_those_of_the_causes() -> None:

@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 from asbuilt.errors import UsageError
 from asbuilt.validation.prediction import validate
+from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.figures import (
     friction_figure,
     parameter_figure,
     residual_figure,
-    save_figure,
     singular_value_figure,
     torque_figure,
 )

@@ -74,8 +74,7 @@ def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) 
     """Say by how much CAD is off at joint k and of what that is made; `left` is the share that stays unexplained."""
     unit = torque_units(fits.result.model)[k]
     head = f"{fits.evidence.joint_names[k]}: CAD is off by {significant(float(fits.fit(frozenset()).rms[k]))} {unit} RMS"
-    said = reason(fits, k, shares, left)
-    return f"{head}, {said}." if said.endswith("explains") else f"{head}; {said}."
+    return f"{head}; {reason(fits, k, shares, left)}."
 
 
 def reason(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
@@ -85,7 +84,7 @@ def reason(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) ->
         for sign in (1, -1)
     )
     if not with_it or left > MOSTLY:
-        return f"{'which' if left > 1.0 - WORTH_SAYING else 'most of which'} no cause explains"
+        return f"no cause explains {'it' if left > 1.0 - WORTH_SAYING else 'most of it'}"
     parts = [f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in with_it]
     parts[0] = parts[0].replace(" % ", " % of the squared error is ", 1)
     opposed = ", ".join(f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in against)
@@ -107,11 +106,7 @@ def _amount(fits: CauseFits, cause: str, k: int) -> str:
         return f"what {body} would do" if "links" in fit.causes else body
     if cause == "friction":
         stated = any(name in names and fits.design[names.index(name)] for name in (f"Fc{k + 1}", f"Fv{k + 1}"))
-        coulomb, viscous, per_speed = value("Fc"), value("Fv"), f"{unit} {'s/rad' if unit == 'N m' else 's/m'}"
-        known = ((f"Coulomb {significant(coulomb, 2)} {unit}", coulomb), (f"viscous {significant(viscous, 2)} {per_speed}", viscous > 0))
-        sizes = ", ".join(
-            text for text, told in (*known, (f"falling with speed by {significant(-viscous, 2)} {per_speed}", viscous < 0)) if told
-        )
+        sizes = _friction_sizes(value("Fc"), value("Fv"), unit)
         return f"friction ({sizes}{' beside that of CAD' if stated else ''})" if sizes else "friction"
     if cause == "offset":
         return f"an offset of {significant(value('Fo'), 2)} {unit}"
@@ -122,6 +117,15 @@ def _amount(fits: CauseFits, cause: str, k: int) -> str:
     if cause == "mounting":
         return f"mounting askew ({significant(float(np.rad2deg(np.hypot(*fit.values[fits.columns['mounting']]))), 2)} deg)"
     return CAUSES[cause]
+
+
+def _friction_sizes(coulomb: float, viscous: float, unit: str) -> str:
+    """Return Coulomb and viscous friction in words, what is zero left out."""
+    per_speed = f"{unit} {'s/rad' if unit == 'N m' else 's/m'}"
+    parts = [f"Coulomb {significant(coulomb, 2)} {unit}"] if coulomb else []
+    if viscous:
+        parts.append(f"{'viscous' if viscous > 0 else 'falling with speed by'} {significant(abs(viscous), 2)} {per_speed}")
+    return ", ".join(parts)
 
 
 def _axis(axis: Array) -> str:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -12,7 +9,7 @@ from asbuilt.tables import significant
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.causes import CAUSES
 from asbuilt.validation.comparison import Comparison
-from asbuilt.writers.figures import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, blank_figure, broken, headline, styled
+from asbuilt.writers.figure_style import AS_BUILT, BLUE, GREEN, GREY, INK, ORANGE, QUIET, blank_figure, broken, headline, styled
 
 CAUSE_COLOURS: dict[str, str] = {
     "offset": "#F0E442",
@@ -26,7 +23,6 @@ CAUSE_COLOURS: dict[str, str] = {
 }
 """One colour per cause, after Okabe and Ito (2008)."""
 UNEXPLAINED = "#D5D9DE"
-QUIET = "#5F656D"
 LABELLED = 0.09
 """Share from which there is room for its number."""
 
@@ -130,11 +126,3 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
         axis.legend(loc="lower right", title="pale: what others could make up for", title_fontsize=8)
         headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
     return figure
-
-
-def figure_address(figure: Figure) -> str:
-    """Return a figure as a `data:` address that a page carries in itself; equal figures give equal texts."""
-    stream = io.BytesIO()
-    with styled():
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

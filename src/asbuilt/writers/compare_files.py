@@ -13,7 +13,7 @@ from asbuilt.validation.comparison import Comparison
 from asbuilt.validation.drift import Drift
 from asbuilt.writers.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.compare_report import comparison_html
-from asbuilt.writers.figures import save_figure
+from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.files import atomic_write
 
 if TYPE_CHECKING:

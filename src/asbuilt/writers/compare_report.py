@@ -9,7 +9,8 @@ from asbuilt.tables import share
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.compared_parameter import parameter_table
 from asbuilt.validation.comparison import Comparison, recording_name
-from asbuilt.writers.cause_figures import attribution_figure, difference_figure, figure_address
+from asbuilt.writers.cause_figures import attribution_figure, difference_figure
+from asbuilt.writers.figure_style import figure_address
 from asbuilt.writers.page import page, table_markup
 from asbuilt.writers.report_verdict import Finding
 

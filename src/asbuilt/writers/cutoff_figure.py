@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from asbuilt.tables import significant
 from asbuilt.validation.cutoff_sweep import CutoffSweep
-from asbuilt.writers.figures import BLUE, GREEN, GREY, VERMILION, blank_figure, headline, styled
+from asbuilt.writers.figure_style import BLUE, GREEN, GREY, VERMILION, blank_figure, headline, styled
 
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:

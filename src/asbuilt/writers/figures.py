@@ -1,90 +1,40 @@
-"""Figures for papers and reports, drawn with matplotlib's objects, without a global figure.
-
-Colours are those of Okabe and Ito (2008), told apart by the colour-blind and in grey.
-"""
+"""Figures for papers and reports, drawn with matplotlib's objects, without a global figure."""
 
 from __future__ import annotations
 
-import io
-import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.errors import UsageError
 from asbuilt.experiment.free_motion import FreeMotion
 from asbuilt.tables import plus_minus, shortened, significant
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.figure_style import (
+    AS_BUILT,
+    BLUE,
+    CAD,
+    GREEN,
+    INK,
+    MEASURED,
+    ORANGE,
+    VERMILION,
+    blank_figure,
+    broken,
+    headline,
+    styled,
+)
 from asbuilt.writers.thinning import thinned
 
 Array = NDArray[np.float64]
 
-BLUE, VERMILION, GREEN, ORANGE, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#8A8F98", "#22262B"
-MEASURED, AS_BUILT, CAD = BLUE, VERMILION, GREY
 POINTS = 4000
 """About how many points a curve is drawn with."""
-
-FORMATS = ("png", "svg", "pdf")
-
-_STYLE: dict[Any, Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 8.5,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.labelsize": 8.5,
-    "axes.edgecolor": "#9AA0A6",
-    "axes.labelcolor": INK,
-    "axes.linewidth": 0.7,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#E4E7EB",
-    "grid.linewidth": 0.6,
-    "xtick.color": "#5F656D",
-    "ytick.color": "#5F656D",
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "text.color": INK,
-    "text.parse_math": False,
-    "legend.frameon": False,
-    "legend.fontsize": 8.5,
-    "lines.linewidth": 1.0,
-    "lines.solid_joinstyle": "round",
-    "agg.path.chunksize": 0,
-    "path.simplify": False,
-    "svg.fonttype": "path",
-    "svg.hashsalt": "asbuilt",
-    "pdf.fonttype": 42,
-}
-
-
-def broken(name: str, width: int) -> str:
-    r"""Return a name on as few lines as its underscores and spaces allow within `width` characters, three at most, what is longer cut.
-
-    >>> broken("shoulder_lift_joint", 14)
-    'shoulder_lift_\njoint'
-    """
-    lines = [""]
-    for part in name.replace("_", "_ ").replace("  ", " ").split(" "):
-        joined = lines[-1] + ("" if lines[-1].endswith("_") or not lines[-1] else " ") + part
-        if len(joined) <= width or not lines[-1]:
-            lines[-1] = joined
-        else:
-            lines.append(part)
-    return "\n".join(shortened(line, width) for line in lines[:3])
 
 
 def torque_figure(
@@ -350,38 +300,6 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         legend.set_alignment("left")
         headline(figure, title or f"{model.name}: {motion.release}")
     return figure
-
-
-def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160) -> Path:
-    """Write a figure whole, as PNG, SVG or PDF after its suffix; equal figures give equal bytes."""
-    suffix = Path(path).suffix.lower().lstrip(".")
-    if suffix not in FORMATS:
-        raise UsageError(f"cannot tell the format of figure {str(path)!r} from its suffix; use .{', .'.join(FORMATS)}")
-    stream = io.BytesIO()
-    dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
-    with styled():
-        figure.savefig(stream, format=suffix, dpi=dpi, metadata=dateless)
-    return atomic_write(path, stream.getvalue())
-
-
-@contextmanager
-def styled() -> Iterator[None]:
-    """Draw in the house style within this context."""
-    with mpl.rc_context(_STYLE):
-        yield
-
-
-def blank_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size [inch] that knows how to save itself."""
-    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def headline(figure: Figure, title: str) -> None:
-    """Put a title over the whole figure, if there is one."""
-    if title:
-        figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
 
 
 def _joint_labels(joint_names: Sequence[str], n: int) -> list[str]:

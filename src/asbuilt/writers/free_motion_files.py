@@ -12,7 +12,8 @@ import polars as pl
 
 from asbuilt.experiment.free_motion import FreeMotion
 from asbuilt.tables import significant
-from asbuilt.writers.figures import energy_figure, save_figure
+from asbuilt.writers.figure_style import save_figure
+from asbuilt.writers.figures import energy_figure
 from asbuilt.writers.files import atomic_write
 
 WHAT = {

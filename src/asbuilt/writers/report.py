@@ -25,7 +25,8 @@ from asbuilt.validation.compared_parameter import ComparedParameter
 from asbuilt.validation.comparison import compare, recording_name
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
-from asbuilt.writers.cause_figures import attribution_figure, figure_address
+from asbuilt.writers.cause_figures import attribution_figure
+from asbuilt.writers.figure_style import figure_address
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.page import page, resource, table_markup
 from asbuilt.writers.report_verdict import verdict

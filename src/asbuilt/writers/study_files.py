@@ -16,7 +16,8 @@ from asbuilt.writers.as_built import as_built_model, keeping_described_drives
 from asbuilt.writers.cutoff_figure import cutoff_figure
 from asbuilt.writers.drive_tables import motor_side_table
 from asbuilt.writers.export import urdf_to_edit
-from asbuilt.writers.figures import save_figure, torque_figure
+from asbuilt.writers.figure_style import save_figure
+from asbuilt.writers.figures import torque_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.report import write_report

@@ -1,0 +1,116 @@
+"""How figures look and are kept: colours, the house style, empty figures with a headline, files and addresses.
+
+Colours are those of Okabe and Ito (2008), told apart by the colour-blind and in grey.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from asbuilt.errors import UsageError
+from asbuilt.tables import shortened
+from asbuilt.writers.files import atomic_write
+
+BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#8A8F98", "#22262B", "#5F656D"
+MEASURED, AS_BUILT, CAD = BLUE, VERMILION, GREY
+
+FORMATS = ("png", "svg", "pdf")
+
+_STYLE: dict[Any, Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.edgecolor": "#9AA0A6",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E7EB",
+    "grid.linewidth": 0.6,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "text.color": INK,
+    "text.parse_math": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.0,
+    "lines.solid_joinstyle": "round",
+    "agg.path.chunksize": 0,
+    "path.simplify": False,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "asbuilt",
+    "pdf.fonttype": 42,
+}
+
+
+def broken(name: str, width: int) -> str:
+    r"""Return a name on as few lines as its underscores and spaces allow within `width` characters, three at most, what is longer cut.
+
+    >>> broken("shoulder_lift_joint", 14)
+    'shoulder_lift_\njoint'
+    """
+    lines = [""]
+    for part in name.replace("_", "_ ").replace("  ", " ").split(" "):
+        joined = lines[-1] + ("" if lines[-1].endswith("_") or not lines[-1] else " ") + part
+        if len(joined) <= width or not lines[-1]:
+            lines[-1] = joined
+        else:
+            lines.append(part)
+    return "\n".join(shortened(line, width) for line in lines[:3])
+
+
+def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160) -> Path:
+    """Write a figure whole, as PNG, SVG or PDF after its suffix; equal figures give equal bytes."""
+    suffix = Path(path).suffix.lower().lstrip(".")
+    if suffix not in FORMATS:
+        raise UsageError(f"cannot tell the format of figure {str(path)!r} from its suffix; use .{', .'.join(FORMATS)}")
+    stream = io.BytesIO()
+    dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
+    with styled():
+        figure.savefig(stream, format=suffix, dpi=dpi, metadata=dateless)
+    return atomic_write(path, stream.getvalue())
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Draw in the house style within this context."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def blank_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size [inch] that knows how to save itself."""
+    figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def headline(figure: Figure, title: str) -> None:
+    """Put a title over the whole figure, if there is one."""
+    if title:
+        figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
+
+
+def figure_address(figure: Figure) -> str:
+    """Return a figure as a `data:` address that a page carries in itself; equal figures give equal texts."""
+    stream = io.BytesIO()
+    with styled():
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    return "data:image/svg+xml;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
