@@ -27,6 +27,12 @@ def test_robot_as_built_predicts_another_motion_far_better_than_cad(story: Demo)
     assert held.metrics_as_built.relative_error < 0.25 * held.metrics_cad.relative_error
 
 
+def test_it_finds_the_truth(story: Demo) -> None:
+    assert story.recovery is not None
+    assert story.recovery.within(3.0) > 0.9
+    assert story.recovery.torque_error < 0.02 * story.recovery.cad_error
+
+
 def test_the_gripper_is_named_among_the_causes(story: Demo) -> None:
     assert any("kg at the flange" in sentence for sentence in story.causes.sentences)
 
@@ -39,6 +45,10 @@ def test_files_are_there_and_load_again(story: Demo) -> None:
 
 
 def test_it_ends_in_one_screen_and_one_document(story: Demo) -> None:
-    assert str(story.files["report"]) in demo_text(story)
+    screen = demo_text(story)
+    assert str(story.files["report"]) in screen
+    assert len(screen.splitlines()) <= 40
+    assert max(map(len, screen.splitlines())) <= 160 + len(str(story.files["report"]))
+    assert all(path.name in screen for path in story.files.values())
     document = json.loads(json_text(demo_document(story)))
     assert {"excite", "identify", "compare", "files", "seconds"} <= set(document)
