@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,12 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import UsageError
+from asbuilt.writers.c_drives import drive_entries
 from asbuilt.writers.c_dynamics import Mechanism
-from asbuilt.writers.c_expressions import ONE, StraightLine, Term
+from asbuilt.writers.c_expressions import StraightLine, Term
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.sample_states import sample_states
 
@@ -75,7 +75,7 @@ def c_code(
     forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
     chi = _fewest_parameters(model)
     torques = forward.torques(chi)
-    for entry, value in zip(_drive_entries(forward, terms, chi), values, strict=True):
+    for entry, value in zip(drive_entries(forward, terms, chi), values, strict=True):
         for j, column in entry.items():
             torques[j] = forward.code.total((torques[j],), (Term(float(value)), column))
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
@@ -137,89 +137,10 @@ def _regressor(mechanism: Mechanism, base: BaseParameters, terms: DriveSet, para
     inertial = 10 * mechanism.model.n_joints
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
-    drives = _drive_entries(mechanism, terms, parameters)
+    drives = drive_entries(mechanism, terms, parameters)
     for position, column in enumerate(base.columns[len(columns) :], start=len(columns)):
         entries |= {(j, position): entry for j, entry in drives[int(column) - inertial].items()}
     return entries
-
-
-def _drive_entries(mechanism: Mechanism, terms: DriveSet, parameters: Array) -> list[dict[int, Term]]:
-    """Return for each drive parameter the joints that it acts on and its column there; motors that several joints turn act on all of these.
-
-    `parameters` (10 n,) of the links give the load of terms that depend on it.
-    """
-    code, shares = mechanism.code, mechanism.model.motor_shares
-    loads = mechanism.torques(parameters) if terms.needs_load else None
-    entries: list[dict[int, Term]] = []
-    for k in range(mechanism.model.n_joints):
-        for term in terms.at(k).terms:
-            if not term.is_at(k):
-                entries += [{} for _ in term.letters]
-            elif term.key in _MOTOR_COLUMNS:
-                turned = _MOTOR_COLUMNS[term.key](code, {array: _turned(code, array, shares[k]) for array in ("qd", "qdd")})
-                entries.append({j: code.total((Term(float(shares[k, j])), turned)) for j in np.flatnonzero(shares[k]).tolist()})
-            elif term.key in _COLUMNS:
-                entries += [{k: column} for column in _COLUMNS[term.key](code, k)]
-            elif term.key in _SHAPED_COLUMNS:
-                entries.append({k: _SHAPED_COLUMNS[term.key](code, k, term)})
-            elif term.key == "load_friction" and loads is not None:
-                entries.append({k: _load_friction(code, k, loads[k])})
-            else:
-                written = ", ".join((*_COLUMNS, *_SHAPED_COLUMNS, "load_friction", *_MOTOR_COLUMNS))
-                raise UsageError(f"drive term {term.key!r} cannot be written as C yet; written are {written}")
-    return entries
-
-
-def _turned(code: StraightLine, array: str, shares: Array) -> Term:
-    return code.sum(*[Term(float(share), f"{array}[{j}]") for j, share in enumerate(shares)])
-
-
-def _sign(code: StraightLine, rate: Term) -> Term:
-    return code.given(f"(double)(({rate.written()} > 0.0) - ({rate.written()} < 0.0))", rate.name)
-
-
-_COLUMNS: dict[str, Callable[[StraightLine, int], tuple[Term, ...]]] = {
-    "armature": lambda code, j: (Term(1.0, f"qdd[{j}]"),),
-    "viscous": lambda code, j: (Term(1.0, f"qd[{j}]"),),
-    "asymmetric_viscous": lambda code, j: (
-        code.given(f"qd[{j}] > 0.0 ? qd[{j}] : 0.0"),
-        code.given(f"qd[{j}] < 0.0 ? qd[{j}] : 0.0"),
-    ),
-    "quadratic": lambda code, j: (code.given(f"qd[{j}] > 0.0 ? qd[{j}]*qd[{j}] : -qd[{j}]*qd[{j}]"),),
-    "cubic": lambda code, j: (code.given(f"qd[{j}]*qd[{j}]*qd[{j}]"),),
-    "coulomb": lambda code, j: (_sign(code, Term(1.0, f"qd[{j}]")),),
-    "asymmetric_coulomb": lambda code, j: (code.given(f"(double)(qd[{j}] > 0.0)"), -code.given(f"(double)(qd[{j}] < 0.0)")),
-    "spring": lambda code, j: (Term(1.0, f"q[{j}]"),),
-    "balancer": lambda code, j: (code.given(f"sin(q[{j}])"), code.given(f"cos(q[{j}])")),
-    "offset": lambda code, j: (ONE,),
-}
-"""The columns of a drive term on joint j."""
-
-_SHAPED_COLUMNS: dict[str, Callable[[StraightLine, int, DriveTerm], Term]] = {
-    "smooth_coulomb": lambda code, j, term: code.given(f"tanh(qd[{j}]/{_number(term.value('width'))})"),
-    "stribeck": lambda code, j, term: code.total(
-        (
-            _sign(code, Term(1.0, f"qd[{j}]")),
-            code.given(f"exp(-pow(fabs(qd[{j}])/{_number(term.value('velocity'))}, {_number(term.value('power'))}))"),
-        )
-    ),
-    "power": lambda code, j, term: code.total(
-        (_sign(code, Term(1.0, f"qd[{j}]")), code.given(f"pow(fabs(qd[{j}]), {_number(term.value('exponent'))})"))
-    ),
-}
-"""The column of a drive term with shapes on joint j."""
-
-
-def _load_friction(code: StraightLine, j: int, load: Term) -> Term:
-    return code.total((_sign(code, Term(1.0, f"qd[{j}]")), code.given(f"fabs({load.written()})", load.name)))
-
-
-_MOTOR_COLUMNS: dict[str, Callable[[StraightLine, dict[str, Term]], Term]] = {
-    "motor_armature": lambda code, motor: motor["qdd"],
-    "motor_viscous": lambda code, motor: motor["qd"],
-    "motor_coulomb": lambda code, motor: _sign(code, motor["qd"]),
-}
-"""The column of a drive term of a motor, from the motion of the motor."""
 
 
 def _assigned(array: str, values: Sequence[Term]) -> dict[str, Term]:

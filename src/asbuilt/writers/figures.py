@@ -23,6 +23,7 @@ from asbuilt.writers.figure_style import (
     INK,
     MEASURED,
     ORANGE,
+    QUIET,
     VERMILION,
     blank_figure,
     broken,
@@ -139,7 +140,7 @@ def parameter_figure(
             for row, i in zip(place, members, strict=True):
                 unit = f" {units[i].replace('^2', '²')}" if len(units) else ""
                 text = f"{plus_minus(float(estimate[i]), float(std_error[i]))}{unit}"
-                axis.text(1.02, float(row), text, transform=axis.get_yaxis_transform(), fontsize=6.5, va="center", color="#5F656D")
+                axis.text(1.02, float(row), text, transform=axis.get_yaxis_transform(), fontsize=6.5, va="center", color=QUIET)
             axis.set_xlabel("value / largest magnitude of the row")
         _legend_above(axes[0])
         headline(figure, title)
