@@ -21,9 +21,9 @@ from asbuilt.validation.significance import (
     chi_square,
     holm,
     probability_text,
-    size_probability,
     two_sided_probability,
 )
+from asbuilt.validation.torque_change import JointChange, joint_changes, joint_table, torque_sentence
 from asbuilt.validation.torque_cost import torque_cost
 
 if TYPE_CHECKING:
@@ -61,23 +61,6 @@ class ParameterChange:
     matters: bool | None
     words: str = ""
     shared_with: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class JointChange:
-    """What all changes together do to the torque of one joint, on the motion that the later result was judged by, RMS [N m or N].
-
-    `torque` is the change, `by_chance` what the errors of both results alone would make, `torque_of_motion` the torque itself, `p_value` the probability of a change of the
-    torque's size by chance, and `holm` the same allowing for the number of joints. It does not matter here which parameters trade off with each other.
-    """
-
-    joint: str
-    unit: str
-    torque: float
-    by_chance: float
-    torque_of_motion: float
-    p_value: float
-    holm: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,28 +137,7 @@ class Drift:
     def as_text(self) -> str:
         """Return verdict, sentences and table for a terminal."""
         head = [f"{self.robot}: {self.after} against {self.before}", self.verdict(), *self.sentences]
-        return "\n".join(head) + "\n\n" + stacked([*([self.joint_table()] if self.joints else []), self.table()])
-
-    def joint_table(self) -> Table:
-        """Return what all changes together do to the torque of each joint."""
-        heads = (
-            Column("joint", width=20),
-            Column("unit"),
-            *(Column(name, align="decimal") for name in ("torque", "change", "by chance")),
-            Column("p", align="right"),
-            Column("", align="left"),
-        )
-        rows: list[tuple[Cell, ...]] = []
-        for each in self.joints:
-            rms = (Shown(value, significant(value)) for value in (each.torque_of_motion, each.torque, each.by_chance))
-            rows.append(
-                (each.joint, each.unit, *rms, Shown(each.holm, probability_text(each.holm)), "CHANGED" if each.holm <= self.level else "-")
-            )
-        note = (
-            "RMS on the motion the later result was judged by. change: how far the two results predict differently there; by chance: how far their errors alone would let them; "
-            "p allows for the number of joints (Holm). What neither model has, such as a tilt or other friction, can read as change where the motions differ."
-        )
-        return Table(heads, tuple(rows), title="Torque that the changes make", notes=(note,))
+        return "\n".join(head) + "\n\n" + stacked([*([joint_table(self.joints, self.level)] if self.joints else []), self.table()])
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -231,7 +193,7 @@ def compare_results(
         whole[two] = difference
         cost = torque_cost(after.evidence, after.base, whole)
         left = after.evidence.error_of(after.base.names, after.estimates)
-        joints = _joint_changes(after, names, difference, covariance)
+        joints = joint_changes(after, names, difference, covariance)
     words = in_words(after.base)
     changed = tests[2] <= level
     own = np.zeros(len(names), dtype=bool)
@@ -270,49 +232,8 @@ def compare_results(
         parameters=changes,
         chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
         level=level,
-        sentences=(*_torque_sentence(joints, level), *_friction(after, changes)),
+        sentences=(*torque_sentence(joints, level), *_friction(after, changes)),
         joints=joints,
-    )
-
-
-def _joint_changes(result: IdentificationResult, names: list[str], difference: Array, covariance: Array) -> tuple[JointChange, ...]:
-    """Return what differences of named parameters, of that covariance, do to the torque of every joint on the motion that a result was judged by."""
-    evidence = result.evidence
-    assert evidence is not None
-    places = evidence.places(names)
-    rows = [factor[:, [*places, -1]] / np.sqrt(evidence.n_judged) for factor in evidence.whole(evidence.judged)]
-    spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
-    chances = [size_probability(row[:, :-1] @ difference, spread) for row, spread in zip(rows, spreads, strict=True)]
-    strict = holm(chances)
-    return tuple(
-        JointChange(
-            joint=name,
-            unit=unit,
-            torque=float(np.linalg.norm(row[:, :-1] @ difference)),
-            by_chance=float(np.sqrt(np.trace(spread))),
-            torque_of_motion=float(np.linalg.norm(row[:, -1])),
-            p_value=chance,
-            holm=float(adjusted),
-        )
-        for name, unit, row, spread, chance, adjusted in zip(
-            result.joint_names, torque_units(result.model), rows, spreads, chances, strict, strict=True
-        )
-    )
-
-
-def _torque_sentence(joints: tuple[JointChange, ...], level: float) -> tuple[str, ...]:
-    """Say at which joints the torque changed beyond doubt."""
-    if not joints:
-        return ()
-    said = [
-        f"{each.joint} by {significant(each.torque)} {each.unit} RMS (by chance {significant(each.by_chance)})"
-        for each in joints
-        if each.holm <= level
-    ]
-    return (
-        f"The torque of the same motion changed: {', '.join(said)}."
-        if said
-        else "The torque of the same motion changed at no joint beyond doubt.",
     )
 
 
