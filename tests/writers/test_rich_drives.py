@@ -216,3 +216,12 @@ def test_further_terms_that_push_are_refused() -> None:
     model = bundled_robot("two-link")
     with pytest.raises(InertiaError, match=r"joint 1: load_friction Fl is -0\.1"):
         exported_mjcf(replace(model, joints=(replace(model.joints[0], drive=pushing), model.joints[1])))
+
+
+def test_show_lists_further_terms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    robot = export_result(rich_result("kuka-iiwa7-r800"), toml=tmp_path / "robot.toml").files["toml"]
+    status, out, _ = call(capsys, "show", robot)
+    assert status == 0
+    assert "further drive terms" in out
+    assert "spring Ks" in out
+    assert "velocity 0.02" in out

@@ -38,8 +38,8 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
         reasons += [
             f"joint {number}: {key} {letter} is {numbers[letter]:.4g}; it must not be negative"
             for key, numbers in joint.drive.terms.items()
-            if available_terms()[key].non_negative
-            for letter in available_terms()[key].letters
+            if (term := available_terms().get(key)) is not None and term.non_negative
+            for letter in term.letters
             if numbers.get(letter, 0.0) < 0.0
         ]
     return tuple(reasons)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.description.document import model_document
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.model import ROOT, DriveValues, RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.tables import Cell, Column, Table
@@ -45,7 +45,8 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
 
 def joints_table(model: RobotModel) -> Table:
     """List the joints: parent link, kind, where the axis sits in the parent link, limits and the drive values that the description gives."""
-    rows = []
+    rows: list[tuple[Cell, ...]] = []
+    further = any(joint.drive.terms for joint in model.joints)
     for joint in model.joints:
         parent = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
         degrees = 180.0 / math.pi if joint.is_revolute else 1.0
@@ -69,6 +70,7 @@ def joints_table(model: RobotModel) -> Table:
                 joint.drive.armature,
                 joint.drive.viscous,
                 joint.drive.coulomb,
+                *([_further_terms(joint.drive)] if further else []),
             )
         )
     columns = (
@@ -83,8 +85,14 @@ def joints_table(model: RobotModel) -> Table:
         Column("Ia", "", "decimal", ".4g"),
         Column("Fv", "", "decimal", ".4g"),
         Column("Fc", "", "decimal", ".4g"),
+        *([Column("further drive terms")] if further else []),
     )
     return Table(columns, tuple(rows), title="Joints")
+
+
+def _further_terms(drive: DriveValues) -> str:
+    """Return further drive terms with their parameters and shapes, `stribeck Fs 0.3 velocity 0.05`."""
+    return "; ".join(" ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())]) for key, numbers in drive.terms.items())
 
 
 def links_table(model: RobotModel) -> Table:
