@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 ROD, HOUSING, STAND, PATH, COM, INERTIA = (205, 208, 213), (226, 122, 32), (96, 101, 108), (0, 114, 178), (20, 20, 24), (0, 158, 115)
 BODY_OPACITY = 0.35
 """Opacity of the bodies while something inside them is shown."""
+DISTANCE, BESIDE_PANEL = 2.7, 0.3
+"""How far the camera stands off, and how far to the side it looks so that the panel hides nothing, in radii of the scene."""
 FRAME_RATE = 30.0
 """Poses sent per second [Hz]."""
 SAVED_FRAMES = 600
@@ -140,8 +142,10 @@ class Viewer:
         camera = self.server.initial_camera
         sideways = np.array([0.72, -0.72, 0.0]) if abs(view.up[2]) > 0.9 else np.cross(view.up, [0.3, 0.5, 0.8])
         camera.fov = np.deg2rad(40)
-        camera.look_at = tuple(view.centre)
-        camera.position = tuple(view.centre + view.radius * 2.5 * (sideways + 0.35 * view.up))
+        towards = sideways + 0.35 * view.up
+        centre = view.centre + BESIDE_PANEL * view.radius * np.cross(view.up, towards) / np.linalg.norm(np.cross(view.up, towards))
+        camera.look_at = tuple(centre)
+        camera.position = tuple(centre + DISTANCE * view.radius * towards)
 
     def _inertia(self, name: str, k: int) -> None:
         inertia, size = self.model.links[k].inertia, 0.016 * self.view.radius
