@@ -80,9 +80,9 @@ CASES = {
 }
 
 
-def measure() -> dict[str, float | str]:
+def measure(data: Path = SHARED) -> dict[str, float | str]:
     """Return the geometric mean over joints of the held-out RMS error [N m], per recording and set of terms."""
-    if not SHARED.is_dir():
+    if not (data / "data").is_dir():
         return {"skipped": "no recordings beside the repository"}
     out = Path("out")
     out.mkdir(exist_ok=True)
@@ -91,9 +91,9 @@ def measure() -> dict[str, float | str]:
     numbers: dict[str, float | str] = {}
     lines = ["recording,drive,judged by,relative error,RMS of joint 1 ..."]
     for name, case in CASES.items():
-        model = load_robot(str(SHARED / "models" / case.robot))
+        model = load_robot(str(data / "models" / case.robot))
         options = dict(case.options) | ({"sheet": sheet} if "gain" in case.options else {})
-        logs = [read_recordings([SHARED / "data" / path], model=model, **options)[0] for path in (*case.train, *case.judged)]
+        logs = [read_recordings([data / "data" / path], model=model, **options)[0] for path in (*case.train, *case.judged)]
         chain = SignalChain().resolved(*logs[: len(case.train)])
         samples = [prepare_samples(log, chain) for log in logs]
         train, judged = samples[: len(case.train)], samples[len(case.train) :]
