@@ -46,6 +46,7 @@ def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
     text = sweep.table().as_text()
     assert "<- chosen" in text
     assert sweep.why in text
+    assert "blocks:2s:3 of the recordings identified from" in text
     json.dumps(sweep.as_document(), allow_nan=False)
 
 
@@ -53,6 +54,14 @@ def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
     study = run_study(load_robot("ur10e"), [recording], options=StudyOptions(drive=DRIVE, sweep_cutoff=True, holdout="last:0.3"))
     assert study.cutoffs is not None
     assert any(study.cutoffs.why in note for note in study.result.notes)
+
+
+def test_cutoffs_tried_are_apart(recording: Recording) -> None:
+    """Else two would be written over each other in the figure: the highest is bounded by the sampling rate."""
+    slow = recording.between(0.0, 12.0)
+    tried = np.array([trial.cutoff for trial in sweep_cutoffs(load_robot("ur10e"), [slow], drive=DRIVE).trials])
+    assert np.all(tried[1:] / tried[:-1] > 1.15)
+    assert tried[-1] <= 0.2 * slow.rate + 1e-9
 
 
 def test_recording_too_short_for_any_cutoff_is_refused(recording: Recording) -> None:

@@ -10,6 +10,7 @@ from asbuilt.validation.residuals import (
     effective_samples,
     ljung_box,
     velocity_curve,
+    whiteness_in_band,
 )
 
 
@@ -61,6 +62,21 @@ def test_durbin_watson_does_not_step_over_gaps() -> None:
     e = np.array([1.0, 1.0, -1.0, -1.0])
     assert durbin_watson(e, ((0, 2), (2, 4))) == 0.0
     assert durbin_watson(e, ((0, 4),)) == 1.0
+
+
+def test_whiteness_in_the_band_does_not_depend_on_cutoff_or_rate() -> None:
+    """White noise behind an ideal low-pass is white up to it; a random walk is slow at every cutoff."""
+    n, rate = 2**16, 500.0
+    rng = np.random.default_rng(5)
+    noise = np.column_stack([rng.normal(size=n), np.cumsum(rng.normal(size=n))])
+    spectrum, frequency = np.fft.rfft(noise, axis=0), np.fft.rfftfreq(n, 1 / rate)
+    for cutoff, kept in ((2.0, 1), (2.0, 25), (12.5, 4), (12.5, 10), (125.0, 1)):
+        low = np.fft.irfft(np.where((frequency <= cutoff)[:, None], spectrum, 0.0), axis=0)[::kept]
+        statistic, worth = whiteness_in_band(np.arange(len(low)) * kept / rate, low, cutoff)
+        assert 1.75 < statistic[0] < 2.25
+        assert worth[0] > 0.6
+        assert statistic[1] < 0.2
+        assert worth[1] < 0.1
 
 
 def test_short_recordings_are_analysed_too() -> None:

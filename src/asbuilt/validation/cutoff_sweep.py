@@ -19,13 +19,16 @@ from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.identify import identify
 from asbuilt.tables import Column, Table, significant
 from asbuilt.validation.prediction import validate
+from asbuilt.validation.residuals import whiteness_in_band
 
 Array = NDArray[np.float64]
 
 MULTIPLES = (0.2, 0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.2, 4.8, 7.0)
 """Cutoffs that are tried, in multiples of the one that the chain would choose."""
 HIGHEST_SHARE = 0.2
-"""No cutoff above this share of the sampling rate."""
+"""No cutoff above this share of the sampling rate,"""
+APART = 1.2
+"""nor one between that and a fraction of it so small that the two would be one."""
 HOLDOUT = "blocks:2s:3"
 """What is held out to choose by where the user holds nothing out."""
 AS_GOOD = 1.02
@@ -36,7 +39,8 @@ AS_GOOD = 1.02
 class CutoffTrial:
     """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean squared error relative to the joint's noise.
 
-    `durbin_watson` is the mean over joints for the residual in the band, 2 where it is white; `effective_share` the share of samples that are worth one.
+    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever the cutoff; `effective_share` how many samples it is worth of
+    the 2 cutoff a second that it then would be.
     """
 
     cutoff: float
@@ -50,12 +54,13 @@ class CutoffTrial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutoffSweep:
-    """Hold the trials in rising order, the cutoff that was chosen, and why in a sentence."""
+    """Hold the trials in rising order, the cutoff that was chosen, why in a sentence, and the rule by which recordings were held out to judge by."""
 
     joint_names: tuple[str, ...]
     trials: tuple[CutoffTrial, ...]
     chosen: float
     why: str
+    holdout: str = HOLDOUT
 
     def table(self) -> Table:
         """Return the trials as a table."""
@@ -78,11 +83,14 @@ class CutoffSweep:
             Column("in band", "relative", "decimal"),
             *(Column(name, align="decimal", width=14) for name in self.joint_names),
             Column("Durbin-Watson", align="decimal"),
-            Column("independent", "%", "decimal"),
+            Column("white", "%", "decimal"),
         )
         notes = (
-            "Errors are RMS of held-out torque as recorded, which filtering cannot make smaller; 'held out' is their joint mean relative to the best.",
-            "'in band' is the same against the filtered torque: it falls with the cutoff whatever the model is worth, and chooses nothing.",
+            f"Errors are RMS of torque as recorded, which filtering cannot make smaller, on {self.holdout} of the recordings identified from, held out; "
+            "'held out' is their joint mean relative to the best.",
+            "'in band' is the same against the filtered torque, of which a lower cutoff leaves less whatever the model is worth; it chooses nothing.",
+            "Durbin-Watson, at half periods of the cutoff, is 2 for a residual white up to the cutoff, near 0 for a slow one; white: how many independent "
+            "samples it is worth, of those that a white one would be.",
             self.why,
         )
         return Table(columns, rows, title="Cutoff of the low-pass", notes=notes)
@@ -92,6 +100,7 @@ class CutoffSweep:
         return {
             "chosen": self.chosen,
             "why": self.why,
+            "holdout": self.holdout,
             "trials": [
                 {
                     "cutoff": trial.cutoff,
@@ -119,13 +128,14 @@ def sweep_cutoffs(
 ) -> CutoffSweep:
     """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as recorded, is within 2 % of the smallest.
 
-    Weighted least squares each time. The error in the filter's band always falls with the cutoff and must not choose it. Raises RecordingError where
+    Weighted least squares each time. The error in the filter's band falls with the cutoff whatever the model is worth and must not choose it. Raises RecordingError where
     no cutoff leaves enough samples.
     """
     start = (chain or SignalChain()).resolved(*recordings)
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
-    tried = sorted(cutoffs or {min(multiple * start.cutoff, HIGHEST_SHARE * min(rates)) for multiple in MULTIPLES})
+    tried = sorted(cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates)))
+    rule = holdout or HOLDOUT
     base = find_base_parameters(model, drive)
     found: list[tuple[float, Array, Array, float, float]] = []
     for k, cutoff in enumerate(tried):
@@ -133,7 +143,7 @@ def sweep_cutoffs(
             progress("cutoff", k / len(tried))
         at = replace(start, cutoff=float(cutoff), parallel_cutoff=None)
         try:
-            parts = [hold_out(prepare_samples(recording, at), holdout or HOLDOUT) for recording in recordings]
+            parts = [hold_out(prepare_samples(recording, at), rule) for recording in recordings]
             result = identify(model, [train for train, _ in parts], base=base)
             judged = [validate(result, held) for _, held in parts]
         except AsbuiltError:
@@ -141,10 +151,10 @@ def sweep_cutoffs(
         recorded, band = (
             np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0)) for name in ("rms_recorded", "rms")
         )
-        residuals = [item.residuals() for item in judged]
-        whiteness = float(np.mean([item.durbin_watson for item in residuals]))
-        share = float(np.mean([item.effective_samples / item.n_samples for item in residuals]))
-        found.append((float(cutoff), recorded, band, whiteness, share))
+        whiteness, share = np.mean(
+            [whiteness_in_band(item.t, item.error, at_most) for item in judged for at_most in [float(cutoff)]], axis=(0, 2)
+        )
+        found.append((float(cutoff), recorded, band, float(whiteness), float(share)))
     if not found:
         raise RecordingError("no cutoff leaves enough samples to learn from and to judge by; record longer")
     best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)
@@ -159,4 +169,11 @@ def sweep_cutoffs(
         f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within {100 * (AS_GOOD - 1):.0f} % of the smallest; "
         f"{significant(worst.cutoff)} Hz would cost {100 * (worst.score - 1):.0f} % more."
     )
-    return CutoffSweep(model.joint_names, trials, chosen.cutoff, why)
+    if chosen in (trials[0], trials[-1]) and len(trials) > 1:
+        why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."
+    return CutoffSweep(model.joint_names, trials, chosen.cutoff, why, rule)
+
+
+def _worth_trying(usual: float, highest: float) -> list[float]:
+    below = [multiple * usual for multiple in MULTIPLES if multiple * usual * APART <= highest]
+    return [*below, min(MULTIPLES[-1] * usual, highest)] if len(below) < len(MULTIPLES) else below

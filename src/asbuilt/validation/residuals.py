@@ -80,6 +80,25 @@ def effective_samples(rho: Array, n_samples: int) -> float:
     return float(np.clip(n_samples / max(2.0 * kept.sum() - 1.0, 1.0 / n_samples), 1.0, n_samples))
 
 
+def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, Array]:
+    """Return, each (n,), how white a low-passed `residual` (N, n) at times `t` (N,) is up to `cutoff` [Hz], whatever the rate at which it is kept.
+
+    First Durbin and Watson's statistic between samples half a period of the cutoff apart, `mean (e_t - e_(t-1/2f))^2 / mean e_t^2`: 2 where the residual is white up to
+    the cutoff, near 0 where it is slow. Then the samples that it is worth, as a fraction of the 2 f a second that a white one is.
+    """
+    runs, step = contiguous_runs(t), float(np.median(np.diff(t)))
+    lag = max(1, round(0.5 / (cutoff * step)))
+    apart = np.concatenate(
+        [residual[start + lag : stop] - residual[start : stop - lag] for start, stop in runs if stop - start > lag] or [residual[:0]]
+    )
+    energy = np.mean(residual**2, axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        statistic = np.where(energy > 0, np.mean(apart**2, axis=0), np.nan) / energy if len(apart) else np.full(len(energy), np.nan)
+    longest = max(stop - start for start, stop in runs)
+    worth = [effective_samples(autocorrelation(column, runs, longest - 1), len(t)) for column in residual.T]
+    return statistic, np.minimum(np.array(worth) / (2.0 * cutoff * len(t) * step), 1.0)
+
+
 @dataclass(frozen=True, eq=False)
 class ResidualAnalysis:
     """Describe the torque error of each joint.

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator, ScalarFormatter
 
 from asbuilt.tables import significant
 from asbuilt.validation.cutoff_sweep import CutoffSweep
 from asbuilt.writers.figure_style import BLUE, GREEN, GREY, VERMILION, blank_figure, headline, styled
+
+WIDE = 4.0
+"""Held-out error, relative to the best, from which the axis is logarithmic."""
 
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
@@ -35,9 +39,12 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
         )
         upper.set_ylabel("held-out error,\nrelative to the best")
         upper.legend(loc="best")
-        lower.plot(
-            cutoffs, [trial.durbin_watson for trial in sweep.trials], color=BLUE, marker="o", markersize=4, label="Durbin-Watson (white: 2)"
-        )
+        if max(trial.score for trial in sweep.trials) > WIDE:
+            upper.set_yscale("log")
+            upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            upper.yaxis.set_major_formatter(ScalarFormatter())
+            upper.yaxis.set_minor_locator(NullLocator())
+        lower.plot(cutoffs, [trial.durbin_watson for trial in sweep.trials], color=BLUE, marker="o", markersize=4)
         share = lower.twinx()
         share.plot(
             cutoffs,
@@ -45,11 +52,12 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
             color=GREEN,
             marker="s",
             markersize=3,
-            label="independent samples",
         )
-        share.set_ylabel("independent [%]", color=GREEN)
+        share.set_ylabel("independent samples\n[% of white]", color=GREEN)
+        share.set_ylim(bottom=0.0)
         share.grid(visible=False)
-        lower.set_ylabel("Durbin-Watson", color=BLUE)
+        lower.set_ylabel("Durbin-Watson\n(white: 2)", color=BLUE)
+        lower.set_ylim(bottom=0.0)
         lower.set_xscale("log")
         lower.set_xticks(cutoffs, [significant(float(cutoff), 2) for cutoff in cutoffs])
         lower.minorticks_off()
