@@ -23,6 +23,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/bench.json"), help="JSON file to write")
     parser.add_argument("--data", type=Path, help="folder with recordings in data/ and robots in models/ (default: ../shared)")
+    parser.add_argument("--search-s", type=float, help="what the long search for the best motion may take [s] (default: 240)")
     parser.add_argument("names", nargs="*", help="benchmarks to run (default: all)")
     arguments = parser.parse_args()
     available = sorted(path.stem for path in HERE.glob("*.py") if path.stem != "run")
@@ -40,8 +41,8 @@ def main() -> None:
         if not hasattr(module, "measure"):
             continue
         print(f"{name}: {(module.__doc__ or '').strip().splitlines()[0]}", flush=True)
-        takes_data = "data" in inspect.signature(module.measure).parameters
-        numbers = module.measure(data=arguments.data) if takes_data and arguments.data is not None else module.measure()
+        wanted = {key: getattr(arguments, key, None) for key in inspect.signature(module.measure).parameters}
+        numbers = module.measure(**{key: value for key, value in wanted.items() if value is not None})
         report[name] = numbers
         for key, value in numbers.items():
             print(f"  {key:<52} {value:>12.4g}" if isinstance(value, int | float) else f"  {key:<52} {value}", flush=True)

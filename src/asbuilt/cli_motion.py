@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,7 @@ from asbuilt.errors import UsageError
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
     from asbuilt.excitation.motion import Motion
+    from asbuilt.excitation.multistart import SearchProgress
 
 
 def excite(
@@ -70,11 +71,11 @@ def excite(
     perturbed: Annotated[
         int, typer.Option("--perturbed", metavar="N", min=0, help="hold the torque limit for N other robots, masses 10 % off")
     ] = 0,
-    starts: Annotated[int, typer.Option("--starts", metavar="N", help="local searches")] = 24,
+    starts: Annotated[int, typer.Option("--starts", metavar="N", help="random starts of local searches")] = 96,
     time_limit: Annotated[
         float,
-        typer.Option("--time-limit", metavar="S", help="end the search after this time; bounds and refinement take some seconds more"),
-    ] = 18.0,
+        typer.Option("--time-limit", metavar="S", help="have the design ready after this time, with the best found by then"),
+    ] = 24.0,
     seed: Seed = 0,
     rate: Annotated[float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")] = 1000.0,
     program: Annotated[
@@ -137,10 +138,9 @@ def excite(
         time_limit=time_limit,
     )
     with progress_bar() as report:
-        report("bound the information", 0.0)
 
-        def progress(state: Any) -> None:
-            report(f"search: best {state.best:.2f}" if state.finished else "search", state.finished / state.planned)
+        def progress(state: SearchProgress) -> None:
+            report(f"{state.phase}: best {state.best:.2f}" if math.isfinite(state.best) else state.phase, state.share)
 
         if duration == "auto":
             design, trials = design_for_precision(

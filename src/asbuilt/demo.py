@@ -76,7 +76,7 @@ def run_demo(folder: Path, *, progress: Progress | None = None, search_seconds: 
     model, drive = bundled_robot(ROBOT), DriveSet.parse(DRIVE)
 
     def searched(state: SearchProgress) -> None:
-        report("design a motion", min(state.seconds / search_seconds, 1.0))
+        report("design a motion", min((time.perf_counter() - started) / search_seconds, 1.0))
 
     report("design a motion", 0.0)
     design = design_motion(model, drive, DesignOptions(size=5, duration=20.0, seed=SEED, time_limit=search_seconds), progress=searched)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -17,7 +18,7 @@ from asbuilt.excitation.attained import information_efficiency
 from asbuilt.excitation.design import design_motion, position_of
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.multistart import Candidate, Deadline, search_all
+from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, search_all
 from asbuilt.excitation.precision import design_for_precision, predicted_precision
 from asbuilt.excitation.random_motion import random_fourier
 
@@ -194,6 +195,42 @@ def test_a_recording_is_told_how_much_it_carries(arm) -> None:
     still = information_efficiency(model, DRIVE, held)
     assert still.d_efficiency == 0
     assert still.by_joint[1] == 0
+
+
+def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) -> None:
+    """A clock that only goes on when looked at makes the time spent a number of looks, whatever the machine."""
+    model, _ = arm
+    clock = itertools.count(step=0.01)
+    monkeypatch.setattr("asbuilt.excitation.multistart.time.monotonic", lambda: next(clock))
+    told: list[SearchProgress] = []
+    design = design_motion(model, DRIVE, replace(QUICK, starts=500, time_limit=10.0), progress=told.append, threads=1)
+    assert [phase for phase, _ in itertools.groupby(state.phase for state in told)] == ["bound", "search", "refinement"]
+    assert 8.0 < design.solve_seconds < 10.5
+    assert design.bound is not None
+    assert all(0 <= state.share <= 1 for state in told)
+    assert not design.interrupted
+    assert design.limits.is_respected
+
+
+def test_a_new_population_begins_where_one_brings_nothing_more(arm) -> None:
+    """Searches are numbered through all populations, and the best of all is kept."""
+    model, design = arm
+    most = design_motion(model, DRIVE, replace(QUICK, starts=26), with_bound=False)
+    one = design_motion(model, DRIVE, replace(QUICK, starts=24), with_bound=False)
+    assert set(one.candidates) < set(most.candidates)
+    assert most.candidates[0] >= one.candidates[0] >= design.candidates[0] - 1.0
+
+
+def test_an_interrupt_of_the_refinement_keeps_its_best(arm) -> None:
+    model, _ = arm
+
+    def stop(state: SearchProgress) -> None:
+        if state.phase == "refinement":
+            raise KeyboardInterrupt
+
+    kept = design_motion(model, DRIVE, QUICK, progress=stop, with_bound=False, threads=1)
+    assert kept.interrupted
+    assert kept.limits.is_respected
 
 
 def test_a_search_whose_time_is_up_still_has_an_answer() -> None:

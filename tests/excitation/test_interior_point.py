@@ -3,7 +3,7 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
-from asbuilt.excitation.interior_point import Linearised, MotionProgram, StateConstraint, solve
+from asbuilt.excitation.interior_point import Evaluation, Linearised, MotionProgram, StateConstraint, solve
 
 
 class Disc(StateConstraint):
@@ -34,11 +34,9 @@ class Nearest(MotionProgram):
         self.constraints = tuple(constraints)
         self.room = 0.0
 
-    def value(self, q, qd, qdd) -> float:
-        return -sum(float(((x - w) ** 2).sum()) for x, w in zip((q, qd, qdd), self.wanted, strict=True))
-
-    def value_and_gradient(self, q, qd, qdd):
-        return self.value(q, qd, qdd), tuple(-2 * (x - w) for x, w in zip((q, qd, qdd), self.wanted, strict=True))
+    def evaluate(self, q, qd, qdd) -> Evaluation:
+        away = [x - w for x, w in zip((q, qd, qdd), self.wanted, strict=True)]
+        return Evaluation(-sum(float((x**2).sum()) for x in away), lambda: tuple(-2 * x for x in away))
 
 
 def by_cvxpy(program: Nearest, disc: Disc | None = None) -> float:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -28,14 +28,13 @@ from asbuilt.excitation.parametrisations import Fourier
 
 USUAL_DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
-POLISHED = 4
+REFINED = 4
 """How many of the best local optima are refined on the dense grid."""
 
-SEARCH_SHARE = 0.7
-LEAST_SHARE = 0.15
-"""How the time limit is shared between the search and the refinement of what it finds."""
+BOUND_SHARE, REFINEMENT_SHARE = 0.25, 0.15
+"""The most that the bounds may take of the time limit, and what the search leaves of it to the refinement of what it finds."""
 
-LAST_POLISH = 2.0
+LAST_REFINEMENT = 2.0
 """Time for refinement after an interrupt [s]."""
 
 
@@ -128,7 +127,8 @@ def design_motion(
     """Return the best motion that several local searches find within the limits.
 
     `prior` (p, p) is information about the base parameters from earlier recordings; `constraints` are watched besides position, velocity,
-    acceleration, jerk and torque. A keyboard interrupt ends the search and keeps the best motion so far.
+    acceleration, jerk and torque. The time limit of the options covers bounds, search and refinement. A keyboard interrupt ends the search
+    or the refinement and keeps the best motion so far.
 
     Raises
     ------
@@ -143,25 +143,25 @@ def design_motion(
     objective = Objective(
         information, criterion_of(wanted.criterion, focus), scale, wanted.duration * wanted.information_rate, _checked_prior(prior, found)
     )
-    begin = time.monotonic()
+    whole = Deadline(wanted.time_limit)
     with one_blas_thread():
-        bound, family_bound = design_bounds(model, information, wanted) if with_bound else (None, None)
-    deadline = Deadline(max(SEARCH_SHARE * wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit))
-    search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
-    candidates = search.run(threads, progress)
-    if not candidates:
-        raise search.failure()
-    final = Deadline(
-        LAST_POLISH if deadline.interrupted else max(wanted.time_limit - (time.monotonic() - begin), LEAST_SHARE * wanted.time_limit)
-    )
-    polished = search_all(
-        [search.refined(candidate, final) for candidate in candidates[:POLISHED]], Deadline(np.inf), threads=threads, progress=None
-    )
-    if not polished:
+        bound, family_bound = design_bounds(model, information, wanted, progress) if with_bound else (None, None)
+        reserve = REFINEMENT_SHARE * wanted.time_limit
+        deadline = Deadline(wanted.time_limit - reserve - whole.elapsed)
+        search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
+        candidates = search.run(threads, progress)
+        if not candidates:
+            raise search.failure()
+        final = Deadline(LAST_REFINEMENT if deadline.interrupted else max(wanted.time_limit - whole.elapsed, reserve))
+        told = None if progress is None else partial(_told_refinement, progress, candidates[0].value)
+        refined = search_all(
+            [search.refined(candidate, final) for candidate in candidates[:REFINED]], final, threads=threads, progress=told
+        )
+    if not refined:
         raise MotionError(
             f"{model.name}: the motions found do not hold between the nodes of the search; ask for more time, or for fewer {search.family.size_name}"
         )
-    best = polished[0]
+    best = refined[0]
     motion = search.motion(best)
     return describe_design(
         model,
@@ -174,8 +174,8 @@ def design_motion(
         family_bound=family_bound,
         value=best.value,
         candidates=tuple(candidate.value for candidate in candidates),
-        seconds=time.monotonic() - begin,
-        interrupted=deadline.interrupted,
+        seconds=whole.elapsed,
+        interrupted=deadline.interrupted or final.interrupted,
     )
 
 
@@ -221,20 +221,32 @@ def describe_design(
     )
 
 
-def design_bounds(model: RobotModel, information: Information, options: DesignOptions) -> tuple[InformationBound, InformationBound | None]:
+def design_bounds(
+    model: RobotModel, information: Information, options: DesignOptions, progress: Callable[[SearchProgress], None] | None = None
+) -> tuple[InformationBound, InformationBound | None]:
     """Return the bound over all states within the limits, and the one over those that a Fourier series with these harmonics can reach.
 
-    A series whose highest frequency is w obeys `|qd| <= w r` and `|qdd| <= w max |qd|`, r half the range of q (Bernstein 1912).
+    A series whose highest frequency is w obeys `|qd| <= w r` and `|qdd| <= w max |qd|`, r half the range of q (Bernstein 1912). Each may take
+    half of the share of the time limit that bounds have; what is missing then makes it a looser bound.
     """
     bounds, family = MotionBounds.assumed(model, options.fraction), options.family
     torque = options.torque_fraction * MotionBounds.of(model).torque
-    whole = information_bound(model, information, bounds, torque=torque, seed=options.seed)
+    fourier = isinstance(family, Fourier)
+    begun = Deadline(BOUND_SHARE * options.time_limit)
+
+    def bound_within(limits: MotionBounds, number: int) -> InformationBound:
+        if progress is not None:
+            progress(SearchProgress(begun.elapsed, begun.seconds, number, 1 + fourier, -np.inf, "bound"))
+        own = Deadline((begun.seconds - begun.elapsed) / (1 + fourier - number))
+        return information_bound(model, information, limits, torque=torque, seed=options.seed, cancelled=own)
+
+    whole = bound_within(bounds, 0)
     if not isinstance(family, Fourier):
         return whole, None
     highest = 2 * np.pi / family.shortest_wave
     velocity = np.minimum(bounds.velocity, highest * (bounds.upper - bounds.lower) / 2)
     slower = replace(bounds, velocity=velocity, acceleration=np.minimum(bounds.acceleration, highest * velocity))
-    return whole, information_bound(model, information, slower, torque=torque, seed=options.seed)
+    return whole, bound_within(slower, 1)
 
 
 def position_of(base: BaseParameters, name: str) -> int:
@@ -247,6 +259,10 @@ def position_of(base: BaseParameters, name: str) -> int:
     raise UsageError(
         f"{base.robot} has no base parameter {text!r}; there are: {', '.join(f'{i} {n}' for i, n in zip(base.ids, base.names, strict=True))}"
     )
+
+
+def _told_refinement(progress: Callable[[SearchProgress], None], best: float, state: SearchProgress) -> None:
+    progress(replace(state, best=max(best, state.best), phase="refinement"))
 
 
 def _checked_prior(prior: Array | None, base: BaseParameters) -> Array | None:

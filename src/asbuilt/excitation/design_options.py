@@ -24,7 +24,7 @@ class DesignOptions:
     | `fraction`, `torque_fraction` | how much of the limits of motion, and of torque, may be used |
     | `power` | greatest mechanical power of each joint [W], one number or one per joint; none where empty |
     | `perturbed`, `spread` | how many other robots the torque limit must hold for, and how far off their masses are |
-    | `starts`, `seed`, `time_limit` | local searches, seed of everything random, and when to be done [s] |
+    | `starts`, `seed`, `time_limit` | random starts of local searches, seed of everything random, and when the whole design is to be done [s] |
     """
 
     parametrisation: str = "fourier"
@@ -40,9 +40,9 @@ class DesignOptions:
     power: tuple[float, ...] = ()
     perturbed: int = 0
     spread: float = 0.1
-    starts: int = 24
+    starts: int = 96
     seed: int = 0
-    time_limit: float = 18.0
+    time_limit: float = 24.0
 
     def __post_init__(self) -> None:
         if self.parametrisation not in PARAMETRISATIONS:

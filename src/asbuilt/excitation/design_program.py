@@ -8,7 +8,7 @@ import numpy as np
 
 from asbuilt.excitation.criteria import Criterion
 from asbuilt.excitation.information import Information
-from asbuilt.excitation.interior_point import MotionProgram, StateConstraint
+from asbuilt.excitation.interior_point import Evaluation, MotionProgram, StateConstraint
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array
 from asbuilt.excitation.parametrisations import Parametrisation
@@ -70,16 +70,9 @@ class DesignProgram(MotionProgram):
         self.half = (1 - tightening) * np.vstack([(bounds.upper - bounds.lower) / 2, symmetric])
         self.centre = np.vstack([(bounds.upper + bounds.lower) / 2, np.zeros_like(symmetric)])
 
-    def value(self, q: Array, qd: Array, qdd: Array) -> float:
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Evaluation:
         """Return the objective of the motion."""
-        information = self.objective.information
-        return self.objective.value(information.matrix(information.rows(q, qd, qdd), len(q)) / len(q))
-
-    def value_and_gradient(self, q: Array, qd: Array, qdd: Array) -> tuple[float, tuple[Array, Array, Array]]:
-        """Return the objective and its derivatives with respect to the states."""
         information = self.objective.information
         rows = information.rows(q, qd, qdd)
         value, sensitivity = self.objective.value_and_gradient(information.matrix(rows, len(q)) / len(q))
-        if not np.isfinite(value):
-            return value, (q, qd, qdd)
-        return value, information.state_gradient(q, qd, qdd, rows, sensitivity / len(q))
+        return Evaluation(value, lambda: information.state_gradient(q, qd, qdd, rows, sensitivity / len(q)))

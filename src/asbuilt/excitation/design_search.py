@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ from asbuilt.excitation.design_program import DesignProgram, Objective
 from asbuilt.excitation.interior_point import StateConstraint, solve
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array, Motion, limit_array
-from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, search_all
+from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, best_first, search_all
 from asbuilt.excitation.parametrisations import Parametrisation, PointToPoint
 from asbuilt.excitation.point_to_point import PointToPointMotion
 from asbuilt.excitation.torque_limit import PowerLimit, TorqueLimit, perturbed_models
@@ -32,6 +33,9 @@ FINAL_BARRIER = (3e-3, 3e-5)
 HOP_BARRIER = (0.3, 3e-3)
 SEARCH_SPARE, FINAL_SPARE = (3e-3, 3e-2), (1e-3, 1e-2)
 """What search and refinement leave of the limits of motion and of the other constraints, so that they hold between the nodes, too."""
+
+POPULATION = 24
+"""Random starts of a population. Disturbing its best goes on until that brings nothing; then a new one begins, for populations end in optima of different worth."""
 
 GENERATION = 8
 """Disturbed motions searched from at a time: all of a generation have the same parents, whatever the number of cores."""
@@ -72,31 +76,49 @@ class DesignSearch:
         return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare)
 
     def run(self, threads: int | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
-        """Return the candidates, best first: searches from random starts, then from disturbed versions of the best so far.
-
-        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time, until some generations bring nothing.
-        """
+        """Return the candidates, best first, of all populations that the deadline leaves time for."""
         starts = self._options.starts
-        planned = starts + GENERATION * math.ceil(HOPS_PER_START * starts / GENERATION)
+        sizes = [POPULATION] * (starts // POPULATION) + ([starts % POPULATION] if starts % POPULATION else [])
+        lengths = [size + GENERATION * math.ceil(HOPS_PER_START * size / GENERATION) for size in sizes]
+        found: list[Candidate] = []
+        first = 0
+        for size, length in zip(sizes, lengths, strict=True):
+            if found and self._deadline():
+                break
+            best = found[0].value if found else -np.inf
+            told = partial(self._told, progress, best, sum(lengths))
+            found = best_first([*found, *self._population(first, size, length, threads, told)])
+            first += length
+        return found
 
-        def told(state: SearchProgress, before: int, best: float) -> None:
-            if progress is not None:
-                progress(SearchProgress(state.seconds, before + state.finished, planned, max(best, state.best)))
+    def _population(
+        self, first: int, size: int, length: int, threads: int | None, told: Callable[[int, float, SearchProgress], None]
+    ) -> list[Candidate]:
+        """Return the candidates of one population, best first: searches from random starts, then from disturbed versions of the best so far.
 
+        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time, until some generations bring nothing. The
+        searches of a population are numbered from `first`.
+        """
         found = search_all(
-            [self.from_seed(k) for k in range(starts)], self._deadline, threads=threads, progress=partial(told, before=0, best=-np.inf)
+            [self.from_seed(first + k) for k in range(size)], self._deadline, threads=threads, progress=partial(told, first, -np.inf)
         )
-        idle, done = 0, starts
-        while found and done < planned and idle < IDLE_GENERATIONS and not self._deadline():
+        idle, done = 0, size
+        while found and done < length and idle < IDLE_GENERATIONS and not self._deadline():
             best = found[0].value
             parents = found[:PARENTS]
-            hops = [self.from_parent(done + k, parents[k % len(parents)]) for k in range(GENERATION)]
-            before = done
-            born = search_all(hops, self._deadline, threads=threads, progress=partial(told, before=before, best=best))
-            found = sorted([*found, *born], key=lambda candidate: (-candidate.value, candidate.number))
+            hops = [self.from_parent(first + done + k, parents[k % len(parents)]) for k in range(GENERATION)]
+            born = search_all(hops, self._deadline, threads=threads, progress=partial(told, first + done, best))
+            found = best_first([*found, *born])
             idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
             done += GENERATION
         return found
+
+    @staticmethod
+    def _told(
+        progress: Callable[[SearchProgress], None] | None, best: float, planned: int, before: int, own_best: float, state: SearchProgress
+    ) -> None:
+        if progress is not None:
+            progress(replace(state, finished=before + state.finished, planned=planned, best=max(best, own_best, state.best)))
 
     def from_parent(self, number: int, parent: Candidate) -> Callable[[], Candidate]:
         """Return the search number `number`, which begins between a parent and a random start."""
@@ -145,7 +167,7 @@ class DesignSearch:
             kept = self._repaired(coefficients, family)
             if kept is None:
                 return Candidate(candidate.number, coefficients, -np.inf)
-            return Candidate(candidate.number, kept, dense.value(*dense.states(kept)))
+            return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
         return search
 

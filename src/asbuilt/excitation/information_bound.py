@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +63,13 @@ def information_bound(
     torque: Array | None = None,
     seed: int = 0,
     rounds: int = ROUNDS,
+    cancelled: Callable[[], bool] = lambda: False,
 ) -> InformationBound:
     """Return the D-optimal continuous design over the states within `bounds` whose torque stays within `torque` (n,), and its bound.
 
     Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those with the largest d are added after
-    climbing d within the limits, until the gap closes.
+    climbing d within the limits, until the gap closes; at least one round is made before `cancelled` is asked, and the bound is a looser one
+    where that ends it.
     """
     rng = np.random.default_rng([seed, 7])
     limit = None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
@@ -89,7 +92,7 @@ def information_bound(
         highest = max(float(worth.max(initial=0.0)), float(worth_climbed.max()), float(variance(information, inverse, pool).max()))
         upper = log_det + p * max(0.0, float(np.log(highest / p)))
         best_upper = min(best_upper, upper)
-        if np.log(highest / p) < GAP:
+        if np.log(highest / p) < GAP or cancelled():
             break
         new = _chosen(climbed, np.argsort(-worth_climbed)[: REFINED // 2])
         pool = _joined(pool, new)

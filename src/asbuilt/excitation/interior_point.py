@@ -47,6 +47,14 @@ class StateConstraint(ABC):
         """Return the values and their derivatives."""
 
 
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A value, minus infinity where it is not defined, and a function for its derivatives with respect to the states, each (N, n)."""
+
+    value: float
+    gradient: Callable[[], tuple[Array, Array, Array]]
+
+
 class MotionProgram(ABC):
     """Maximise a function of the states of a motion `d^k q / dt^k (t_s) = bases[k] @ coefficients`, coefficients (n_basis, n).
 
@@ -61,12 +69,8 @@ class MotionProgram(ABC):
     room: float
 
     @abstractmethod
-    def value(self, q: Array, qd: Array, qdd: Array) -> float:
-        """Return what is to be maximised, minus infinity where it is not defined."""
-
-    @abstractmethod
-    def value_and_gradient(self, q: Array, qd: Array, qdd: Array) -> tuple[float, tuple[Array, Array, Array]]:
-        """Return the value and its derivatives with respect to the states, each (N, n)."""
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Evaluation:
+        """Return what is to be maximised."""
 
     def states(self, coefficients: Array) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations at the nodes."""
@@ -123,9 +127,10 @@ def solve(
     """
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
-    point = _evaluate(program, x)
-    if point is None:
+    slacks, evaluation = program.margins(x), program.evaluate(*program.states(x))
+    if min(float(s.min()) for s in slacks) <= 0 or not np.isfinite(evaluation.value):
         return None
+    point = _point(program, x, slacks, evaluation)
     metric = _metric(program)
     scale = max(1.0, float(np.sqrt(point.gradient @ np.linalg.solve(metric, point.gradient))))
     curvature = scale * metric
@@ -207,18 +212,12 @@ def _metric(program: MotionProgram) -> Array:
     return whole
 
 
-def _evaluate(program: MotionProgram, coefficients: Array) -> _Point | None:
-    slacks = program.margins(coefficients)
-    if min(float(s.min()) for s in slacks) <= 0:
-        return None
+def _point(program: MotionProgram, coefficients: Array, slacks: list[Array], evaluation: Evaluation) -> _Point:
     state = program.states(coefficients)
-    value, by_state = program.value_and_gradient(*state)
-    if not np.isfinite(value):
-        return None
-    gradient = sum(basis.T @ g for basis, g in zip(program.bases[:3], by_state, strict=False))
+    gradient = sum(basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False))
     curved = [constraint.linearised(*state) for constraint in program.constraints]
     jacobians = [_jacobian(program, item) for item in curved]
-    return _Point(coefficients, value, _flat(np.asarray(gradient)), curved, jacobians, slacks)
+    return _Point(coefficients, evaluation.value, _flat(np.asarray(gradient)), curved, jacobians, slacks)
 
 
 def _jacobian(program: MotionProgram, item: Linearised) -> Array:
@@ -295,9 +294,9 @@ def _line_search(program: MotionProgram, point: _Point, step: Array, slope: Arra
         slacks = program.margins(trial)
         worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
         if worst > 1 - FRACTION_TO_BOUNDARY:
-            value = program.value(*program.states(trial))
-            if -value - mu * _barrier(slacks) <= reference + ARMIJO * length * fall + 1e-12 * abs(reference):
-                return _evaluate(program, trial), length
+            evaluation = program.evaluate(*program.states(trial))
+            if -evaluation.value - mu * _barrier(slacks) <= reference + ARMIJO * length * fall + 1e-12 * abs(reference):
+                return _point(program, trial, slacks, evaluation), length
         length *= 0.5
     return None, 0.0
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
+from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.excitation.motion import Array
 
 POLL = 0.2
@@ -28,20 +28,27 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchProgress:
-    """How a search stands: seconds since it began, searches finished of those planned, the best value so far."""
+    """How a phase of a design stands: seconds since it began, of those it has; searches finished, of those planned; the best value so far."""
 
     seconds: float
+    limit: float
     finished: int
     planned: int
     best: float
+    phase: str = "search"
+
+    @property
+    def share(self) -> float:
+        """The share of the phase that is over, by searches or by time, whichever is further."""
+        return min(1.0, max(self.finished / self.planned, self.seconds / self.limit))
 
 
 class Deadline:
-    """Say when to stop: after `seconds`, or once `stop` was called from anywhere."""
+    """Say when to stop: after `seconds`, or once `stop` was called from anywhere; `interrupted` where a keyboard interrupt called it."""
 
     def __init__(self, seconds: float) -> None:
         self._begin = time.monotonic()
-        self._seconds = seconds
+        self.seconds = seconds
         self._stopped = threading.Event()
         self.interrupted = False
 
@@ -56,7 +63,7 @@ class Deadline:
 
     def __call__(self) -> bool:
         """Return whether to stop now."""
-        return self._stopped.is_set() or self.elapsed > self._seconds
+        return self._stopped.is_set() or self.elapsed > self.seconds
 
 
 def cores() -> int:
@@ -77,7 +84,7 @@ def search_all(
     """
     found: list[Candidate] = []
     count = min(len(searches), threads or cores())
-    with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(max_workers=max(count, 1)) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=max(count, 1)) as pool:
         waiting = iter(searches)
         pending: set[Future[Candidate]] = set()
         try:
@@ -93,9 +100,14 @@ def search_all(
                 found += [future.result() for future in done]
                 if progress is not None:
                     best = max((candidate.value for candidate in found), default=-np.inf)
-                    progress(SearchProgress(deadline.elapsed, len(found), len(searches), best))
+                    progress(SearchProgress(deadline.elapsed, deadline.seconds, len(found), len(searches), best))
         except KeyboardInterrupt:
             deadline.stop()
             deadline.interrupted = True
             found += [future.result() for future in pending]
-    return sorted((candidate for candidate in found if np.isfinite(candidate.value)), key=lambda c: (-c.value, c.number))
+    return best_first(found)
+
+
+def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Return the candidates that found something, best first; equal ones in the order of their numbers."""
+    return sorted((candidate for candidate in candidates if np.isfinite(candidate.value)), key=lambda c: (-c.value, c.number))

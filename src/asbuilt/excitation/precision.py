@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -67,7 +68,8 @@ def design_for_precision(
     """Return a design just long enough for `predicted_precision` to be at most `precision`, and the durations that were tried.
 
     Errors fall with the square root of the duration; that gives the next duration to try, in steps of 5 s. Beyond 40 s the motion is repeated in
-    periods. The harmonics are those of the options, or go with the period.
+    periods. The harmonics are those of the options, or go with the period. The time limit of the options holds for the last design; each try
+    before it takes some seconds.
 
     Raises
     ------
@@ -83,7 +85,8 @@ def design_for_precision(
     for _ in range(TRIALS):
         wanted = _of_duration(options, duration)
         quick = replace(wanted, starts=min(TRIAL_STARTS, options.starts), time_limit=min(TRIAL_LIMIT, options.time_limit))
-        design = design_motion(model, drive, quick, prior=prior, constraints=constraints, with_bound=False)
+        told = None if progress is None else partial(_told_trial, progress, wanted.duration)
+        design = design_motion(model, drive, quick, prior=prior, constraints=constraints, with_bound=False, progress=told)
         reached = predicted_precision(design)
         trials.append(DurationTrial(wanted.duration, design.size, wanted.periods, reached))
         if reached <= precision:
@@ -97,6 +100,10 @@ def design_for_precision(
         f"{model.name}: a precision of {precision:g} of the torque takes more than {duration:.0f} s; the last try of {trials[-1].duration:g} s gives "
         f"{trials[-1].precision:.3g}. Allow more harmonics or more of the limits, reduce the noise, or ask for less"
     )
+
+
+def _told_trial(progress: Callable[[SearchProgress], None], duration: float, state: SearchProgress) -> None:
+    progress(replace(state, phase=f"try {duration:g} s"))
 
 
 def _of_duration(options: DesignOptions, duration: float) -> DesignOptions:
