@@ -25,6 +25,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What linear algebra libraries read when they are loaded, which commands do: their threads only get in each other's way on small matrices."""
+
 for command in (
     robots,
     drives,
@@ -50,6 +53,8 @@ for command in (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; every failure is one message on stderr and an exit status of 1 (data, robot) or 2 (usage)."""
+    for setting in BLAS_THREADS:
+        os.environ.setdefault(setting, "1")
     try:
         app(args=list(arguments) if arguments is not None else None, prog_name="asbuilt")
     except UsageError as problem:
