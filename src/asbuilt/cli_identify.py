@@ -54,7 +54,9 @@ def identify(
     errors: Annotated[
         str,
         typer.Option(
-            "--errors", metavar="HOW", help="standard errors from time blocks: by formula (blocks) or by drawing them (bootstrap)"
+            "--errors",
+            metavar="KIND",
+            help="standard errors: blocks (from time blocks, by formula), bootstrap (time blocks drawn again and again) or textbook (residuals taken as independent: too small where they are not)",
         ),
     ] = "blocks",
     unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
@@ -66,6 +68,7 @@ def identify(
     """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.identification.drive_choice import is_auto
+    from asbuilt.identification.error_basis import ERROR_KINDS
     from asbuilt.validation.payload_study import run_payload_study
     from asbuilt.validation.study import StudyOptions, run_study
     from asbuilt.writers.payload_tables import payload_document, payload_text
@@ -78,7 +81,7 @@ def identify(
         method=one_of("--method", method, list(methods)),
         chain=replace(filtering, cutoff=None if swept else filtering.cutoff).chain(),
         sweep_cutoff=swept,
-        errors=one_of("--errors", errors, ("blocks", "bootstrap")),
+        errors=one_of("--errors", errors, ERROR_KINDS),
         holdout=holdout,
         unexcited=one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
         mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),

@@ -2,22 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
-from asbuilt.identification.least_squares import Estimate
+from asbuilt.identification.least_squares import Estimate, Refit
 from asbuilt.identification.square_root_information import SquareRootInformation
-from asbuilt.identification.uncertainty import Uncertainty
+from asbuilt.identification.triangular import triangular_factor
+from asbuilt.identification.uncertainty import Uncertainty, basis_of, block_pulls
 
 Array = NDArray[np.float64]
 Seed = np.random.Generator | int | None
 
 FEWEST_BLOCKS = 8
+LINEAR_DRAWS = 1000
+REFITTED_DRAWS = 200
+LEAST_TOLD = 1e-6
+"""Part of the information on some direction that a draw must have at least; with less, the draw does not count."""
+CHOSEN = {
+    "huber": "the weights of the rows",
+    "bisquare": "the weights of the rows",
+    "ml": "the noise that joints share",
+    "iv": "the simulated motion",
+    "ridge": "the pull to CAD",
+    "entropic": "the pull to CAD",
+    "euclidean": "the pull to CAD",
+    "essential": "what was dropped",
+    "total": "the share of errors in the motion",
+}
+"""What estimators choose from the data and every draw takes over."""
 MOST_FAILURES = 0.1
 """Share of draws for which an estimator may refuse before the whole is refused."""
 
@@ -47,45 +64,61 @@ class Bootstrap:
         return np.quantile(self.estimates, [outside, 1.0 - outside], axis=0).T
 
 
-def block_bootstrap(
-    information: SquareRootInformation,
-    fit: Callable[[SquareRootInformation], Array],
-    *,
-    n_draws: int = 200,
-    rng: Seed = 0,
-    progress: Callable[[str, float], None] | None = None,
-) -> Bootstrap:
-    """Fit recordings made of time blocks drawn with replacement: errors that hold for correlated residuals and for any estimator.
+def redraw(information: SquareRootInformation, estimate: Estimate, *, n_draws: int | None = None, rng: Seed = 0) -> Bootstrap:
+    """Fit recordings made of time blocks drawn with replacement as `estimate` was fitted, all that it chose held fixed.
 
-    `fit` maps information to estimates (p,), such as a constrained fit for which no formula is honest. Each draw has as many blocks as the recording;
-    residuals may be correlated within a block (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap). With B blocks, standard errors come
-    out small by about sqrt((B - 1) / B). Reads the information alone, so a draw of a least-squares fit takes milliseconds.
+    Each draw has as many blocks as the recording; residuals may be correlated within a block (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap).
+    Held fixed are the weights of joints and rows, the pull to CAD, the parameters that were dropped. An estimate that is linear in the torque takes, with
+    `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b and c_b the times that it is drawn, the step
+    `S (1 + sum (c_b - 1) M_b)^-1 sum (c_b - 1) g_b`: no rows are touched again. One that is not is refitted to the triangle of the blocks drawn.
 
     Raises
     ------
     IdentifiabilityError
-        If there are fewer than 8 blocks, or the estimator refuses more than a tenth of the draws.
+        If there are fewer than 8 blocks, or more than a tenth of the draws leave a direction open that the whole recording tells.
     """
     n = information.n_blocks
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
-            f"{n} time blocks are too few to draw from, {FEWEST_BLOCKS} are needed; record longer, or choose shorter blocks"
+            f"{n} time blocks are too few to draw from, {FEWEST_BLOCKS} are needed; record longer, choose shorter blocks, or take errors by formula (blocks)"
         )
-    generator = np.random.default_rng(rng)
-    estimates, refused = [], 0
+    linear = estimate.refit is None
+    draws = (LINEAR_DRAWS if linear else REFITTED_DRAWS) if n_draws is None else n_draws
+    counts = np.random.default_rng(rng).multinomial(n, np.full(n, 1.0 / n), size=draws)
     with one_blas_thread():
-        for draw in range(n_draws):
-            try:
-                estimates.append(np.asarray(fit(information.select(generator.integers(n, size=n))), dtype=np.float64))
-            except AsbuiltError:
-                refused += 1
-            if progress is not None:
-                progress("bootstrap", (draw + 1) / n_draws)
-    if refused > MOST_FAILURES * n_draws or len(estimates) < 2:
+        estimates = (
+            _stepped(information, estimate, counts)
+            if estimate.refit is None
+            else _refitted(information, estimate.weights, estimate.refit, counts)
+        )
+    refused = draws - len(estimates)
+    if refused > MOST_FAILURES * draws or len(estimates) < 2:
         raise IdentifiabilityError(
-            f"the estimator refused {refused} of {n_draws} draws of {n} blocks; single blocks carry what others do not: record longer"
+            f"{refused} of {draws} draws of {n} time blocks leave open what the whole recording tells; single blocks carry what others do not: record longer, "
+            "or take errors by formula (blocks)"
         )
     return Bootstrap(np.array(estimates))
+
+
+def _stepped(information: SquareRootInformation, estimate: Estimate, counts: NDArray[np.int64]) -> list[Array]:
+    root = estimate.solution.inverse_root
+    gram, score = block_pulls(information, estimate)
+    more, estimates = counts - 1.0, []
+    identity = np.eye(root.shape[1])
+    for extra in more:
+        values, axes = np.linalg.eigh(identity + np.tensordot(extra, gram, axes=1))
+        if values[0] >= LEAST_TOLD:
+            estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
+    return estimates
+
+
+def _refitted(information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]) -> list[Array]:
+    blocks = [information.block_stacked(b, weights) for b in range(information.n_blocks)]
+    estimates = []
+    for times in counts:
+        with suppress(AsbuiltError):
+            estimates.append(refit(triangular_factor(np.vstack([np.sqrt(c) * block for c, block in zip(times, blocks, strict=True) if c]))))
+    return estimates
 
 
 def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap) -> Uncertainty:
@@ -95,9 +128,22 @@ def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate
     """
     n = information.n_blocks
     textbook = np.diag(estimate.covariance)
-    covariance = drawn.covariance * n / (n - 1.0)
-    swell = np.sqrt(np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0))
-    covariance = covariance * np.outer(swell, swell)
     told = textbook > 0
-    share = float(np.exp(np.mean(np.log(textbook[told] / np.diag(covariance)[told])))) if told.any() else 1.0
-    return Uncertainty(covariance, information.n_samples * share, "bootstrap", n)
+    covariance = drawn.covariance * n / (n - 1.0)
+    swell = np.sqrt(np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)) * told
+    covariance = covariance * np.outer(swell, swell)
+    ratio = np.diag(covariance)[told] / textbook[told]
+    basis = replace(
+        basis_of(information, "bootstrap"),
+        n_draws=len(drawn.estimates),
+        held_fixed=held_fixed(estimate),
+        growth=float(np.sqrt(np.median(ratio))) if told.any() else None,
+    )
+    share = float(np.exp(-np.mean(np.log(ratio)))) if told.any() else 1.0
+    return Uncertainty(covariance, information.n_samples * share, basis)
+
+
+def held_fixed(estimate: Estimate) -> tuple[str, ...]:
+    """Return what all draws of an estimate have in common beside the blocks, in words."""
+    joints = () if estimate.method in ("ols", "ml") else ("the weights of the joints",)
+    return (*joints, *((CHOSEN[estimate.method],) if estimate.method in CHOSEN else ()))

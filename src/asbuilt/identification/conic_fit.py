@@ -56,44 +56,73 @@ def fit_real_bodies(
 
     Raises `IdentifiabilityError` where the bounds leave nothing, saying so.
     """
-    z = factor[:-1, -1]
-    p = len(z)
-    bodies, q0 = near_one(prior)
-    n = len(prior.parameters)
-    inertial = 10 * prior.n_links
-    torque = factor[:-1, :-1] @ regrouping @ bodies
-    stiffest = float(np.max(np.sum(torque**2, axis=0)))
-    blocks = [sparse.hstack([sparse.csc_matrix(torque), -sparse.eye_array(p)])]
-    right = [z]
-    cones = [clarabel.ZeroConeT(p)]
-    if bounds is not None and len(bounds.offsets):
-        rows = bounds.rows @ bodies
-        size = np.linalg.norm(rows, axis=1)
-        blocks.append(sparse.hstack([sparse.csc_matrix(-rows / size[:, None]), sparse.csc_matrix((len(rows), p))]))
-        right.append(bounds.offsets / size)
-        cones.append(clarabel.NonnegativeConeT(len(rows)))
-    blocks.append(-sparse.eye_array(inertial, n + p))
-    right.append(-smallest_part * np.tile(svec(np.eye(4)), prior.n_links))
-    cones += [clarabel.PSDTriangleConeT(4)] * prior.n_links
-    constraints, limits = sparse.csc_matrix(sparse.vstack(blocks)), np.concatenate(right)
-    for resolved in RESOLVED:
-        pulled = max(weight, resolved * stiffest)
-        pull = np.concatenate([np.repeat(pulled * prior.strength, 10), np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL)])
-        quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
-        linear = np.concatenate([-pull * q0, np.zeros(p)])
-        solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, cones, _settings()).solve()
-        status = str(solution.status)
-        if "PrimalInfeasible" in status and bounds is not None:
-            raise IdentifiabilityError(f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them")
-        if status in ("Solved", "AlmostSolved"):
-            break
-    else:
-        raise IdentifiabilityError(
-            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}; "
-            "the data may hold values of extreme size"
-        )
-    chi = bodies @ np.array(solution.x[:n])
-    return ConicFit(chi, float(prior.relative_eigenvalues(chi).min()), int(solution.iterations))
+    return RealBodies.of(prior, regrouping, bounds, smallest_part).fit(factor, weight)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RealBodies:
+    """Hold what all conic fits of one robot have in common: `fit` is `fit_real_bodies` for another factor.
+
+    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`; `rows`, `limits` and `cones` are the constraints on q that do not depend on the data.
+    """
+
+    prior: CadPrior
+    bounded: bool
+    bodies: Array
+    q0: Array
+    torque: Array
+    rows: sparse.csc_matrix
+    limits: Array
+    cones: tuple[object, ...]
+
+    @classmethod
+    def of(cls, prior: CadPrior, regrouping: Array, bounds: BodyBounds | None = None, smallest_part: float = SMALLEST_PART) -> RealBodies:
+        """Return the program of a robot with these bounds."""
+        bodies, q0 = near_one(prior)
+        n, inertial = len(prior.parameters), 10 * prior.n_links
+        blocks, right, cones = [], [], []
+        if bounds is not None and len(bounds.offsets):
+            bounded = bounds.rows @ bodies
+            size = np.linalg.norm(bounded, axis=1)
+            blocks.append(sparse.csc_matrix(-bounded / size[:, None]))
+            right.append(bounds.offsets / size)
+            cones.append(clarabel.NonnegativeConeT(len(bounded)))
+        blocks.append(sparse.csc_matrix(-sparse.eye_array(inertial, n)))
+        right.append(-smallest_part * np.tile(svec(np.eye(4)), prior.n_links))
+        cones += [clarabel.PSDTriangleConeT(4)] * prior.n_links
+        rows = sparse.csc_matrix(sparse.vstack(blocks))
+        return cls(prior, bounds is not None, bodies, q0, regrouping @ bodies, rows, np.concatenate(right), tuple(cones))
+
+    def fit(self, factor: Array, weight: float = TINY_PULL) -> ConicFit:
+        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1)."""
+        prior, z = self.prior, factor[:-1, -1]
+        p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
+        torque = factor[:-1, :-1] @ self.torque
+        stiffest = float(np.max(np.sum(torque**2, axis=0)))
+        data = sparse.hstack([sparse.csc_matrix(torque), -sparse.eye_array(p)])
+        alone = sparse.hstack([self.rows, sparse.csc_matrix((self.rows.shape[0], p))])
+        constraints, limits = sparse.csc_matrix(sparse.vstack([data, alone])), np.concatenate([z, self.limits])
+        cones = [clarabel.ZeroConeT(p), *self.cones]
+        for resolved in RESOLVED:
+            pulled = max(weight, resolved * stiffest)
+            pull = np.concatenate([np.repeat(pulled * prior.strength, 10), np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL)])
+            quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
+            linear = np.concatenate([-pull * self.q0, np.zeros(p)])
+            solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, cones, _settings()).solve()
+            status = str(solution.status)
+            if "PrimalInfeasible" in status and self.bounded:
+                raise IdentifiabilityError(
+                    f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them"
+                )
+            if status in ("Solved", "AlmostSolved"):
+                break
+        else:
+            raise IdentifiabilityError(
+                f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}; "
+                "the data may hold values of extreme size"
+            )
+        chi = self.bodies @ np.array(solution.x[:n])
+        return ConicFit(chi, float(prior.relative_eigenvalues(chi).min()), int(solution.iterations))
 
 
 def _settings() -> clarabel.DefaultSettings:

@@ -13,9 +13,9 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.identification.body_bounds import BodyBounds, generous_bounds, non_negative_drives
 from asbuilt.identification.cad_prior import CadPrior, body_metric_root, cad_prior
-from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, fit_real_bodies
+from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, RealBodies, fit_real_bodies
 from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, closest_to_cad
-from asbuilt.identification.least_squares import Estimate, FactorSolution, fit_least_squares
+from asbuilt.identification.least_squares import Estimate, FactorSolution, Refit, fit_least_squares
 from asbuilt.identification.prior_weight import WEIGHTS, choose_weight
 from asbuilt.identification.square_root_information import SquareRootInformation
 
@@ -85,13 +85,14 @@ def fit_consistent(
     limits = generous_bounds(prior) if bounds is None else bounds
     with one_blas_thread():
         w, rounds = _joint_weights(information, prior, limits, weights)
-        fit = fit_real_bodies(prior, information.base.regrouping, factor=information.stacked(w), bounds=limits, smallest_part=smallest_part)
+        problem = RealBodies.of(prior, information.base.regrouping, limits, smallest_part)
+        fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
         notes = (
             f"real bodies and passive drives, by conic program: {len(limits.labels)} bounds, of which active: "
             f"{', '.join(limits.labels[j] for j in near[:8]) or 'none'}{f' and {len(near) - 8} more' if len(near) > 8 else ''}",
         )
-        return _estimate("consistent", information, prior, w, fit.chi, TINY_PULL, rounds, notes)
+        return _estimate("consistent", information, prior, w, fit.chi, TINY_PULL, rounds, notes, lambda factor: problem.fit(factor).chi)
 
 
 def fit_toward_cad(
@@ -131,7 +132,7 @@ def fit_toward_cad(
         else:
             pull, reason = float(weight), f"weight of CAD {weight:g}, as given"
         chi = fit(information.stacked(w), pull, None)
-        return _estimate(metric, information, prior, w, chi, pull, rounds, (reason,))
+        return _estimate(metric, information, prior, w, chi, pull, rounds, (reason,), lambda factor: fit(factor, pull, chi))
 
 
 def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
@@ -171,6 +172,7 @@ def _estimate(
     prior_weight: float,
     rounds: int,
     notes: tuple[str, ...],
+    again: Refit,
 ) -> ConsistentEstimate:
     """Return the estimate with its errors.
 
@@ -213,6 +215,7 @@ def _estimate(
             f"standard errors believe CAD with weight {belief:.3g}",
             *prior.notes,
         ),
+        refit=lambda factor: base.regrouping @ again(factor),
         standard=chi,
         part=part,
         prior_weight=prior_weight,

@@ -72,4 +72,5 @@ def estimate_essential(evidence: Evidence, significance: float = SIGNIFICANCE) -
     conditioned = replace(
         start.solution, condition_number=solution.condition_number, scaled_condition_number=solution.scaled_condition_number
     )
-    return start.renewed("essential", information, conditioned, beta=beta, inverse_root=root, notes=(note,))
+    without = np.isin(np.arange(base.n_base), dropped)
+    return start.renewed("essential", information, conditioned, beta=beta, inverse_root=root, notes=(note,), dropped=without)

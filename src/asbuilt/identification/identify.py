@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Literal
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +14,9 @@ from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameter
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.identification.bootstrap import block_bootstrap, bootstrap_uncertainty
+from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
 from asbuilt.identification.evidence import Evidence, Unexcited
 from asbuilt.identification.least_squares import Estimate
 from asbuilt.identification.methods import find_method
@@ -22,7 +24,7 @@ from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
 from asbuilt.identification.torque_prediction import carrying, predict_torque
-from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty
+from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty, textbook_uncertainty
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
@@ -48,20 +50,23 @@ def identify(
     method: str = "wls",
     base: BaseParameters | None = None,
     unexcited: Unexcited = "toward_prior",
-    errors: Literal["blocks", "bootstrap"] = "blocks",
+    errors: ErrorKind = "blocks",
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> IdentificationResult:
     """Identify the base parameters of a robot from the samples of one or more recordings.
 
     `method` names an estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
-    refused (`unexcited="refuse"`). `base` saves finding the base parameters again.
+    refused (`unexcited="refuse"`). `base` saves finding the base parameters again. `errors` says how standard errors are judged: `"blocks"` by formula from time blocks,
+    `"bootstrap"` by drawing them, all choices of the estimator held fixed, `"textbook"` as if residuals were independent.
 
     Raises
     ------
     IdentifiabilityError
         If there are too few samples, or some direction is not excited and refused.
     """
+    if errors not in ERROR_KINDS:
+        raise UsageError(f"there are no errors {errors!r}; there are {', '.join(ERROR_KINDS)}")
     batches = list(samples) if isinstance(samples, Sequence) else [samples]
     if not batches:
         raise UsageError(f"no samples are given to identify {model.name} from; pass at least one prepared recording")
@@ -80,16 +85,7 @@ def identify(
             block_seconds,
             threads,
         )
-    uncertainty = None
-    if errors == "bootstrap":
-        if estimator.needs != "information" or found.drive.needs_load:
-            raise UsageError(
-                f"bootstrap errors need an estimator that reads the information alone, such as wls or consistent; {method} needs {estimator.needs}"
-            )
-        drawn = block_bootstrap(
-            information, lambda seen: estimator.estimate(Evidence(model, seen, None, cad, unexcited, block_seconds)).beta
-        )
-        uncertainty = bootstrap_uncertainty(information, estimate, drawn)
+    uncertainty = _judged(estimate.information or information, estimate, errors, automatic=method == "auto")
     source = ", ".join(information.sources)
     measured = []
     for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
@@ -109,6 +105,20 @@ def identify(
         provenance=tuple(dict.fromkeys(line for batch in batches for line in batch.provenance)),
         uncertainty=uncertainty,
     )
+
+
+def _judged(information: SquareRootInformation, estimate: Estimate, errors: ErrorKind, *, automatic: bool) -> Uncertainty:
+    if errors == "textbook":
+        return textbook_uncertainty(information, estimate)
+    if errors == "blocks":
+        return block_uncertainty(information, estimate)
+    uncertainty = bootstrap_uncertainty(information, estimate, redraw(information, estimate))
+    held = list(uncertainty.basis.held_fixed)
+    if automatic:
+        held.insert(0, f"the choice of {estimate.method}")
+    if information.base.drive.needs_load:
+        held.append("the load on friction")
+    return replace(uncertainty, basis=replace(uncertainty.basis, held_fixed=tuple(held)))
 
 
 def _with_own_load(
@@ -151,6 +161,8 @@ def conclude(
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
     poor = _poorly_determined(information, estimate, uncertainty, design)
+    dropped = np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
+    std_errors, textbook = (np.where(dropped, np.nan, each) for each in (uncertainty.std_errors, estimate.std_errors))
     parameters = tuple(
         IdentifiedParameter(
             id=int(base.ids[j]),
@@ -160,10 +172,11 @@ def conclude(
             unit=base.units[j],
             cad=float(design[j]),
             estimate=float(estimate.beta[j]),
-            std_error=float(uncertainty.std_errors[j]),
-            textbook_std_error=float(estimate.std_errors[j]),
+            std_error=float(std_errors[j]),
+            textbook_std_error=float(textbook[j]),
             determined=bool(estimate.determined[j]),
             poorly_determined=bool(poor[j]),
+            dropped=bool(dropped[j]),
         )
         for j in range(base.n_base)
     )
@@ -197,6 +210,7 @@ def conclude(
         warnings=_warnings(parameters, estimate, uncertainty, margin),
         provenance=provenance,
         notes=estimate.notes,
+        errors=uncertainty.basis,
     )
 
 
@@ -269,7 +283,16 @@ def _warnings(
                 f"Scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}: small faults of the model move these values much.",
             )
         )
-    if uncertainty.method == "textbook":
+    basis = uncertainty.basis
+    if basis.kind == "textbook" and basis.asked == "textbook" and basis.growth is not None and basis.growth >= TELLING_GROWTH:
+        found.append(
+            (
+                "textbook_errors",
+                f"Standard errors are the textbook's, as asked, and too small: judged from time block to time block they are {basis.growth:.2g} times as large "
+                "(median), since neighbouring residuals are alike. Use --errors blocks.",
+            )
+        )
+    if basis.kind == "textbook" and basis.growth is None:
         found.append(
             (
                 "few_blocks",
@@ -287,4 +310,5 @@ def _warnings(
         found.append(
             ("not_converged", f"Joint weights had not settled after {estimate.iterations} iterations; a joint may have next to no noise.")
         )
+    found += estimate.warnings
     return tuple(IdentificationWarning(code, message) for code, message in found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Weighting = Literal["joint"]
+Refit = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""A fit of the triangular factor [R z] (p + 1, p + 1) of weighted rows: beta (p,)."""
 
 WEIGHT_CONVERGENCE = 1e-8
 MOST_ITERATIONS = 50
@@ -122,7 +125,9 @@ class Estimate:
     `weights` (n,) multiplied each joint's rows; `sigma` (n,) is the residual standard deviation of each joint; `covariance` (p, p) is the textbook one,
     `inverse_root inverse_root^T` times the variance of a weighted residual; `solution` says the rest. `undetermined` names the directions this
     recording leaves open, `determined` (p,) is False for the parameters they contain; those lean on the prior. `information` is what the solution
-    solves, where that is not the information of the samples themselves (rows weighted one by one, say); `notes` say in sentences what was decided.
+    solves, where that is not the information of the samples themselves (rows weighted one by one, say); `notes` say in sentences what was decided, `warnings` (code, message) what is wrong with it.
+    `dropped` (p,) says which parameters were set to zero as needless; None where none can be. `refit` makes beta of the triangular factor of other rows, weighted alike, all that
+    was chosen held fixed; None where beta is linear in the torque.
     """
 
     method: str
@@ -137,6 +142,9 @@ class Estimate:
     converged: bool
     information: SquareRootInformation | None = None
     notes: tuple[str, ...] = ()
+    warnings: tuple[tuple[str, str], ...] = ()
+    dropped: NDArray[np.bool_] | None = None
+    refit: Refit | None = None
 
     @property
     def rank(self) -> int:
@@ -161,6 +169,7 @@ class Estimate:
         iterations: int | None = None,
         converged: bool | None = None,
         notes: tuple[str, ...] = (),
+        dropped: NDArray[np.bool_] | None = None,
     ) -> Estimate:
         """Return the estimate that another method makes of it: the same directions, other values; `information` is what its rows are judged on."""
         found = solution.x if beta is None else beta
@@ -178,6 +187,8 @@ class Estimate:
             converged=self.converged if converged is None else converged,
             information=own_information,
             notes=notes,
+            dropped=dropped,
+            refit=None,
         )
 
 

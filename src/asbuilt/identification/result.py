@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameter
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.identification.cause_evidence import CauseEvidence
+from asbuilt.identification.error_basis import ErrorBasis
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.summary import Summary, summarise
 from asbuilt.identification.torque_prediction import Prediction, predict_torque
@@ -41,9 +42,10 @@ class IdentificationWarning:
 class IdentifiedParameter:
     """One base parameter: its value by design (`cad`, NaN where the description is silent) and as built, with standard errors.
 
-    `std_error` allows for correlated residuals, `textbook_std_error` takes them as white. `determined` is False where this recording does
+    `std_error` is judged as the result's `errors` say, `textbook_std_error` takes residuals as white. `determined` is False where this recording does
     not tell the parameter and `estimate` leans on CAD; both errors then cover only the part that the recording tells. `poorly_determined` is
-    True where the error is large beside the value and matters to the torque.
+    True where the error is large beside the value and matters to the torque. `dropped` is True where the parameter was set to zero as needless (method
+    `essential`): that is a choice, not a measurement, and both errors are NaN.
     """
 
     id: int
@@ -57,10 +59,13 @@ class IdentifiedParameter:
     textbook_std_error: float
     determined: bool
     poorly_determined: bool
+    dropped: bool = False
 
     @property
     def relative_error(self) -> float:
         """Standard error as a fraction of the estimate."""
+        if self.dropped:
+            return np.nan
         return self.std_error / abs(self.estimate) if self.estimate else np.inf
 
     @property
@@ -80,7 +85,8 @@ class IdentificationResult:
     | `sources` | the recordings it was identified from |
     | `n_samples`, `rate`, `duration` | samples used (each gives n torques), Hz and s, after filtering and decimation |
     | `parameters` | p of `IdentifiedParameter` |
-    | `covariance` | (p, p), allowing for correlated residuals |
+    | `errors` | how the standard errors were judged |
+    | `covariance` | (p, p), judged that way; rows and columns of dropped parameters are zero |
     | `textbook_covariance` | (p, p), residuals taken as white |
     | `sigma` | (n,) standard deviation of the torque residual of each joint |
     | `effective_samples` | how many independent samples the recording is worth |
@@ -120,6 +126,7 @@ class IdentificationResult:
     provenance: tuple[str, ...]
     notes: tuple[str, ...] = ()
     evidence: CauseEvidence | None = None
+    errors: ErrorBasis = field(default_factory=ErrorBasis)
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -165,8 +172,18 @@ class IdentificationResult:
 
     @property
     def std_errors(self) -> Array:
-        """Standard errors that allow for correlated residuals, shape (p,)."""
+        """Standard errors, judged as `errors` says, shape (p,); NaN for dropped parameters."""
         return np.array([parameter.std_error for parameter in self.parameters])
+
+    @property
+    def dropped(self) -> NDArray[np.bool_]:
+        """Which parameters were set to zero as needless, shape (p,)."""
+        return np.array([parameter.dropped for parameter in self.parameters])
+
+    @property
+    def errors_sentence(self) -> str:
+        """How the standard errors were judged, in a sentence."""
+        return self.errors.sentence(self.effective_samples, self.n_samples)
 
     def predict(self, samples: Samples) -> Prediction:
         """Predict the torque of another recording from the values as built, on its filtered grid, beside what was measured there."""
@@ -191,6 +208,7 @@ class IdentificationResult:
             "rate": self.rate,
             "duration": self.duration,
             "effective_samples": self.effective_samples,
+            "errors": self.errors.as_dict(),
             "n_standard": self.n_standard,
             "n_base": self.n_base,
             "rank": self.rank,
@@ -198,7 +216,7 @@ class IdentificationResult:
             "scaled_condition_number": _finite(self.scaled_condition_number),
             "joints": list(self.joint_names),
             "sigma": self.sigma.tolist(),
-            "parameters": [{field: _finite(value) for field, value in asdict(parameter).items()} for parameter in self.parameters],
+            "parameters": [{name: _finite(value) for name, value in asdict(parameter).items()} for parameter in self.parameters],
             "undetermined": list(self.undetermined),
             "train": self.train.as_dict(),
             "validation": [metrics.as_dict() for metrics in self.validation],
@@ -231,7 +249,7 @@ class IdentificationResult:
         try:
             model = model_from_document(whole["model"])
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
-            parameters = tuple(_parameter(item) for item in whole["parameters"])
+            parameters = tuple(_parameter(item, whole["method"]) for item in whole["parameters"])
             ids = [parameter.id for parameter in parameters]
             if ids != base.ids.tolist():
                 odd = sorted(set(ids) ^ set(base.ids.tolist())) or ids
@@ -265,6 +283,7 @@ class IdentificationResult:
                 provenance=tuple(whole["provenance"]),
                 notes=tuple(whole.get("notes", ())),
                 evidence=None if whole.get("evidence") is None else CauseEvidence.from_dict(whole["evidence"]),
+                errors=ErrorBasis.from_dict(whole.get("errors") or {}),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as problem:
             if isinstance(problem, ResultError):
@@ -277,8 +296,11 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
-def _parameter(item: Mapping[str, Any]) -> IdentifiedParameter:
+def _parameter(item: Mapping[str, Any], method: str) -> IdentifiedParameter:
+    """Return a parameter as stored; files of versions that gave dropped parameters an error of zero are read as they are meant."""
     numbers = {name: np.nan if item[name] is None else float(item[name]) for name in ("cad", "estimate", "std_error", "textbook_std_error")}
+    if "dropped" not in item and method == "essential" and numbers["estimate"] == 0.0 == numbers["std_error"]:
+        numbers |= {"std_error": np.nan, "textbook_std_error": np.nan, "dropped": True}
     return IdentifiedParameter(**{**item, **numbers})
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult, IdentifiedParameter
 
 EXPRESSION_WIDTH = 34
+DROPPED = "dropped"
+"""What stands for the error of a parameter that was set to zero as needless."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +123,8 @@ def _parameter_table(result: IdentificationResult) -> Table:
 def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
     estimate, error = rounded(parameter.estimate, parameter.std_error)
     sigmas = parameter.difference_in_sigmas
+    if parameter.dropped:
+        error = DROPPED
     return (
         parameter.id,
         parameter.expression,
@@ -129,7 +133,7 @@ def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
         Shown(parameter.estimate, estimate),
         Shown(parameter.std_error, error),
         Shown(100.0 * parameter.relative_error, percent(parameter.estimate, parameter.std_error)),
-        Shown(sigmas, deviation(sigmas) if parameter.determined else "NOT EXCITED"),
+        Shown(sigmas, DROPPED if parameter.dropped else deviation(sigmas) if parameter.determined else "NOT EXCITED"),
     )
 
 
@@ -154,11 +158,9 @@ def _joint_table(result: IdentificationResult) -> Table:
 
 
 def _notes(result: IdentificationResult) -> tuple[str, ...]:
-    textbook = np.array_equal(result.covariance, result.textbook_covariance)
-    effective = f"effective samples {round(result.effective_samples)} of {result.n_samples}"
-    errors = (
-        "Standard errors take residuals as independent, which they hardly are; too few time blocks to do better."
-        if textbook
-        else f"Standard errors allow for residual correlation ({effective})."
+    return (
+        *result.notes,
+        result.errors_sentence,
+        determination(result, motions=False).in_short,
+        *[warning.message for warning in result.warnings],
     )
-    return (*result.notes, errors, determination(result, motions=False).in_short, *[warning.message for warning in result.warnings])

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.identification.error_basis import ErrorBasis, ErrorKind
 from asbuilt.identification.least_squares import Estimate
 from asbuilt.identification.square_root_information import SquareRootInformation
 
@@ -26,15 +27,21 @@ MOST_LEVERAGE = 0.999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Hold the covariance (p, p) of an estimate, and how many independent samples the recording is worth.
-
-    `method` is `"blocks"` (or `"bootstrap"`), or `"textbook"` where there were too few blocks; `n_blocks` is how many there were.
-    """
+    """Hold the covariance (p, p) of an estimate, how many independent samples the recording is worth, and how that was judged."""
 
     covariance: Array
     effective_samples: float
-    method: str
-    n_blocks: int
+    basis: ErrorBasis
+
+    @property
+    def method(self) -> str:
+        """`"blocks"`, `"bootstrap"` or `"textbook"`."""
+        return self.basis.kind
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of time blocks at hand."""
+        return self.basis.n_blocks
 
     @property
     def std_errors(self) -> Array:
@@ -58,18 +65,15 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     n_blocks, n_samples = information.n_blocks, information.n_samples
     root = estimate.solution.inverse_root
     if n_blocks < FEWEST_BLOCKS or estimate.rank == 0:
-        return Uncertainty(estimate.covariance, float(n_samples), "textbook", n_blocks)
-    residual = np.append(-estimate.beta, 1.0)
+        return Uncertainty(estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks"))
     moves = np.empty((n_blocks, root.shape[1]))
     pulls = np.empty((n_blocks, root.shape[1], root.shape[0]))
     weight = np.empty((n_blocks, root.shape[0]))
     with one_blas_thread():
-        for b in range(n_blocks):
-            factor = information.block_stacked(b, estimate.weights)
-            whitened = factor[:, :-1] @ root
-            leverage, axes = np.linalg.eigh(whitened.T @ whitened)
+        for b, (gram, pull) in enumerate(zip(*block_pulls(information, estimate), strict=True)):
+            leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-            score = axes.T @ (whitened.T @ (factor @ residual))
+            score = axes.T @ pull
             moves[b] = axes @ (score / np.sqrt(1.0 - leverage))
             turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
             pulls[b] = axes @ (leverage[:, None] * turned)
@@ -82,7 +86,34 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     told = textbook > 0
     swell = np.where(told, np.sqrt(variance / np.where(told, textbook, 1.0)), 1.0)
     shrinkage = float(np.exp(-2.0 * np.mean(np.log(swell[told])))) if told.any() else 1.0
-    return Uncertainty(estimate.covariance * np.outer(swell, swell), n_samples * shrinkage, "blocks", n_blocks)
+    growth = float(np.median(swell[told])) if told.any() else None
+    return Uncertainty(
+        estimate.covariance * np.outer(swell, swell), n_samples * shrinkage, replace(basis_of(information, "blocks"), growth=growth)
+    )
+
+
+def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
+    """Return the covariance of the textbook, `s^2 (W^T W)^-1`, right where residuals are independent; the basis says how much larger errors from time blocks are."""
+    growth = block_uncertainty(information, estimate).basis.growth
+    return Uncertainty(estimate.covariance, float(information.n_samples), replace(basis_of(information, "textbook"), growth=growth))
+
+
+def basis_of(information: SquareRootInformation, kind: ErrorKind, *, asked: ErrorKind | None = None) -> ErrorBasis:
+    """Return the basis of errors from this information."""
+    lengths = [(block.stop - block.start) * block.n_samples / max(block.n_samples - 1, 1) for block in information.blocks]
+    return ErrorBasis(kind, kind if asked is None else asked, information.n_blocks, float(np.median(lengths)) if lengths else None)
+
+
+def block_pulls(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
+    """Return `M_b = S^T W_b^T W_b S` (n_blocks, rank, rank) and `g_b = S^T W_b^T e_b` (n_blocks, rank) of every time block, e the weighted residual."""
+    root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
+    grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
+    pulls = np.empty((information.n_blocks, root.shape[1]))
+    for b in range(information.n_blocks):
+        factor = information.block_stacked(b, estimate.weights)
+        whitened = factor[:, :-1] @ root
+        grams[b], pulls[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
+    return grams, pulls
 
 
 def _degrees_of_freedom(pulls: Array, weight: Array) -> Array:

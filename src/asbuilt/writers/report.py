@@ -103,6 +103,7 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
         ("method", result.method),
         ("drive terms", str(result.base.drive)),
         ("samples", f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz, {result.duration:.1f} s"),
+        ("standard errors", result.errors.kind),
         ("independent samples", significant(result.effective_samples)),
         ("rank", f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)"),
         ("condition number", f"{significant(result.condition_number)} (columns scaled {significant(result.scaled_condition_number)})"),

@@ -61,6 +61,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
         "condition_number": _number(result.condition_number),
         "scaled_condition_number": _number(result.scaled_condition_number),
         "effective_samples": _number(result.effective_samples),
+        "errors": result.errors.as_dict() | {"sentence": result.errors_sentence},
         "joints": list(result.joint_names),
         "parameters": [
             {
@@ -72,6 +73,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
                 "estimate": _number(parameter.estimate),
                 "std_error": _number(parameter.std_error),
                 "determined": parameter.determined,
+                "dropped": parameter.dropped,
                 "poorly_determined": parameter.poorly_determined,
             }
             for parameter in result.parameters
