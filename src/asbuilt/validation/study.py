@@ -22,6 +22,7 @@ from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.cause_evidence import gather_evidence
 from asbuilt.identification.drive_choice import DriveChoice, settle_drive
+from asbuilt.identification.error_basis import ErrorKind
 from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.mounting import find_mounting
@@ -55,7 +56,7 @@ class StudyOptions:
     """Say how to identify: drive terms (None: by torque source; "auto", or "auto,spring:joints=2": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
 
     `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands;
-    `sweep_cutoff` chooses the low-pass cutoff by held-out error; `errors` come from time blocks by formula, or by drawing them.
+    `sweep_cutoff` chooses the low-pass cutoff by held-out error; `errors` come from time blocks by formula, by drawing them, or from the textbook.
     """
 
     drive: DriveSet | str | None = None
@@ -66,7 +67,7 @@ class StudyOptions:
     mounting: Literal["as_described", "estimate"] = "as_described"
     block_seconds: float | None = None
     sweep_cutoff: bool = False
-    errors: Literal["blocks", "bootstrap"] = "blocks"
+    errors: ErrorKind = "blocks"
     checked: bool = True
     threads: int | None = None
 
