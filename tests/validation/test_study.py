@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.sensors import SensorNoise
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.validation.study import Study, StudyOptions, run_study
 
@@ -139,3 +141,24 @@ def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None
     recording = robot.record(random_fourier(model, rng=1, duration=20.0, n_harmonics=8), 200.0).recording
     study = run_study(model, [recording], options=StudyOptions(drive=drive, holdout="blocks:2s:3", checked=False))
     assert ("mounting_askew" in {warning.code for warning in study.result.warnings}) is said
+
+
+def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
+    model, drive, tilt = load_robot("kuka-iiwa7-r800"), DriveSet.parse("viscous,coulomb,offset"), 0.05
+    robot = (
+        InstalledRobot.ideal(model)
+        .with_drive(drive, np.tile([0.5, 0.8, 0.1], 7))
+        .with_noise(SensorNoise(torque_noise=0.02))
+        .tilted(tilt, 0.0)
+    )
+    recording = robot.record(random_fourier(model, rng=1, duration=30.0, n_harmonics=8), 100.0, rng=1).recording
+    study = run_study(model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False))
+    warnings = {warning.code: warning.message for warning in study.result.warnings}
+    assert {"bodies_strained", "bodies_refused"} & set(warnings)
+    assert "--mounting estimate" in warnings["mounting_askew"]
+    found = re.search(r"gravity is turned by (-?[\d.]+) \+- [\d.]+ deg about x and (-?[\d.]+)", warnings["mounting_askew"])
+    assert found is not None
+    np.testing.assert_allclose(np.abs([float(angle) for angle in found.groups()]), [np.rad2deg(tilt), 0.0], atol=0.15)
+    mended = run_study(model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"))
+    assert mended.result.physically_consistent
+    assert not {"bodies_strained", "bodies_refused", "mounting_askew"} & {warning.code for warning in mended.result.warnings}

@@ -12,7 +12,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.identification.cad_prior import cad_prior
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
-from asbuilt.identification.consistent_fit import estimate_consistent, estimate_entropic, fit_toward_cad
+from asbuilt.identification.consistent_fit import estimate_consistent, estimate_entropic, fit_consistent, fit_toward_cad
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.least_squares import Estimate, estimate_wls
 from asbuilt.identification.ridge import estimate_ridge, folds
@@ -29,10 +29,16 @@ SCREENED = 20_000
 """Samples of a long recording, in evenly spread time blocks, that are looked through for outliers."""
 ILL_CONDITIONED = 200.0
 """Scaled condition number from which the design is leant on."""
-NEGLIGIBLE_COST = 0.05
-"""Rise of the torque error on the data used that real bodies may cost,"""
-HELD_OUT_COST = 0.01
-"""and of that on held-out blocks."""
+FEWEST_FOLDS = 3
+"""Groups of time blocks below which held-out errors say nothing of their own spread."""
+STRAINED = 0.05
+"""Rise of the torque error on the data used from which real bodies are said to fit with strain: more than the parameters they give up account for."""
+QUIETEST = 1e-5
+"""Noise of a joint, as a fraction of its torque RMS, below which errors are not measured in it."""
+CURE = (
+    "Something acts that links and drives as described cannot be: find how the robot stands (--mounting estimate), choose richer friction (--drive auto), "
+    "or describe the tool that the flange carries."
+)
 
 
 def estimate_auto(evidence: Evidence) -> Estimate:
@@ -41,8 +47,10 @@ def estimate_auto(evidence: Evidence) -> Estimate:
     1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust standard deviations, or a joint's residual variance is more than
        30 times the robust one;
     2. `ridge` where directions are not excited or the scaled condition number is above 200;
-    3. `consistent` or `entropic`, whichever predicts held-out time blocks better, where no real bodies have the values found so far, if the torque error
-       on the data used rises by less than 5 % and that on held-out blocks by less than 1 %.
+    3. where no real bodies have the values found so far, `consistent`, or `entropic` where that predicts better, if it predicts as well as the values found;
+       else these stay, with a warning. Judged on time blocks of this recording held out in turn: as well is within one standard error of the difference,
+       group by group, better is beyond it (the rule by which the weight of CAD is chosen). That bodies are real is certain, that they are near CAD is not,
+       so the one is asked not to do harm, the other to do good.
 
     Where real bodies have the values found, they stay. With `unexcited="refuse"` steps 2 and 3 are left out.
     """
@@ -70,9 +78,8 @@ def estimate_auto(evidence: Evidence) -> Estimate:
         reasons.append(f"{leaning.method}, since {why}")
         estimate = _joined(leaning, estimate)
     if evidence.unexcited != "refuse" and not _possible(evidence, estimate):
-        real, why = _real_bodies(evidence, seen, estimate)
+        estimate, why = _real_bodies(seen, estimate)
         reasons.append(why)
-        estimate = real or estimate
     if not reasons:
         reasons.append("wls: few outliers, well conditioned, and real bodies have these values")
     return replace(estimate, notes=(f"Picked automatically: {'; '.join(reasons)}.", *estimate.notes))
@@ -81,7 +88,11 @@ def estimate_auto(evidence: Evidence) -> Estimate:
 def _joined(later: Estimate, earlier: Estimate) -> Estimate:
     """Return the later estimate, judged on the information of the earlier one, both telling what they decided."""
     return replace(
-        later, information=earlier.information, sigma=np.maximum(later.sigma, earlier.sigma), notes=(*earlier.notes, *later.notes)
+        later,
+        information=earlier.information,
+        sigma=np.maximum(later.sigma, earlier.sigma),
+        notes=(*earlier.notes, *later.notes),
+        warnings=(*earlier.warnings, *later.warnings),
     )
 
 
@@ -93,44 +104,71 @@ def _possible(evidence: Evidence, estimate: Estimate) -> bool:
         return True
 
 
-def _real_bodies(evidence: Evidence, seen: Evidence, free: Estimate) -> tuple[Estimate | None, str]:
-    """Return the best fit of real bodies, None where it costs too much, and why."""
-    information = evidence.information
-    entropic = estimate_entropic(seen)
-    candidates: list[tuple[Estimate, Callable[[Evidence], Estimate]]] = [
-        (estimate_consistent(seen), estimate_consistent),
-        (entropic, lambda part: fit_toward_cad(part.information, cad_prior(part.model, part.base.drive), weight=entropic.prior_weight)),
+def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
+    """Return the fit of real bodies, or the free one where that predicts held-out blocks better by more than one standard error, and why."""
+    information, prior = seen.information, cad_prior(seen.model, seen.base.drive)
+    energy, n = information.residual_energy(free.beta), information.n_samples
+    quietest = np.maximum(QUIETEST * np.sqrt(information.torque_energy / n), np.finfo(np.float64).tiny)
+    sigma = np.maximum(np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)), quietest)
+    consistent, entropic = estimate_consistent(seen), estimate_entropic(seen)
+    candidates: list[tuple[Estimate, Callable[[SquareRootInformation], Estimate]]] = [
+        (consistent, lambda part: fit_consistent(part, prior, weights=consistent.weights)),
+        (entropic, lambda part: fit_toward_cad(part, prior, weight=entropic.prior_weight, weights=entropic.weights)),
     ]
-    reference = float(np.sqrt(information.residual_energy(free.beta).sum()))
-    cheap, costs = [], []
-    for estimate, again in candidates:
-        cost = float(np.sqrt(information.residual_energy(estimate.beta).sum())) / reference - 1.0 if reference > 0 else np.inf
-        costs.append(f"{estimate.method} {100 * cost:+.2g} %")
-        if cost < NEGLIGIBLE_COST:
-            cheap.append((estimate, again))
-    if not cheap:
-        return None, f"{free.method} kept, since real bodies would raise the torque error too much ({', '.join(costs)})"
-    errors = [_held_out(seen, again) for _, again in cheap]
-    before = _held_out(seen, estimate_ridge if free.method == "ridge" else estimate_wls)
-    best = int(np.argmin(errors))
-    if errors[best] > (1.0 + HELD_OUT_COST) * before:
-        return None, f"{free.method} kept, since real bodies predict held-out blocks worse ({100 * (errors[best] / before - 1):+.2g} %)"
-    chosen = cheap[best][0]
-    told = f", held-out blocks {100 * (errors[best] / before - 1):+.2g} %" if before > 0 else ""
-    return _joined(chosen, free), (
-        f"{chosen.method}, since no real bodies have the values of {free.method} and these cost next to nothing "
-        f"(torque error of {', '.join(costs)}{told})"
+    estimator = estimate_ridge if free.method == "ridge" else estimate_wls
+    before = _held_out(information, lambda part: estimator(replace(seen, information=part)), sigma)
+    if len(before) < FEWEST_FOLDS:
+        why = f"consistent, since no real bodies have the values of {free.method}; time blocks are too few to hold any out"
+        return _strained(information, _joined(consistent, free), free, sigma), why
+    errors = {estimate.method: _held_out(information, again, sigma) for estimate, again in candidates}
+    preferred = [estimate for estimate, _ in candidates]
+    if _better(errors["entropic"], errors["consistent"]):
+        preferred.reverse()
+    told = [_compared(each.method, errors[each.method], free.method, before) for each in preferred]
+    on = f"on {len(before)} groups of time blocks held out in turn"
+    for real, sentence in zip(preferred, told, strict=True):
+        if not _better(before, errors[real.method]):
+            judged = "better" if _better(errors[real.method], before) else "as well within one standard error"
+            why = f"{real.method}, since no real bodies have the values of {free.method} and it predicts {judged}, {on}: {sentence}"
+            return _strained(information, _joined(real, free), free, sigma), why
+    refused = (
+        f"No real bodies have the values of {free.method}, and real bodies predict worse by more than one standard error, {on} ({'; '.join(told)}), so these "
+        f"values were kept. {CURE}"
+    )
+    kept = replace(free, warnings=(*free.warnings, ("bodies_refused", refused)))
+    return kept, f"{free.method} kept although no real bodies have its values, since real bodies predict worse, {on}: {'; '.join(told)}"
+
+
+def _better(errors: Array, others: Array) -> bool:
+    """Return whether errors (n_folds,) are smaller than others by more than one standard error of the mean difference."""
+    excess = errors - others
+    return bool(excess.mean() < -excess.std(ddof=1) / np.sqrt(len(excess)))
+
+
+def _compared(method: str, errors: Array, other: str, others: Array) -> str:
+    excess = errors - others
+    return (
+        f"squared error of {method} {errors.mean():.3g} noise variances, of {other} {others.mean():.3g}, "
+        f"difference {excess.mean():+.2g} +- {excess.std(ddof=1) / np.sqrt(len(excess)):.2g}"
     )
 
 
-def _held_out(evidence: Evidence, again: Callable[[Evidence], Estimate]) -> float:
-    """Return the norm of the torque error on blocks held out in turn; 0 where there is one block only."""
-    total = 0.0
+def _strained(information: SquareRootInformation, real: Estimate, free: Estimate, sigma: Array) -> Estimate:
+    """Return the fit of real bodies, warning where it follows the data used much worse than the free one."""
+    strain = float(np.sqrt(np.mean(information.residual_energy(real.beta) / information.n_samples / sigma**2))) - 1.0
+    if strain <= STRAINED:
+        return real
+    message = (
+        f"Real bodies follow the data used with {100 * strain:.0f} % more torque error, in noise of the joints, than the values of {free.method}, which no bodies "
+        f"have. {CURE}"
+    )
+    return replace(real, warnings=(*real.warnings, ("bodies_strained", message)))
+
+
+def _held_out(information: SquareRootInformation, again: Callable[[SquareRootInformation], Estimate], sigma: Array) -> Array:
+    """Return the mean squared torque error, in variances `sigma**2` of the joints, on each group of blocks held out in turn; empty for one block."""
+    found = []
     with one_blas_thread():
-        for learnt, judged in folds(evidence.information):
-            total += _energy(judged, again(replace(evidence, information=learnt)).beta)
-    return float(np.sqrt(total))
-
-
-def _energy(information: SquareRootInformation, beta: Array) -> float:
-    return float(information.residual_energy(beta).sum())
+        for learnt, judged in folds(information):
+            found.append(float(np.mean(judged.residual_energy(again(learnt).beta) / judged.n_samples / sigma**2)))
+    return np.array(found)

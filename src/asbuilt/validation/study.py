@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.errors import AsbuiltError, IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.long_recordings import RecordingStream
@@ -25,7 +25,7 @@ from asbuilt.identification.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.error_basis import ErrorKind
 from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
-from asbuilt.identification.mounting import find_mounting
+from asbuilt.identification.mounting import Mounting, find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.attribution import Attribution, attribute
 from asbuilt.validation.comparison import Comparison, compare, recording_name
@@ -39,6 +39,10 @@ STANDING_ERROR = 0.5
 """Share of a joint's squared error at standstill from which it is said so."""
 ASKEW = np.deg2rad(0.5)
 """Tilt of the mounting [rad] from which it is said so."""
+BADLY_FITTING = ("bodies_strained", "bodies_refused")
+"""Warnings of an automatic choice where something acts that real bodies cannot follow,"""
+SEARCHED = 30_000
+"""for which, up to so many samples, it is looked whether the robot stands askew."""
 GAINS_TAKEN = (
     "Torques come from currents, whose gains were taken as exact: where the torque per ampere of a joint is 3 % off, so is what its torque tells, beyond the "
     "standard errors. asbuilt gains finds it from a payload of known mass."
@@ -160,18 +164,35 @@ def run_study(
     attribution = None
     if result.evidence is not None and options.mounting == "as_described":
         attribution = attribute(result)
-        result = _mounting_doubted(result, attribution.tilt)
+        result = _mounting_doubted(result, attribution.tilt, _searched(result, learning, chosen.drive, options))
     report("predict", 1.0)
     return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs, attribution)
 
 
-def _mounting_doubted(result: IdentificationResult, tilt: float) -> IdentificationResult:
-    if tilt < ASKEW:
+def _searched(result: IdentificationResult, learning: Sequence[Samples], drive: DriveSet, options: StudyOptions) -> Mounting | None:
+    """Find how the robot stands where real bodies fit badly; None elsewhere, and for long recordings."""
+    fits = not any(warning.code in BADLY_FITTING for warning in result.warnings)
+    if fits or sum(len(samples.t) for samples in learning) > SEARCHED:
+        return None
+    try:
+        return find_mounting(result.model, learning, drive=drive, block_seconds=options.block_seconds)
+    except AsbuiltError:
+        return None
+
+
+def _mounting_doubted(result: IdentificationResult, tilt: float, stands: Mounting | None) -> IdentificationResult:
+    if stands is not None and stands.is_askew:
+        message = (
+            f"Real bodies fit better where {stands.sentence}. A tilt that the description does not know is imitated by values that no bodies have, and real "
+            "bodies cannot follow it: check the mounting or identify with --mounting estimate."
+        )
+    elif tilt >= ASKEW:
+        message = (
+            f"The robot seems to stand askew by {np.rad2deg(tilt):.1f} deg, which its description does not know and links then have to imitate. Check the mounting "
+            "or identify with --mounting estimate."
+        )
+    else:
         return result
-    message = (
-        f"The robot seems to stand askew by {np.rad2deg(tilt):.1f} deg, which its description does not know and links then have to imitate. Check the mounting "
-        "or identify with --mounting estimate."
-    )
     return replace(result, warnings=(*result.warnings, IdentificationWarning("mounting_askew", message)))
 
 
