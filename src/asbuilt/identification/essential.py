@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import fdtri
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.identification.evidence import Evidence
@@ -48,7 +48,7 @@ def estimate_essential(evidence: Evidence, significance: float = SIGNIFICANCE) -
             increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
             weakest = int(np.argmin(increase))
             count = len(dropped) + 1
-            if (loss + increase[weakest]) / count * share > variance * stats.f.ppf(1.0 - significance, count, freedom):
+            if (loss + increase[weakest]) / count * share > variance * fdtri(count, freedom, 1.0 - significance):
                 break
             loss += float(increase[weakest])
             dropped.append(int(kept[weakest]))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy.special import ndtri, stdtrit
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.identification.error_basis import ErrorBasis, ErrorKind
@@ -81,7 +81,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
         freedom = _degrees_of_freedom(pulls, weight)
     clustered = np.sum((moves @ root.T) ** 2, axis=0) * (1.0 + 2.0 * _neighbours(information, moves))
     textbook = np.diag(estimate.covariance)
-    widened = (stats.t.ppf(COVERED, np.maximum(freedom, FEWEST_DEGREES)) / stats.norm.ppf(COVERED)) ** 2
+    widened = (stdtrit(np.maximum(freedom, FEWEST_DEGREES), COVERED) / ndtri(COVERED)) ** 2
     variance = np.maximum(clustered * widened, textbook)
     told = textbook > 0
     swell = np.where(told, np.sqrt(variance / np.where(told, textbook, 1.0)), 1.0)
