@@ -60,3 +60,15 @@ def test_what_cannot_be_compared_is_refused(identified: tuple[IdentificationResu
         compare_with_truth(result, replace(simulated, drive=DriveSet.parse("viscous")))
     with pytest.raises(ResultError, match="has no velocities and accelerations; record with DataLogger"):
         compare_with_truth(result, replace(simulated, recording=replace(simulated.recording, qdd=None)))
+
+
+def test_a_dropped_parameter_has_no_error_to_lie_within(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+    result, simulated = identified
+    whole = compare_with_truth(result, simulated)
+    k = int(np.argmax(np.abs(whole.deviations)))
+    gone = [replace(p, std_error=np.nan, textbook_std_error=np.nan, dropped=True) if j == k else p for j, p in enumerate(result.parameters)]
+    recovery = compare_with_truth(replace(result, parameters=tuple(gone)), simulated)
+    assert np.isnan(recovery.deviations[k])
+    others = np.delete(np.abs(whole.deviations), k)
+    assert recovery.within(1.0) == pytest.approx(np.mean(others <= 1.0))
+    assert recovery.within(np.inf) == 1.0

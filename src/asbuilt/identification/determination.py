@@ -66,7 +66,7 @@ class Determination:
     """Say what a recording determines.
 
     `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that and `negligible` those of them whose error hardly changes the
-    torque of this motion; `not_at_all` those that nothing in the recording tells.
+    torque of this motion; `not_at_all` those that nothing in the recording tells; `dropped` those that the estimator set to zero as needless, which have no error.
     """
 
     well: tuple[str, ...]
@@ -76,16 +76,19 @@ class Determination:
     not_at_all: tuple[str, ...]
     combinations: tuple[Combination, ...]
     advice: tuple[Advice, ...]
+    dropped: tuple[str, ...] = ()
 
     @property
     def in_short(self) -> str:
         """One line for a summary."""
-        total = sum(len(names) for names in (self.well, self.fairly, self.hardly, self.not_at_all))
+        total = sum(len(names) for names in (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped))
         parts = [
             f"Determined to 10 % or better: {len(self.well)} of {total} parameters; to 50 %: {len(self.fairly)}; hardly: {len(self.hardly)}"
         ]
         if self.not_at_all:
             parts.append(f"not at all: {len(self.not_at_all)}")
+        if self.dropped:
+            parts.append(f"dropped as needless: {len(self.dropped)}")
         return "; ".join(parts) + "." + (f" What would help: {'; '.join(tip.motion for tip in self.advice[:2])}." if self.advice else "")
 
     @property
@@ -101,6 +104,10 @@ class Determination:
             found.append(text + ".")
         if self.not_at_all:
             found.append(f"Not at all ({len(self.not_at_all)}): {_listed(self.not_at_all)}.")
+        if self.dropped:
+            found.append(
+                f"Dropped, set to zero because an F-test does not miss them ({len(self.dropped)}): {_listed(self.dropped)}. They have no error; those of the others hold if they are zero."
+            )
         for each in self.combinations:
             found.append(
                 f"Trade-off: {each.text} hardly changes the torque of this recording; the error of {each.names[0]} is {significant(each.spread, 2)} times "
@@ -114,7 +121,7 @@ class Determination:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain texts, numbers and lists, ready for JSON."""
-        fields = {name: list(getattr(self, name)) for name in ("well", "fairly", "hardly", "negligible", "not_at_all")}
+        fields = {name: list(getattr(self, name)) for name in ("well", "fairly", "hardly", "negligible", "not_at_all", "dropped")}
         return fields | {
             "combinations": [asdict(each) for each in self.combinations],
             "advice": [asdict(tip) for tip in self.advice],
@@ -131,7 +138,8 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     and hard acceleration of each joint, and of all at once.
     """
     names = np.array(result.base.names)
-    told = np.array([parameter.determined for parameter in result.parameters])
+    dropped = result.dropped
+    told = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
     size = np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
     error = result.std_errors
     well, hardly = told & (error <= WELL * size), told & (error > HARDLY * size)
@@ -140,14 +148,15 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
         alone = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
         negligible = hardly & (error <= UNNOTICED * np.sqrt(result.effective_samples) * alone)
         combinations = _combinations(result, information, told)
-        weak = np.flatnonzero(~well & ~(negligible & told))
+        weak = np.flatnonzero(~well & ~(negligible & told) & ~dropped)
         advice = _advice(result, information, weak) if motions and weak.size else ()
     return Determination(
         well=tuple(names[well]),
         fairly=tuple(names[told & ~well & ~hardly]),
         hardly=tuple(names[hardly]),
         negligible=tuple(names[negligible]),
-        not_at_all=tuple(names[~told]),
+        not_at_all=tuple(names[~told & ~dropped]),
+        dropped=tuple(names[dropped]),
         combinations=combinations,
         advice=advice,
     )

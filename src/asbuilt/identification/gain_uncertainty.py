@@ -64,6 +64,7 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
 
     `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction larger, beta changes by that fraction of column k. W and tau are those the result
     was identified from, where it kept its evidence (all of it: what was put aside to judge by is part of it where no other recording was at hand); else those of `stand_in`, weighted rows `[W_k | ...]` of other motion of the arm, with the torque that the result predicts.
+    Parameters that the result dropped stay zero.
     """
     p, beta = result.n_base, result.estimates
     if result.evidence is not None:
@@ -75,6 +76,7 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
         factors = [weight * np.vstack(joint)[:, places] for weight, joint in zip(weights, zip(*parts, strict=True), strict=True)]
     else:
         factors = [np.column_stack([rows[:, :p], rows[:, :p] @ beta]) for rows in stand_in]
+    factors = [factor * np.append(~result.dropped, True) for factor in factors]
     matrix = sum((factor[:, :-1].T @ factor[:, :-1] for factor in factors), start=np.zeros((p, p)))
     sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
     scale = np.sqrt(np.diag(matrix))

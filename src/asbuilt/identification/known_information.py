@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 def known_information(result: IdentificationResult) -> Array:
     """Return the information matrix (p, p) behind a result: the pseudo-inverse of its covariance, of the result's rank, in scaled columns.
 
-    Directions that the recording does not tell carry no information. The standard errors allow for correlated residuals, so the information
-    does, too.
+    Directions that the recording does not tell carry no information, nor do dropped parameters, which were set and not measured: a further motion may tell
+    them. The standard errors allow for correlated residuals, so the information does, too.
     """
     covariance = np.array(result.covariance)
     size = np.sqrt(np.diag(covariance))

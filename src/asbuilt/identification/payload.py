@@ -213,11 +213,13 @@ def _solved_symmetric(matrix: Array, sides: Array) -> Array:
 
 
 def _prior(result: IdentificationResult) -> Array:
-    """Return rows (p, p + 11) that hold beta at the result, in units of its standard errors."""
-    p = result.n_base
-    scale = np.sqrt(np.maximum(np.diag(result.covariance), np.finfo(np.float64).tiny))
-    values, axes = np.linalg.eigh(result.covariance / np.outer(scale, scale))
-    root = (axes / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T / scale
+    """Return rows (p, p + 11) that hold beta at the result, in units of its standard errors; parameters that it dropped, whose columns are zero elsewhere, at zero."""
+    p, kept = result.n_base, np.flatnonzero(~result.dropped)
+    covariance = result.covariance[np.ix_(kept, kept)]
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
+    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root = np.eye(p)
+    root[np.ix_(kept, kept)] = (axes / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T / scale
     return np.concatenate([root, np.zeros((p, 10)), (root @ result.estimates)[:, None]], axis=1)
 
 

@@ -41,11 +41,15 @@ class PayloadRows:
         x: Array,
         block_seconds: float | None,
     ) -> PayloadRows:
-        """Reduce samples; `x` is arm and payload as known so far, whose load friction that depends on load is taken to feel."""
+        """Reduce samples; `x` is arm and payload as known so far, whose load friction that depends on load is taken to feel.
+
+        The columns of parameters that the result dropped are zero: zero they stay.
+        """
         p, weights = result.n_base, 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny)
         link_columns = np.arange(10 * link, 10 * link + 10)
         columns = np.union1d(result.base.columns, link_columns)
         own, carried = np.searchsorted(columns, result.base.columns), np.searchsorted(columns, link_columns)
+        kept = ~result.dropped
         arm_model = carrying(result.model, result.base, x[:p])
         chi = arm_model.parameters.copy()
         chi[link_columns] += shift @ x[p:]
@@ -54,15 +58,16 @@ class PayloadRows:
         )
 
         def with_payload(factor: Array) -> Array:
-            return np.column_stack([factor[:, own], factor[:, carried] @ shift, factor[:, -1]])
+            return np.column_stack([factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]])
 
         blocks = [with_payload(under.block_stacked(b, weights)) for b in range(under.n_blocks)]
         joints = [with_payload(weight * factor) for weight, factor in zip(weights, _whole(under), strict=True)]
         if unloaded:
             bare = accumulate_stream(arm_model, result.base, unloaded, block_seconds=block_seconds)
-            blocks += [_widened(bare.block_stacked(b, weights), p) for b in range(bare.n_blocks)]
+            blocks += [_widened(bare.block_stacked(b, weights), kept) for b in range(bare.n_blocks)]
             joints = [
-                np.vstack([rows, _widened(weight * factor, p)]) for rows, weight, factor in zip(joints, weights, _whole(bare), strict=True)
+                np.vstack([rows, _widened(weight * factor, kept)])
+                for rows, weight, factor in zip(joints, weights, _whole(bare), strict=True)
             ]
         return cls(blocks, joints, under.n_samples)
 
@@ -77,6 +82,6 @@ def _whole(information: SquareRootInformation) -> list[Array]:
     return whole
 
 
-def _widened(factor: Array, p: int) -> Array:
-    """Return a factor of the bare arm with ten zero columns for the payload."""
-    return np.concatenate([factor[:, :p], np.zeros((len(factor), 10)), factor[:, p:]], axis=1)
+def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:
+    """Return a factor of the bare arm with ten zero columns for the payload, columns of parameters that are not `kept` zero too."""
+    return np.concatenate([factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1)

@@ -9,10 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from asbuilt.identification.summary import DROPPED
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant
 from asbuilt.validation.torque_cost import MATTERS
 
-Verdict = Literal["differs", "agrees", "no CAD value", "not determined"]
+Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "dropped"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,7 @@ class ComparedParameter:
     `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque`
     is what the difference costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up
     for; None without evidence. `matters` says whether some joint would notice that part; where it would notice only the whole, `shared_with` names the parameters that could
-    make up for the rest, which the recording hardly tells apart.
+    make up for the rest, which the recording hardly tells apart. `"dropped"` is one that the estimator set to zero as needless: it has no error and is not tested.
     """
 
     id: int
@@ -91,7 +92,7 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, level: float, un
             parameter.unit,
             cad,
             Shown(parameter.estimate, shown),
-            Shown(parameter.std_error, error),
+            Shown(parameter.std_error, DROPPED if parameter.verdict == "dropped" else error),
             Shown(relative, percent(parameter.estimate, parameter.std_error)),
             Shown(parameter.sigmas, outcome) if parameter.sigmas is not None else outcome,
         ]

@@ -195,7 +195,7 @@ def compare(
             estimate=parameter.estimate,
             std_error=parameter.std_error if np.isfinite(parameter.std_error) and parameter.std_error > 0 else None,
             sigmas=None,
-            verdict="no CAD value" if determined[j] else "not determined",
+            verdict="dropped" if parameter.dropped else "no CAD value" if determined[j] else "not determined",
             words=words[j],
         )
         if tested[j]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.errors import ResultError
+from asbuilt.identification.summary import DROPPED
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, rounded, significant, stacked
 from asbuilt.tables import share as percentage
 from asbuilt.validation.compared_parameter import matters_text
@@ -40,7 +41,7 @@ class ParameterChange:
     """One base parameter in two results: values, errors, their difference in its standard errors, tests, and the RMS torque it makes (None without evidence).
 
     `changed` says that it did beyond doubt, `matters` that some joint notices what of its change no other parameter could make up for; where a joint notices only the whole,
-    `shared_with` names the parameters that could.
+    `shared_with` names the parameters that could. `dropped` says that one of the results set it to zero as needless, without an error: it is not tested.
     """
 
     id: int
@@ -60,6 +61,7 @@ class ParameterChange:
     changed: bool
     matters: bool | None
     words: str = ""
+    dropped: bool = False
     shared_with: tuple[str, ...] = ()
 
 
@@ -112,7 +114,15 @@ class Drift:
         rows: list[tuple[Cell, ...]] = []
         for each in self.ranked:
             error = float(np.hypot(each.before_error, each.after_error))
-            outcome = "CHANGED" if each.changed else "not determined" if each.sigmas is None else deviation(each.sigmas, np.inf)
+            outcome = (
+                "CHANGED"
+                if each.changed
+                else DROPPED
+                if each.dropped
+                else "not determined"
+                if each.sigmas is None
+                else deviation(each.sigmas, np.inf)
+            )
             rows.append(
                 (
                     each.id,
@@ -179,9 +189,9 @@ def compare_results(
     difference = after.estimates[two] - before.estimates[one]
     covariance = before.covariance[np.ix_(one, one)] + after.covariance[np.ix_(two, two)]
     error = np.sqrt(np.diag(covariance))
-    tested = np.array([before.parameters[i].determined and after.parameters[j].determined for i, j in zip(one, two, strict=True)]) & (
-        error > 0
-    )
+    dropped = before.dropped[one] | after.dropped[two]
+    determined = np.array([before.parameters[i].determined and after.parameters[j].determined for i, j in zip(one, two, strict=True)])
+    tested = determined & ~dropped & (error > 0)
     sigmas = difference[tested] / error[tested]
     p_values = two_sided_probability(sigmas)
     tests = np.full((4, len(names)), np.nan)
@@ -218,6 +228,7 @@ def compare_results(
             changed=bool(changed[place]),
             matters=None if cost is None else bool(changed[place] and own[place]),
             words=words[j],
+            dropped=bool(dropped[place]),
             shared_with=() if cost is None or left is None or not changed[place] else cost.shared_with(int(j), left, after.base.names),
         )
         for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))

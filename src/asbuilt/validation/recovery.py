@@ -34,12 +34,12 @@ class Recovery:
 
     @property
     def deviations(self) -> Array:
-        """`(estimate - truth) / std_error`, shape (p,)."""
+        """`(estimate - truth) / std_error`, shape (p,); NaN for parameters that were dropped, which have no error."""
         return (self.estimate - self.truth) / self.std_error
 
     def within(self, sigmas: float, *, of_links: bool | None = None) -> float:
-        """Return the share of parameters that lie within so many of their standard errors from the truth: of all, of links, or of drives (`of_links` False)."""
-        chosen = np.ones(len(self.names), dtype=np.bool_) if of_links is None else self.of_links == of_links
+        """Return the share of parameters that lie within so many of their standard errors from the truth: of all that have one, of links, or of drives (`of_links` False)."""
+        chosen = np.isfinite(self.std_error) & (True if of_links is None else self.of_links == of_links)
         return float(np.mean(np.abs(self.deviations[chosen]) <= sigmas))
 
 

@@ -136,7 +136,7 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
         "cad_value": parameter.cad,
         "built": shown,
         "built_value": parameter.estimate,
-        "error": error,
+        "error": parameter.verdict if parameter.verdict == "dropped" else error,
         "error_value": parameter.std_error,
         "percent": percent(parameter.estimate, parameter.std_error),
         "percent_value": None if parameter.std_error is None or not parameter.estimate else abs(parameter.std_error / parameter.estimate),

@@ -166,18 +166,24 @@ def write_json(path: str | os.PathLike[str], document: Any) -> Path:
 
 def identified_table(result: IdentificationResult) -> Table:
     """Return every base parameter of a result in full precision."""
-    heads = tuple(Column(name) for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error", "determined"))
+    heads = tuple(
+        Column(name) for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error", "determined", "dropped")
+    )
     return Table(
         heads,
         tuple(
-            (p.id, p.name, p.expression, p.symbolic, p.unit, p.cad, p.estimate, p.std_error, "yes" if p.determined else "no")
+            (
+                *(p.id, p.name, p.expression, p.symbolic, p.unit, p.cad, p.estimate, p.std_error),
+                "yes" if p.determined else "no",
+                "yes" if p.dropped else "no",
+            )
             for p in result.parameters
         ),
     )
 
 
 def write_parameters_csv(path: str | os.PathLike[str], result: IdentificationResult) -> Path:
-    """Write the base parameters of a result as CSV: id, name, expression, symbolic, unit, cad, estimate, std_error, determined."""
+    """Write the base parameters of a result as CSV: id, name, expression, symbolic, unit, cad, estimate, std_error, determined, dropped; a dropped one has no std_error."""
     return atomic_write(path, identified_table(result).as_csv())
 
 
