@@ -3,7 +3,7 @@ from __future__ import annotations
 import cvxpy as cp
 import numpy as np
 
-from asbuilt.excitation.interior_point import Evaluation, Linearised, MotionProgram, StateConstraint, solve
+from asbuilt.excitation.interior_point import Evaluation, MotionProgram, StateConstraint, solve
 
 
 class Disc(StateConstraint):
@@ -18,8 +18,8 @@ class Disc(StateConstraint):
     def values(self, q, qd, qdd):
         return (((q - self.centre) ** 2).sum(axis=1) / self.radius**2)[:, None]
 
-    def linearised(self, q, qd, qdd):
-        return Linearised(self.values(q, qd, qdd), ((2 * (q - self.centre) / self.radius**2)[:, None, :], None, None), False)
+    def slopes(self, q, qd, qdd):
+        return (2 * (q - self.centre) / self.radius**2)[:, None, :, None]
 
 
 class Nearest(MotionProgram):

@@ -13,7 +13,7 @@ from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import random_states
 from asbuilt.excitation.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.distances import nearest_on_segments, nearest_to_box
-from asbuilt.excitation.interior_point import Linearised, StateConstraint
+from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array
 
@@ -58,8 +58,8 @@ class CollisionGuard(StateConstraint):
         """Return v of every pair, (N, pairs)."""
         return self._softened(self._distances(q)[0])
 
-    def linearised(self, q: Array, qd: Array, qdd: Array) -> Linearised:
-        """Return v and its derivative with respect to q, from the nearest points and the Jacobians there."""
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivative of v with respect to q, (N, pairs, n, 1), from the nearest points and the Jacobians there."""
         distances, points, normals = self._distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
@@ -70,7 +70,8 @@ class CollisionGuard(StateConstraint):
                 for k in self._model.ancestors(link):
                     speed = np.cross(axes[:, k], point - origins[:, k]) if self._model.joints[k].is_revolute else axes[:, k]
                     gradient[:, number, k] += sign * np.einsum("si,si->s", normals[:, number], speed)
-        return Linearised(self._softened(distances), (slope[:, :, None] * gradient, None, None), False)
+        slopes: Array = slope[:, :, None, None] * gradient[..., None]
+        return slopes
 
     def smallest_distance(self, q: Array) -> float:
         """Return the smallest distance between any watched pair over all poses (N, n) [m]."""
@@ -139,15 +140,15 @@ class ToolBox(StateConstraint):
         normalised: Array = (self._places(q) - self._centre) / self._half
         return normalised
 
-    def linearised(self, q: Array, qd: Array, qdd: Array) -> Linearised:
-        """Return the place and its derivatives."""
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the place with respect to q, (N, 3, n, 1)."""
         place = self._places(q)
         axes, origins = _joint_axes(self._model, q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
         for k in self._model.ancestors(self._link):
             speed = np.cross(axes[:, k], place - origins[:, k]) if self._model.joints[k].is_revolute else axes[:, k]
             gradient[:, :, k] = speed / self._half
-        return Linearised((place - self._centre) / self._half, (gradient, None, None), True)
+        return gradient[..., None]
 
     def _places(self, q: Array) -> Array:
         pose = link_poses(self._model, q)[:, self._link]

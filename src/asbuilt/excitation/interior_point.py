@@ -20,20 +20,11 @@ MOST_BACKTRACKS = 14
 COMPLEMENTARITY_SPREAD = 1e8
 
 
-@dataclass(frozen=True, eq=False)
-class Linearised:
-    """Values v (N, m), normalised so that they must stay below 1 (and above -1 where `two_sided`), and their derivatives.
-
-    `by_state[k]` (N, m, n) is the derivative with respect to the k-th time derivative of the joint positions, None where it vanishes.
-    """
-
-    values: Array
-    by_state: tuple[Array | None, Array | None, Array | None]
-    two_sided: bool
-
-
 class StateConstraint(ABC):
-    """Bound something that depends on the joint state at one instant: torque, distance to an obstacle, place of the tool."""
+    """Bound something that depends on the joint state at one instant: torque, distance to an obstacle, place of the tool.
+
+    Its values are normalised so that they must stay below 1, and above -1 where it is `two_sided`.
+    """
 
     name: str
     two_sided: bool
@@ -43,8 +34,8 @@ class StateConstraint(ABC):
         """Return the normalised values (N, m) at the states (N, n)."""
 
     @abstractmethod
-    def linearised(self, q: Array, qd: Array, qdd: Array) -> Linearised:
-        """Return the values and their derivatives."""
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values with respect to the joint positions and their time derivatives of orders below r, (N, m, n, r)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +95,7 @@ class _Point:
     coefficients: Array
     value: float
     gradient: Array
-    curved: list[Linearised]
-    jacobians: list[Array]
+    curved: list[Array]
     slacks: list[Array]
 
 
@@ -181,7 +171,7 @@ def solve(
         shift = length * step
         duals = _next_duals(program, point, moved, duals, step, mu)
         curved_pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)][len(program.bases) :]
-        change = _curved_gradient(moved, curved_pull) - _curved_gradient(point, curved_pull)
+        change = _curved_gradient(program, moved, curved_pull) - _curved_gradient(program, point, curved_pull)
         if fresh:
             sharp = float(shift @ change)
             if sharp > 0:
@@ -215,20 +205,35 @@ def _metric(program: MotionProgram) -> Array:
 def _point(program: MotionProgram, coefficients: Array, slacks: list[Array], evaluation: Evaluation) -> _Point:
     state = program.states(coefficients)
     gradient = sum(basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False))
-    curved = [constraint.linearised(*state) for constraint in program.constraints]
-    jacobians = [_jacobian(program, item) for item in curved]
-    return _Point(coefficients, evaluation.value, _flat(np.asarray(gradient)), curved, jacobians, slacks)
+    curved = [constraint.slopes(*state) for constraint in program.constraints]
+    return _Point(coefficients, evaluation.value, _flat(np.asarray(gradient)), curved, slacks)
 
 
-def _jacobian(program: MotionProgram, item: Linearised) -> Array:
-    """Return the derivatives of the values with respect to the coefficients, (N m, n n_basis)."""
-    samples, m = item.values.shape
-    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
-    total = np.zeros((samples, m, n, n_basis))
-    for basis, slope in zip(program.bases[:3], item.by_state, strict=False):
-        if slope is not None:
-            total += slope[:, :, :, None] * basis[:, None, None, :]
-    return total.reshape(samples * m, n * n_basis)
+def _pulled(program: MotionProgram, slopes: Array, weights: Array) -> Array:
+    """Return `sum weights dv/dx` over the values v (N, m) of one constraint, x the coefficients joint by joint."""
+    samples, m, n, orders = slopes.shape
+    by_state = (weights[:, None, :] @ slopes.reshape(samples, m, -1)).reshape(samples, n, orders)
+    return _flat(np.asarray(sum(program.bases[k].T @ by_state[:, :, k] for k in range(orders))))
+
+
+def _rates(program: MotionProgram, slopes: Array, direction: Array) -> Array:
+    """Return dv/dx along a direction (n_basis, n), (N, m)."""
+    samples, m, _, orders = slopes.shape
+    motion = np.stack([program.bases[k] @ direction for k in range(orders)], axis=2)
+    rates: Array = (slopes.reshape(samples, m, -1) @ motion.reshape(samples, -1, 1))[:, :, 0]
+    return rates
+
+
+def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
+    """Return `sum weights dv/dx (dv/dx)^T`, first by the states of a sample, then by the coefficients behind them."""
+    samples, m, n, orders = slopes.shape
+    rows = slopes.reshape(samples, m, -1)
+    by_state = (rows * weights[:, :, None]).transpose(0, 2, 1) @ rows
+    bases = np.stack(program.bases[:orders], axis=1)
+    n_basis = bases.shape[2]
+    half = (by_state.reshape(samples, -1, orders) @ bases).reshape(samples, n, orders, -1)
+    flat = bases.reshape(-1, n_basis).T
+    return np.vstack([flat @ half[:, j].reshape(samples * orders, -1) for j in range(n)])
 
 
 def _pairs(program: MotionProgram, each: list[Array], absent: float = 0.0) -> list[tuple[Array, Array]]:
@@ -253,8 +258,8 @@ def _through(program: MotionProgram, point: _Point, weights: list[Array]) -> Arr
     for basis, half, w in zip(program.bases, program.half, weights, strict=False):
         total += basis.T @ (w / half)
     flat = _flat(total)
-    for jacobian, w in zip(point.jacobians, weights[len(program.bases) :], strict=True):
-        flat = flat + jacobian.T @ w.reshape(-1)
+    for slopes, w in zip(point.curved, weights[len(program.bases) :], strict=True):
+        flat = flat + _pulled(program, slopes, w)
     return flat
 
 
@@ -265,11 +270,8 @@ def _stiffened(program: MotionProgram, point: _Point, stiffness: list[Array]) ->
         for j in np.flatnonzero(np.isfinite(half)):
             block = slice(j * n_basis, (j + 1) * n_basis)
             whole[block, block] += (basis.T * (w[:, j] / half[j] ** 2)) @ basis
-    for jacobian, w in zip(point.jacobians, stiffness[len(program.bases) :], strict=True):
-        flat = w.reshape(-1)
-        chosen = flat > 1e-6 * flat.max()
-        rows = jacobian[chosen]
-        whole += (rows.T * flat[chosen]) @ rows
+    for slopes, w in zip(point.curved, stiffness[len(program.bases) :], strict=True):
+        whole += _curved_stiffness(program, slopes, w)
     return whole
 
 
@@ -309,8 +311,8 @@ def _next_duals(program: MotionProgram, old: _Point, new: _Point, duals: list[Ar
     for basis, half in zip(program.bases, program.half, strict=True):
         speed = basis @ direction / half
         rates += [-speed, speed]
-    for constraint, jacobian, item in zip(program.constraints, old.jacobians, old.curved, strict=True):
-        speed = (jacobian @ step).reshape(item.values.shape)
+    for constraint, slopes in zip(program.constraints, old.curved, strict=True):
+        speed = _rates(program, slopes, direction)
         rates += [-speed, speed] if constraint.two_sided else [-speed]
     moves = [mu / s - z - z / s * ds for z, s, ds in zip(duals, old.slacks, rates, strict=True)]
     length = 1.0
@@ -322,11 +324,11 @@ def _next_duals(program: MotionProgram, old: _Point, new: _Point, duals: list[Ar
     return [np.clip(z + length * dz, mu / s / spread, mu / s * spread) for z, dz, s in zip(duals, moves, new.slacks, strict=True)]
 
 
-def _curved_gradient(point: _Point, pull: list[Array]) -> Array:
+def _curved_gradient(program: MotionProgram, point: _Point, pull: list[Array]) -> Array:
     """Return the part of the Lagrangian's gradient that is not linear in the coefficients."""
     total = -point.gradient
-    for jacobian, w in zip(point.jacobians, pull, strict=True):
-        total = total + jacobian.T @ w.reshape(-1)
+    for slopes, w in zip(point.curved, pull, strict=True):
+        total = total + _pulled(program, slopes, w)
     return total
 
 

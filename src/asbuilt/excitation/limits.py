@@ -179,7 +179,7 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
         state = (values["position"], values["velocity"], values["acceleration"])
         rigid = inverse_dynamics(model, *state)
         drive, drive_values = described_drive(model)
-        values["torque"] = rigid + drive_torque(drive, drive_values, *state, load=rigid)
+        values["torque"] = rigid + drive_torque(drive, drive_values, *state, load=rigid, shares=model.motor_shares)
     margins = []
     for quantity, x in values.items():
         high = bounds.upper if quantity == "position" else getattr(bounds, quantity)

@@ -46,7 +46,7 @@ def predicted_precision(design: Design) -> float:
     t = design.motion.sample_times(100.0)
     state = design.motion.at(t)
     rigid = inverse_dynamics(design.model, *state)
-    torque = (rigid + drive_torque(drive, values, *state, load=rigid)) / design.noise
+    torque = (rigid + drive_torque(drive, values, *state, load=rigid, shares=design.model.motor_shares)) / design.noise
     size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
     if size == 0:
         raise UsageError(f"the description of {design.model.name} gives no masses, so a precision relative to its torque has no meaning")

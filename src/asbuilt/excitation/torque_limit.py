@@ -12,12 +12,15 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.dynamics.regressor_adjoint import regressor_adjoint
-from asbuilt.excitation.interior_point import Linearised, StateConstraint
+from asbuilt.dynamics.torque_derivatives import torque_derivatives
+from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.motion import Array
 
 SIGN_WIDTH = 0.02
 """Width [rad/s or m/s] over which the sign in a described friction is smoothed where its derivative is needed."""
+
+STEP = 1e-6
+"""Step of the central differences through described friction."""
 
 
 class TorqueLimit(StateConstraint):
@@ -27,47 +30,59 @@ class TorqueLimit(StateConstraint):
     two_sided = True
 
     def __init__(self, models: Sequence[RobotModel], limit: Array) -> None:
-        self._models = tuple(models)
+        self._model = models[0]
+        self._parameters = np.stack([model.parameters for model in models])
+        self._plan = RegressorPlan.of(self._model)
         self._limit = limit
         self._finite = np.flatnonzero(np.isfinite(limit))
-        self._drive, self._values = described_drive(models[0])
-        self._plan = RegressorPlan.of(models[0], columns=np.zeros(0, dtype=np.int64))
+        self._drive, self._values = described_drive(self._model)
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque over its limit, (N, models x limited joints)."""
-        found = []
-        for model in self._models:
-            rigid = inverse_dynamics(model, q, qd, qdd, threads=1)
-            found.append(((rigid + self._friction(q, qd, qdd, rigid)) / self._limit)[:, self._finite])
-        return np.hstack(found)
-
-    def linearised(self, q: Array, qd: Array, qdd: Array) -> Linearised:
-        """Return the values and their derivatives; the sign of a described Coulomb friction counts as constant."""
-        n, samples, m = q.shape[1], len(q), self._finite.size
-        slopes = tuple(np.zeros((samples, len(self._models) * m, n)) for _ in range(3))
-        empty = np.zeros((max(self._plan.n_rows, 1), samples))
-        for place, model in enumerate(self._models):
-            for column, k in enumerate(self._finite):
-                loads = np.zeros((samples, n))
-                loads[:, k] = 1.0 / self._limit[k]
-                found = regressor_adjoint(self._plan, q, qd, qdd, empty, loads, model.parameters)
-                for slope, part in zip(slopes, found, strict=True):
-                    slope[:, place * m + column] = part
+        torque = self._rigid(q, qd, qdd)
         if self._drive:
-            step = 1e-6
-            rigid = np.zeros_like(q)
-            for order, away in ((1, qd), (2, qdd)):
-                up, down = [q, qd, qdd], [q, qd, qdd]
-                up[order], down[order] = away + step, away - step
-                slope = (self._friction(up[0], up[1], up[2], rigid) - self._friction(down[0], down[1], down[2], rigid)) / (2 * step)
-                for column, k in enumerate(self._finite):
-                    for place in range(len(self._models)):
-                        slopes[order][:, place * m + column, k] += slope[:, k] / self._limit[k]
-        return Linearised(self.values(q, qd, qdd), (slopes[0], slopes[1], slopes[2]), True)
+            torque = torque + np.stack([self._friction(q, qd, qdd, load) for load in self._loads(torque)], axis=1)
+        return (torque / self._limit)[:, :, self._finite].reshape(len(q), -1)
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values, (N, models x limited joints, n, 3); those of described friction are central differences."""
+        slopes = torque_derivatives(self._model, q, qd, qdd, self._parameters)
+        if self._drive:
+            through = [self._friction_slopes(q, qd, qdd, load) for load in self._loads(self._rigid(q, qd, qdd))]
+            by_load = np.stack([slope[..., 3] for slope in through], axis=1)
+            slopes = slopes + np.einsum("smkj,smjxo->smkxo", by_load, slopes) + np.stack([slope[..., :3] for slope in through], axis=1)
+        limited: Array = slopes[:, :, self._finite] / self._limit[self._finite, None, None]
+        return limited.reshape(len(q), -1, *limited.shape[3:])
+
+    def _loads(self, torque: Array) -> list[Array]:
+        """Return the loads that make a difference to friction: one for every description, or one for all."""
+        return [torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)]
+
+    def _rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque of the rigid bodies of every description, (N, models, n): one regressor for all where there are several."""
+        if len(self._parameters) == 1:
+            return inverse_dynamics(self._model, q, qd, qdd, threads=1)[:, None]
+        rows = self._plan.evaluate(q, qd, qdd)
+        return np.stack([row.T @ self._parameters[:, support].T for row, support in zip(rows, self._plan.support, strict=True)], axis=2)
+
+    def _friction_slopes(self, *state: Array) -> Array:
+        """Return the derivatives of friction k with respect to q, qd, qdd and load of joint j, (N, k, j, 4)."""
+        n = state[0].shape[1]
+        coupled = bool(self._drive.of_motor.any())
+        ways = [(way, np.tile(way, (n, 1))) for way in np.eye(n)] if coupled else [(np.ones(n), np.eye(n))]
+        found = np.zeros((len(state[0]), n, n, len(state)))
+        for way, pattern in ways:
+            for order in range(len(state) if self._drive.needs_load else 3):
+                up, down = ([x + step * way if i == order else x for i, x in enumerate(state)] for step in (STEP, -STEP))
+                slope = (self._friction(*up) - self._friction(*down)) / (2 * STEP)
+                found[..., order] += slope[:, :, None] * pattern
+        return found
 
     def _friction(self, q: Array, qd: Array, qdd: Array, load: Array) -> Array:
         if not self._drive:
             return np.zeros_like(q)
+        if self._drive.of_motor.any():
+            return drive_torque(self._drive, self._values, q, qd, qdd, load=load, shares=self._model.motor_shares)
         sign = np.tanh(qd / SIGN_WIDTH)
         away = np.abs(qd) + 1e-12
         ahead = drive_torque(self._drive, self._values, q, away, qdd, load=load)
@@ -91,13 +106,11 @@ class PowerLimit(StateConstraint):
         power: Array = self._torque.values(q, qd, qdd) * qd[:, self._finite]
         return power
 
-    def linearised(self, q: Array, qd: Array, qdd: Array) -> Linearised:
-        """Return the values and their derivatives by the product rule."""
-        torque, speed = self._torque.linearised(q, qd, qdd), qd[:, self._finite]
-        by_state = [np.zeros(speed.shape) if slope is None else slope * speed[:, :, None] for slope in torque.by_state]
-        for column, k in enumerate(self._finite):
-            by_state[1][:, column, k] += torque.values[:, column]
-        return Linearised(torque.values * speed, (by_state[0], by_state[1], by_state[2]), True)
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values by the product rule, (N, limited joints, n, 3)."""
+        slopes = self._torque.slopes(q, qd, qdd) * qd[:, self._finite, None, None]
+        slopes[:, np.arange(self._finite.size), self._finite, 1] += self._torque.values(q, qd, qdd)
+        return slopes
 
 
 def perturbed_models(model: RobotModel, count: int, spread: float, rng: np.random.Generator) -> tuple[RobotModel, ...]:
