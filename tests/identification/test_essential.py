@@ -13,6 +13,7 @@ import pytest
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import InertiaError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.sensors import SensorNoise
 from asbuilt.experiment.signal_chain import prepare_samples
@@ -25,6 +26,8 @@ from asbuilt.identification.result import IdentificationResult
 from asbuilt.validation.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison import compare
 from asbuilt.validation.drift import compare_results
+from asbuilt.writers.as_built import as_built_model
+from asbuilt.writers.physical import refuse_impossible_result
 from asbuilt.writers.tabular import identified_table, identify_document, json_text
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -149,3 +152,8 @@ def test_a_payload_is_weighed_with_them_at_zero(results: tuple[IdentificationRes
         assert np.all(np.isfinite(light.covariance))
     frozen = identify_payload(results[0], loaded, arm="frozen").arm
     np.testing.assert_allclose(frozen, results[0].estimates, rtol=1e-6, atol=1e-8)
+
+
+def test_a_refusal_to_export_does_not_take_zeros_for_measurements(essential: IdentificationResult) -> None:
+    with pytest.raises(InertiaError, match="dropped as needless count as zero"):
+        refuse_impossible_result(essential, as_built_model(essential))

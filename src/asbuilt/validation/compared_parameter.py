@@ -60,8 +60,10 @@ class ComparedParameter:
         }
 
 
-def parameter_table(parameters: Sequence[ComparedParameter], *, level: float, units: Sequence[str] = (), width: int | None = 28) -> Table:
-    """Return the table of compared parameters; text cuts expressions at `width` characters, HTML and CSV have them whole."""
+def parameter_table(
+    parameters: Sequence[ComparedParameter], *, level: float, errors: str = "", units: Sequence[str] = (), width: int | None = 28
+) -> Table:
+    """Return the table of compared parameters, with how their `errors` were judged below; text cuts expressions at `width` characters, HTML and CSV have them whole."""
     with_torque = any(parameter.torque_total is not None for parameter in parameters)
     heads = [
         Column("id", align="right"),
@@ -100,8 +102,7 @@ def parameter_table(parameters: Sequence[ComparedParameter], *, level: float, un
             row += _torque_cells(parameter)
         rows.append(tuple(row))
     notes = [
-        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini and Hochberg); standard errors allow for correlated "
-        "torque errors."
+        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini and Hochberg).{f' {errors}' if errors else ''}"
     ]
     if with_torque:
         notes.append(

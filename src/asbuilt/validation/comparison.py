@@ -35,7 +35,7 @@ class Comparison:
 
     `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by. `chi_square` tests all parameters with a CAD value at
     once, `chi_square_tolerance` the same with the `tolerance` that CAD claims, which would have to be `tolerance_needed` times as wide to hold what was found (None where it is
-    wide enough), and which the parameters named in `beyond_tolerance` exceed. `level` is the false discovery rate at which a parameter differs.
+    wide enough), and which the parameters named in `beyond_tolerance` exceed. `errors` says how standard errors were judged. `level` is the false discovery rate at which a parameter differs.
     """
 
     robot: str
@@ -51,6 +51,7 @@ class Comparison:
     tolerance_needed: float | None = None
     beyond_tolerance: tuple[str, ...] = ()
     judged_by: str = ""
+    errors: str = ""
 
     @property
     def n_differing(self) -> int:
@@ -110,7 +111,7 @@ class Comparison:
 
     def parameter_table(self) -> Table:
         """Return Table 2, what matters first: id, expression, CAD, as built, standard error, difference in standard errors, torque."""
-        return parameter_table(self.ranked, level=self.level, units=self.units)
+        return parameter_table(self.ranked, level=self.level, errors=self.errors, units=self.units)
 
     def torque_table(self) -> Table:
         """Return Table 3: RMS torque error of each joint, CAD and as built, for each recording."""
@@ -149,6 +150,7 @@ class Comparison:
             "n_mattering": self.n_mattering,
             "verdict": self.verdict(),
             "judged_by": self.judged_by,
+            "errors": self.errors,
             "chi_square": None if self.chi_square is None else asdict(self.chi_square),
             "chi_square_tolerance": None if self.chi_square_tolerance is None else asdict(self.chi_square_tolerance),
             "tolerance": None if self.tolerance is None else asdict(self.tolerance),
@@ -236,6 +238,7 @@ def compare(
         tolerance=tolerance,
         tolerance_needed=None if held is None else held.needed,
         beyond_tolerance=() if held is None else held.beyond,
+        errors=result.errors_sentence,
         judged_by="" if result.evidence is None else recording_name(result.evidence.judged_by),
     )
 

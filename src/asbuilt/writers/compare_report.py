@@ -38,7 +38,8 @@ def comparison_html(
         share_table="" if attribution is None else table_markup(attribution.share_table(), "shares"),
         step_table="" if attribution is None else table_markup(attribution.step_table(), "steps"),
         parameter_table=table_markup(
-            parameter_table(comparison.ranked, level=comparison.level, units=comparison.units, width=None), "parameters-by-torque"
+            parameter_table(comparison.ranked, level=comparison.level, errors=comparison.errors, units=comparison.units, width=None),
+            "parameters-by-torque",
         ),
         attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
         difference_image="" if attribution is None else figure_address(difference_figure(comparison)),

@@ -14,12 +14,14 @@ from asbuilt.errors import InertiaError
 from asbuilt.identification.cad_prior import cad_prior
 from asbuilt.identification.impossibility import why_impossible
 from asbuilt.identification.result import IdentificationResult
-from asbuilt.tables import significant
+from asbuilt.tables import SIGNIFICANT_SIGMAS, significant
 from asbuilt.validation.significance import chi_square
 from asbuilt.validation.stand_in import BADLY, StandIn
 
 Array = NDArray[np.float64]
 
+UNKNOWN = 100.0
+"""Standard error of a parameter that was dropped, in values that it has in CAD, beside which it counts as unknown."""
 CURES = (
     "Identify with real bodies imposed (identify --method consistent, or entropic), which the report then judges; let it find how the robot stands "
     "(--mounting estimate), for free links imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate what those lack"
@@ -79,9 +81,18 @@ def refuse_impossible_result(result: IdentificationResult, model: RobotModel) ->
 
 
 def _reasons(result: IdentificationResult, model: RobotModel) -> str:
-    """Say which base parameters no robot has; where they alone are possible but for a drive or by rounding, what of the model is not."""
-    proof = why_impossible(result.base, cad_prior(result.model, result.base.drive), result.estimates, result.covariance)
-    return "; ".join(impossibilities(model)) if proof is None else proof.sentence
+    """Say which base parameters no robot has; where they alone are possible but for a drive or by rounding, what of the model is not.
+
+    Dropped parameters prove nothing: they count as all but unknown.
+    """
+    prior, dropped = cad_prior(result.model, result.base.drive), np.flatnonzero(result.dropped)
+    covariance = np.array(result.covariance)
+    covariance[dropped, dropped] = (UNKNOWN * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]) ** 2
+    proof = why_impossible(result.base, prior, result.estimates, covariance)
+    if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
+        return proof.sentence
+    zero = f"; the {len(dropped)} parameters that were dropped as needless count as zero, which those of bodies seldom are"
+    return "; ".join(impossibilities(model)) + (zero if dropped.size else "")
 
 
 def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn | None) -> None:
