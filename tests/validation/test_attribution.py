@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
@@ -117,6 +117,28 @@ def test_nested_models_never_fit_worse_and_judge_on_held_out_data() -> None:
     assert by_cause["payload"].probability < 1e-6
     assert by_cause["gain"].probability > 1e-3
     np.testing.assert_allclose(found.rms_cad, found.steps[0].rms)
+
+
+def test_what_comes_later_does_not_hide_a_step() -> None:
+    """Little friction beside a payload that makes far more torque and is taken up after it: each step is tested against what the whole leaves."""
+    found = attribute(identified(ARM, "pf", friction=(0.1, 0.15)))
+    steps = {step.cause: step for step in found.steps}
+    drop = {cause: np.sum(before.rms_fitted**2 - now.rms_fitted**2) for before, now in pairwise(found.steps) for cause in [now.cause]}
+    assert drop["friction"] < 0.2 * drop["payload"]
+    assert steps["friction"].probability < 1e-6
+    assert steps["mounting"].probability > 1e-3
+
+
+def test_every_step_has_more_parameters() -> None:
+    """Gains of joints whose torque CAD hardly knows, and friction that would be negative, are counted all the same."""
+    still = identified(ARM, "p")
+    model = still.model
+    feather = model.with_parameters(
+        np.where(np.arange(model.parameters.size) >= 20, 1e-4, 1.0).reshape(model.parameters.shape) * model.parameters
+    )
+    for cad in (None, feather):
+        counts = [step.parameters for step in attribute(still, cad).steps]
+        assert np.all(np.diff(counts) > 0), counts
 
 
 def test_another_description_is_attributed_too() -> None:

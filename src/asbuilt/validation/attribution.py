@@ -133,7 +133,10 @@ class Attribution:
                     *errors,
                 )
             )
-        note = "Each model has the causes above it too. F: what the step explains against what is left, with as many samples as are independent; errors are those on data held out and may rise."
+        note = (
+            "Each model has the causes above it too. F: what the step explains of the data used against what the last model leaves, with as many samples as are independent; BIC is of "
+            "the data used, errors are those on data held out and may rise."
+        )
         return Table(tuple(heads), tuple(rows), title="Nested models, held-out RMS error", notes=(note,))
 
     def as_text(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -48,8 +48,8 @@ POSSIBLE_REACH = 1.0
 class CauseModel:
     """Hold the fit of one combination of causes.
 
-    `rms` (n,) is the error of each joint on the data judged by, `rms_fitted` on the data used; `values` are the parameters by name; `rank` how many of them
-    the data tell; `bic` the Bayesian information criterion with as many samples as are independent, who also set the `std_errors`; `possible` is False where
+    `rms` (n,) is the error of each joint on the data judged by, `rms_fitted` on the data used; `values` are the parameters by name; `told` how many of them
+    the data tell, `rank` without those that would be negative and are zero; `bic` the Bayesian information criterion with as many samples as are independent, who also set the `std_errors`; `possible` is False where
     the payload would be no body: without mass, or out of reach.
     """
 
@@ -57,6 +57,7 @@ class CauseModel:
     rms: Array
     rms_fitted: Array
     rank: int
+    told: int
     weighted_energy: float
     bic: float
     score: float
@@ -67,7 +68,7 @@ class CauseModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One step of the nested models: the cause taken up, the errors then, and the F-test of it against the model before."""
+    """One step of the nested models: the cause taken up, the errors then, and the F-test of what it explains beyond the model before."""
 
     cause: str
     rms: Array
@@ -102,14 +103,14 @@ class CauseFits:
         self.weights = 1.0 / np.maximum(result.sigma, self.floor)
         self.independent = evidence.n_fitted * min(1.0, result.effective_samples / result.n_samples)
         stacked = triangular_factor(np.vstack([w * rows for w, rows in zip(self.weights, self.fitted, strict=True)]))
-        self.length = np.linalg.norm(stacked[:, :-1], axis=0)
-        self.present = self.length > 1e-9 * self.length.max(initial=0.0)
-        self.length = np.where(self.present, self.length, 1.0)
-        scaled = stacked[:, :-1] / self.length
+        length = np.linalg.norm(stacked[:, :-1], axis=0)
+        self.present = length > 1e-9 * length.max(initial=0.0)
         self.columns = self._columns()
         self.belief = np.zeros(len(self.names))
         self.belief[self.columns["gain"]], self.belief[self.columns["mounting"]] = 1.0 / USUAL_GAIN, 1.0 / USUAL_TILT
-        belief = self.belief * np.sqrt(evidence.n_fitted / self.independent) / self.length
+        belief = self.belief * np.sqrt(evidence.n_fitted / self.independent)
+        self.length = np.where(self.present, np.hypot(length, belief), 1.0)
+        scaled, belief = stacked[:, :-1] / self.length, belief / self.length
         self.gram, self.right = scaled.T @ scaled + np.diag(belief**2), scaled.T @ stacked[:, -1]
         self.causes = tuple(cause for cause in CAUSES if np.any(self.present[self.columns[cause]]))
         self._known: dict[Subset, CauseModel] = {}
@@ -143,7 +144,7 @@ class CauseFits:
         if causes not in self._known:
             places = np.concatenate([np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))])
             places = places[self.present[places]]
-            x, spread, rank = np.zeros(len(self.names)), np.zeros(len(self.names)), 0
+            x, spread, rank, told = np.zeros(len(self.names)), np.zeros(len(self.names)), 0, 0
             free, bounded = np.ones(places.size, dtype=bool), self.non_negative[places]
             floor = np.where(bounded, -self.design[places] * self.length[places], 0.0)
             right = self.right[places] - self.gram[np.ix_(places, places)] @ floor
@@ -153,6 +154,7 @@ class CauseFits:
                 kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
                 V, y = vectors[:, kept], np.zeros(places.size)
                 y[free], rank = V @ ((V.T @ right[free]) / eigenvalues[kept]), int(kept.sum())
+                told = rank if free.all() else told
                 pull = right - self.gram[np.ix_(places, places)] @ y
                 out = free & bounded & (y < 0)
                 back = ~free & (pull > WEAKEST * np.abs(right).max(initial=0.0))
@@ -162,10 +164,10 @@ class CauseFits:
             x[places] = (np.where(bounded, np.maximum(y, 0.0), y) + floor) / self.length[places] if places.size else 0.0
             if places.size:
                 spread[some] = np.sqrt(np.sum(V**2 / eigenvalues[kept], axis=1)) / self.length[some]
-            self._known[causes] = self._judged(causes, x, spread, rank)
+            self._known[causes] = self._judged(causes, x, spread, rank, told)
         return self._known[causes]
 
-    def _judged(self, causes: Subset, x: Array, spread: Array, rank: int) -> CauseModel:
+    def _judged(self, causes: Subset, x: Array, spread: Array, rank: int, told: int) -> CauseModel:
         e = self.evidence
         rms_fitted = _rms(self.fitted, x, e.n_fitted)
         n_rows = self.independent * e.n_joints
@@ -179,6 +181,7 @@ class CauseFits:
             score=float(2.0 * independent_judged * np.sum(np.log(np.maximum(rms, self.floor))) + rank + np.sum((self.belief * x) ** 2)),
             rms_fitted=rms_fitted,
             rank=rank,
+            told=told,
             weighted_energy=energy,
             bic=float(2.0 * self.independent * np.sum(np.log(np.maximum(rms_fitted, self.floor))) + rank * np.log(max(n_rows, 2.0))),
             values=x,
@@ -191,18 +194,18 @@ class CauseFits:
         return bool(body[9] > 0 and np.linalg.norm(body[6:9]) <= POSSIBLE_REACH * body[9])
 
     def steps(self) -> tuple[Step, ...]:
-        """Return the nested models."""
-        before = self.fit(frozenset())
-        found = [Step("CAD", before.rms, before.rms_fitted, 0, before.bic, np.nan, np.nan)]
-        for place, cause in enumerate(self.causes):
-            now = self.fit(frozenset(self.causes[: place + 1]))
-            more, left = now.rank - before.rank, self.independent * self.evidence.n_joints - now.rank
-            f, probability = np.nan, np.nan
-            if more > 0 and left > 0 and now.weighted_energy > 0:
-                f = max(0.0, (before.weighted_energy - now.weighted_energy) / more / (now.weighted_energy / left))
+        """Return the nested models, each step tested against what the whole of them leaves, so that causes not yet taken up do not hide it."""
+        models = [self.fit(frozenset(self.causes[:place])) for place in range(len(self.causes) + 1)]
+        n_rows = self.independent * self.evidence.n_joints
+        whole = next((model for model in reversed(models) if model.told < n_rows), models[0])
+        left = n_rows - whole.told
+        found = [Step("CAD", models[0].rms, models[0].rms_fitted, 0, models[0].bic, np.nan, np.nan)]
+        for cause, (before, now) in zip(self.causes, pairwise(models), strict=True):
+            more, f, probability = now.told - before.told, np.nan, np.nan
+            if more > 0 and left > 0 and whole.weighted_energy > 0 and now.told <= whole.told:
+                f = max(0.0, (before.weighted_energy - now.weighted_energy) / more / (whole.weighted_energy / left))
                 probability = float(fdtrc(more, left, f))
-            found.append(Step(cause, now.rms, now.rms_fitted, now.rank, now.bic, float(f), probability))
-            before = now
+            found.append(Step(cause, now.rms, now.rms_fitted, now.told, now.bic, float(f), probability))
         return tuple(found)
 
     @cached_property
