@@ -14,6 +14,7 @@ from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
+from asbuilt.validation.comparison import recording_name
 from asbuilt.validation.drift import Drift, compare_results
 from asbuilt.validation.prediction import torque_units, validate
 
@@ -55,7 +56,7 @@ class ControllerComparison:
             f"controller: what its external torque says that its own model predicts; parameters identified from that prediction repeat it to "
             f"{share(self.rebuilt.relative_error)} of its torque."
         )
-        return Table(tuple(heads), tuple(rows), title=f"RMS torque error on {self.as_built.source}", notes=(note,))
+        return Table(tuple(heads), tuple(rows), title=f"RMS torque error on {recording_name(self.as_built.source)}", notes=(note,))
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
@@ -103,5 +104,5 @@ def compare_with_controller(
         as_built=validation.metrics_as_built,
         rebuilt=validate(identified, modelled).metrics_as_built,
         identified=identified,
-        difference=compare_results(identified, result, labels=("the controller's model", "the robot as built")),
+        difference=compare_results(identified, result, labels=("controller", "as built"), of_models=True),
     )

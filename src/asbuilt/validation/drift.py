@@ -67,7 +67,10 @@ class ParameterChange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """Hold what changed from one result to another of the same robot; `sentences` say it joint by joint, `joints` what it does to the torque (empty without evidence)."""
+    """Hold what changed from one result to another of the same robot; `sentences` say it joint by joint, `joints` what it does to the torque (empty without evidence).
+
+    `of_models` says that the two are models of one robot at one time, which differ where those of two dates have changed.
+    """
 
     robot: str
     before: str
@@ -79,6 +82,7 @@ class Drift:
     level: float
     sentences: tuple[str, ...]
     joints: tuple[JointChange, ...] = ()
+    of_models: bool = False
 
     @property
     def n_changed(self) -> int:
@@ -94,7 +98,11 @@ class Drift:
         """Return the outcome in a sentence."""
         compared = sum(parameter.sigmas is not None for parameter in self.parameters)
         together = f"all at once: chi-square {significant(self.chi_square.statistic)} with {self.chi_square.degrees} degrees of freedom, p {probability_text(self.chi_square.probability)}"
-        return f"{self.n_changed} of {compared} parameters changed (false discovery rate {percentage(self.level, 0)}); {together}."
+        return f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate {percentage(self.level, 0)}); {together}."
+
+    @property
+    def _changed(self) -> str:
+        return "differ" if self.of_models else "changed"
 
     def table(self) -> Table:
         """Return the parameters of both, what changed most in torque first."""
@@ -103,26 +111,18 @@ class Drift:
             Column("parameter", width=28),
             Column("what it is"),
             Column("unit"),
-            Column("before", align="decimal"),
-            Column("after", align="decimal"),
+            *(Column(name, align="decimal") for name in ((self.before, self.after) if self.of_models else ("before", "after"))),
             Column("std err", align="decimal"),
-            Column("change", align="right"),
+            Column("difference" if self.of_models else "change", align="right"),
             Column("torque", align="decimal"),
             Column("joint", align="right"),
             Column("matters"),
         )
         rows: list[tuple[Cell, ...]] = []
+        beyond_doubt = "DIFFERS" if self.of_models else "CHANGED"
         for each in self.ranked:
             error = float(np.hypot(each.before_error, each.after_error))
-            outcome = (
-                "CHANGED"
-                if each.changed
-                else DROPPED
-                if each.dropped
-                else "not determined"
-                if each.sigmas is None
-                else deviation(each.sigmas, np.inf)
-            )
+            outcome = beyond_doubt if each.changed else "not determined" if each.sigmas is None else deviation(each.sigmas, np.inf)
             rows.append(
                 (
                     each.id,
@@ -138,16 +138,21 @@ class Drift:
                     matters_text(each.matters, each.shared_with),
                 )
             )
+        change, judged = ("difference", "second") if self.of_models else ("change", "later")
         note = (
-            "std err: of the difference, both errors together; torque: RMS over all joints that the change makes on the motion the later result was judged by; joint: the one that "
-            "notices most. A change matters where it is beyond doubt and its own part is noticed; shared: those named could make up for the rest, and this recording hardly tells them apart."
+            f"std err: of the difference, both errors together; torque: RMS over all joints that the {change} makes on the motion the {judged} result was judged by; joint: the one that "
+            f"notices most. A {change} matters where it is beyond doubt and its own part is noticed; shared: those named could make up for the rest, and this recording hardly tells them apart."
         )
         return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
 
     def as_text(self) -> str:
         """Return verdict, sentences and table for a terminal."""
         head = [f"{self.robot}: {self.after} against {self.before}", self.verdict(), *self.sentences]
-        return "\n".join(head) + "\n\n" + stacked([*([joint_table(self.joints, self.level)] if self.joints else []), self.table()])
+        return (
+            "\n".join(head)
+            + "\n\n"
+            + stacked([*([joint_table(self.joints, self.level, of_models=self.of_models)] if self.joints else []), self.table()])
+        )
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -172,10 +177,11 @@ def compare_results(
     *,
     labels: tuple[str, str] | None = None,
     level: float = FALSE_DISCOVERY_RATE,
+    of_models: bool = False,
 ) -> Drift:
     """Compare two results of one robot parameter by parameter, each with its own covariance, taken as independent.
 
-    Drive terms that only one of them has are left out. Raises ResultError where the robots differ in joints or geometry.
+    `of_models` words it as of two models of one robot instead of two dates. Drive terms that only one of them has are left out. Raises ResultError where the robots differ in joints or geometry.
     """
     design_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
@@ -243,16 +249,17 @@ def compare_results(
         parameters=changes,
         chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
         level=level,
-        sentences=(*torque_sentence(joints, level), *_friction(after, changes)),
+        sentences=(*torque_sentence(joints, level, of_models=of_models), *_friction(after, changes, of_models)),
         joints=joints,
+        of_models=of_models,
     )
 
 
-def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]) -> tuple[str, ...]:
+def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...], of_models: bool) -> tuple[str, ...]:
     """Say of every joint how its drive terms changed."""
     by_name = {change.name: change for change in changes}
     words = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
-    found = []
+    found, link = [], "against" if of_models else "to"
     for k, joint in enumerate(result.joint_names):
         parts = []
         for letter, what in words.items():
@@ -262,10 +269,16 @@ def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]
             growth = change.after / change.before - 1 if change.before > 3 * change.before_error else np.inf
             relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= TELLING_GROWTH else ""
             traded = f", some of which {' and '.join(change.shared_with)} could make up for" if change.shared_with else ""
-            parts.append(f"{what} {significant(change.before)} to {significant(change.after)} {change.unit}{relative}{traded}")
+            parts.append(
+                f"{what} {_shown(change.before, change.before_error)} {link} {_shown(change.after, change.after_error)} {change.unit}{relative}{traded}"
+            )
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
-    return tuple(found) or ("No drive term changed beyond doubt.",)
+    return tuple(found) or (f"No drive term {'differs' if of_models else 'changed'} beyond doubt.",)
+
+
+def _shown(value: float, error: float) -> str:
+    return rounded(value, error if error > 0 else None)[0]
 
 
 def _number(value: float) -> float | None:

@@ -66,7 +66,7 @@ def joint_changes(result: IdentificationResult, names: Sequence[str], difference
     )
 
 
-def torque_sentence(joints: tuple[JointChange, ...], level: float) -> tuple[str, ...]:
+def torque_sentence(joints: tuple[JointChange, ...], level: float, *, of_models: bool = False) -> tuple[str, ...]:
     """Say at which joints the torque changed beyond doubt."""
     if not joints:
         return ()
@@ -75,28 +75,34 @@ def torque_sentence(joints: tuple[JointChange, ...], level: float) -> tuple[str,
         for each in joints
         if each.holm <= level
     ]
-    return (
-        f"The torque of the same motion changed: {', '.join(said)}."
-        if said
-        else "The torque of the same motion changed at no joint beyond doubt.",
-    )
+    changed = "differs" if of_models else "changed"
+    return (f"The torque of the same motion {changed}{': ' + ', '.join(said) if said else ' at no joint beyond doubt'}.",)
 
 
-def joint_table(joints: Sequence[JointChange], level: float) -> Table:
+def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool = False) -> Table:
     """Return what all changes together do to the torque of each joint; those at most as likely as `level` by chance have changed."""
+    change = "difference" if of_models else "change"
     heads = (
         Column("joint", width=20),
         Column("unit"),
-        *(Column(name, align="decimal") for name in ("torque", "change", "by chance")),
+        *(Column(name, align="decimal") for name in ("torque", change, "by chance")),
         Column("p", align="right"),
         Column("", align="left"),
     )
     rows: list[tuple[Cell, ...]] = []
     for each in joints:
         rms = (Shown(value, significant(value)) for value in (each.torque_of_motion, each.torque, each.by_chance))
-        rows.append((each.joint, each.unit, *rms, Shown(each.holm, probability_text(each.holm)), "CHANGED" if each.holm <= level else "-"))
+        rows.append(
+            (
+                each.joint,
+                each.unit,
+                *rms,
+                Shown(each.holm, probability_text(each.holm)),
+                ("DIFFERS" if of_models else "CHANGED") if each.holm <= level else "-",
+            )
+        )
     note = (
-        "RMS on the motion the later result was judged by. change: how far the two results predict differently there; by chance: how far their errors alone would let them; "
-        "p allows for the number of joints (Holm). What neither model has, such as a tilt or other friction, can read as change where the motions differ."
+        f"RMS on the motion the {'second' if of_models else 'later'} result was judged by. {change}: how far the two results predict differently there; by chance: how far their "
+        "errors alone would let them; p allows for the number of joints (Holm). What neither model has, such as a tilt or other friction, can read as change where the motions differ."
     )
-    return Table(heads, tuple(rows), title="Torque that the changes make", notes=(note,))
+    return Table(heads, tuple(rows), title=f"Torque that the {change}s make", notes=(note,))

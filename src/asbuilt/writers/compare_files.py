@@ -63,11 +63,11 @@ def write_comparison(folder: Path, result: IdentificationResult, verdict: CadVer
     return files
 
 
-def write_drift(folder: Path, drift: Drift) -> dict[str, Path]:
-    """Write drift.csv and drift.txt; returns their paths by kind."""
+def write_drift(folder: Path, drift: Drift, text: str | None = None) -> dict[str, Path]:
+    """Write drift.csv and drift.txt, `text` where that says more; returns their paths by kind."""
     return {
         "comparison": atomic_write(folder / "drift.csv", drift.table().as_csv()),
-        "text": atomic_write(folder / "drift.txt", drift.as_text()),
+        "text": atomic_write(folder / "drift.txt", text or drift.as_text()),
     }
 
 
