@@ -122,7 +122,15 @@ class Drift:
         beyond_doubt = "DIFFERS" if self.of_models else "CHANGED"
         for each in self.ranked:
             error = float(np.hypot(each.before_error, each.after_error))
-            outcome = beyond_doubt if each.changed else "not determined" if each.sigmas is None else deviation(each.sigmas, np.inf)
+            outcome = (
+                beyond_doubt
+                if each.changed
+                else DROPPED
+                if each.dropped
+                else "not determined"
+                if each.sigmas is None
+                else deviation(each.sigmas, np.inf)
+            )
             rows.append(
                 (
                     each.id,
