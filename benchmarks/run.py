@@ -24,6 +24,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/bench.json"), help="JSON file to write")
     parser.add_argument("--data", type=Path, help="folder with recordings in data/ and robots in models/ (default: ../shared)")
     parser.add_argument("--search-s", type=float, help="what the long search for the best motion may take [s] (default: 240)")
+    parser.add_argument("--time-limit", type=float, help="what each design in the table of designs may take [s] (default: 24)")
     parser.add_argument("names", nargs="*", help="benchmarks to run (default: all)")
     arguments = parser.parse_args()
     available = sorted(path.stem for path in HERE.glob("*.py") if path.stem != "run")
