@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -14,10 +15,11 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model, parameter_scale
+from asbuilt.excitation.crew import Crew, available_cores
 from asbuilt.excitation.criteria import criterion_of
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.design_program import Objective
-from asbuilt.excitation.design_search import CHECK_RATE, DesignSearch
+from asbuilt.excitation.design_search import CHECK_RATE, DesignSearch, Task
 from asbuilt.excitation.information import Information, mean_information
 from asbuilt.excitation.information_bound import InformationBound, information_bound
 from asbuilt.excitation.interior_point import StateConstraint
@@ -27,6 +29,9 @@ from asbuilt.excitation.multistart import Deadline, SearchProgress, search_all
 from asbuilt.excitation.parametrisations import Fourier
 
 USUAL_DRIVE = DriveSet.parse("viscous,coulomb,offset")
+
+MANY_STARTS = 24
+"""Random starts from which on other processes are worth the seconds that they take to begin."""
 
 REFINED = 4
 """How many of the best local optima are refined on the dense grid."""
@@ -121,14 +126,15 @@ def design_motion(
     constraints: Sequence[StateConstraint] = (),
     base: BaseParameters | None = None,
     with_bound: bool = True,
-    threads: int | None = None,
+    cores: int | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> Design:
     """Return the best motion that several local searches find within the limits.
 
     `prior` (p, p) is information about the base parameters from earlier recordings; `constraints` are watched besides position, velocity,
     acceleration, jerk and torque. The time limit of the options covers bounds, search and refinement. A keyboard interrupt ends the search
-    or the refinement and keeps the best motion so far.
+    or the refinement and keeps the best motion so far. Searches run on as many `cores` as given, or all there are, in processes of their own
+    where there are many.
 
     Raises
     ------
@@ -143,20 +149,19 @@ def design_motion(
     objective = Objective(
         information, criterion_of(wanted.criterion, focus), scale, wanted.duration * wanted.information_rate, _checked_prior(prior, found)
     )
-    whole = Deadline(wanted.time_limit)
-    with one_blas_thread():
+    whole, reserve = Deadline(wanted.time_limit), REFINEMENT_SHARE * wanted.time_limit
+    deadline = Deadline(wanted.time_limit - reserve)
+    search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
+    others = (cores or available_cores()) - 1 if wanted.starts >= MANY_STARTS else 0
+    with one_blas_thread(), closing(Crew(search.search, others)) as crew:
         bound, family_bound = design_bounds(model, information, wanted, progress) if with_bound else (None, None)
-        reserve = REFINEMENT_SHARE * wanted.time_limit
-        deadline = Deadline(wanted.time_limit - reserve - whole.elapsed)
-        search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
-        candidates = search.run(threads, progress)
+        candidates = search.run(crew, progress)
         if not candidates:
             raise search.failure()
         final = Deadline(LAST_REFINEMENT if deadline.interrupted else max(wanted.time_limit - whole.elapsed, reserve))
         told = None if progress is None else partial(_told_refinement, progress, candidates[0].value)
-        refined = search_all(
-            [search.refined(candidate, final) for candidate in candidates[:REFINED]], final, threads=threads, progress=told
-        )
+        tasks = [Task(candidate.number, candidate, final) for candidate in candidates[:REFINED]]
+        refined = search_all(tasks, search.search, final, crew=crew, progress=told)
     if not refined:
         raise MotionError(
             f"{model.name}: the motions found do not hold between the nodes of the search; ask for more time, or for fewer {search.family.size_name}"

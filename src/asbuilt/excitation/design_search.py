@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
+from asbuilt.excitation.crew import Crew
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.design_program import DesignProgram, Objective
 from asbuilt.excitation.interior_point import StateConstraint, solve
@@ -53,6 +54,19 @@ SHORTEST_MOVE = 0.1
 """Least time that the design grants to a move between two poses [s]."""
 
 
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Ask for a search.
+
+    Number `number` begins at a random start of its own, or between that and a good motion `origin`; with `refined_until`, the deadline, `origin` itself is refined on
+    a grid twice as dense and made to hold at 1 kHz.
+    """
+
+    number: int
+    origin: Candidate | None = None
+    refined_until: Deadline | None = None
+
+
 class DesignSearch:
     """Local searches from random starts, and the refinement of what they find."""
 
@@ -75,7 +89,7 @@ class DesignSearch:
     def _program(self, n_nodes: int, spare: tuple[float, float], family: Parametrisation | None = None) -> DesignProgram:
         return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare)
 
-    def run(self, threads: int | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
+    def run(self, crew: Crew[Task, Candidate] | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
         """Return the candidates, best first, of all populations that the deadline leaves time for."""
         starts = self._options.starts
         sizes = [POPULATION] * (starts // POPULATION) + ([starts % POPULATION] if starts % POPULATION else [])
@@ -87,27 +101,31 @@ class DesignSearch:
                 break
             best = found[0].value if found else -np.inf
             told = partial(self._told, progress, best, sum(lengths))
-            found = best_first([*found, *self._population(first, size, length, threads, told)])
+            found = best_first([*found, *self._population(first, size, length, crew, told)])
             first += length
         return found
 
     def _population(
-        self, first: int, size: int, length: int, threads: int | None, told: Callable[[int, float, SearchProgress], None]
+        self,
+        first: int,
+        size: int,
+        length: int,
+        crew: Crew[Task, Candidate] | None,
+        told: Callable[[int, float, SearchProgress], None],
     ) -> list[Candidate]:
         """Return the candidates of one population, best first: searches from random starts, then from disturbed versions of the best so far.
 
         Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time, until some generations bring nothing. The
         searches of a population are numbered from `first`.
         """
-        found = search_all(
-            [self.from_seed(first + k) for k in range(size)], self._deadline, threads=threads, progress=partial(told, first, -np.inf)
-        )
+        seeds = [Task(first + k) for k in range(size)]
+        found = search_all(seeds, self.search, self._deadline, crew=crew, progress=partial(told, first, -np.inf))
         idle, done = 0, size
         while found and done < length and idle < IDLE_GENERATIONS and not self._deadline():
             best = found[0].value
             parents = found[:PARENTS]
-            hops = [self.from_parent(first + done + k, parents[k % len(parents)]) for k in range(GENERATION)]
-            born = search_all(hops, self._deadline, threads=threads, progress=partial(told, first + done, best))
+            hops = [Task(first + done + k, parents[k % len(parents)]) for k in range(GENERATION)]
+            born = search_all(hops, self.search, self._deadline, crew=crew, progress=partial(told, first + done, best))
             found = best_first([*found, *born])
             idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
             done += GENERATION
@@ -120,56 +138,45 @@ class DesignSearch:
         if progress is not None:
             progress(replace(state, finished=before + state.finished, planned=planned, best=max(best, own_best, state.best)))
 
-    def from_parent(self, number: int, parent: Candidate) -> Callable[[], Candidate]:
-        """Return the search number `number`, which begins between a parent and a random start."""
+    def search(self, task: Task) -> Candidate:
+        """Do what a task asks for; the answer depends on nothing else."""
+        if task.refined_until is not None:
+            assert task.origin is not None
+            return self._refined(task.origin, task.refined_until)
+        rng = np.random.default_rng([self._options.seed, task.number])
+        return self._from_seed(task.number, rng) if task.origin is None else self._from_parent(task.number, rng, task.origin)
 
-        def search() -> Candidate:
-            rng = np.random.default_rng([self._options.seed, number])
-            for _ in range(10):
-                other = self._start(rng)
-                if other is None:
-                    break
-                part = rng.uniform(*DISTURBANCE)
-                start = self._inside(self._coarse, (1 - part) * parent.coefficients + part * other)
-                if start is not None:
-                    optimum = solve(self._coarse, start, barrier=HOP_BARRIER, cancelled=self._deadline)
-                    if optimum is not None:
-                        return Candidate(number, optimum.coefficients, optimum.value)
-            return Candidate(number, np.zeros((0, 0)), -np.inf)
+    def _from_seed(self, number: int, rng: np.random.Generator) -> Candidate:
+        start = self._start(rng)
+        optimum = None if start is None else solve(self._coarse, start, barrier=SEARCH_BARRIER, cancelled=self._deadline)
+        return Candidate.of(number, optimum)
 
-        return search
+    def _from_parent(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
+        for _ in range(10):
+            other = self._start(rng)
+            if other is None:
+                break
+            part = rng.uniform(*DISTURBANCE)
+            start = self._inside(self._coarse, (1 - part) * parent.coefficients + part * other)
+            if start is not None:
+                optimum = solve(self._coarse, start, barrier=HOP_BARRIER, cancelled=self._deadline)
+                if optimum is not None:
+                    return Candidate.of(number, optimum)
+        return Candidate.of(number, None)
 
-    def from_seed(self, number: int) -> Callable[[], Candidate]:
-        """Return the search number `number`."""
-
-        def search() -> Candidate:
-            rng = np.random.default_rng([self._options.seed, number])
-            start = self._start(rng)
-            optimum = None if start is None else solve(self._coarse, start, barrier=SEARCH_BARRIER, cancelled=self._deadline)
-            if optimum is None:
-                return Candidate(number, np.zeros((0, 0)), -np.inf)
-            return Candidate(number, optimum.coefficients, optimum.value)
-
-        return search
-
-    def refined(self, candidate: Candidate, deadline: Deadline) -> Callable[[], Candidate]:
-        """Return the refinement of a candidate on a grid twice as dense, made to hold at 1 kHz."""
-
-        def search() -> Candidate:
-            coefficients, family, value = candidate.coefficients, self.family, candidate.value
-            for _ in range(2 if isinstance(family, PointToPoint) else 1):
-                family = self._retimed(family, coefficients)
-                dense = self._program(2 * self._n_nodes, FINAL_SPARE, family)
-                start = self._inside(dense, coefficients)
-                optimum = None if start is None else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
-                if optimum is not None and (optimum.value > value - 1.0 or isinstance(family, PointToPoint)):
-                    coefficients, value = optimum.coefficients, optimum.value
-            kept = self._repaired(coefficients, family)
-            if kept is None:
-                return Candidate(candidate.number, coefficients, -np.inf)
-            return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
-
-        return search
+    def _refined(self, candidate: Candidate, deadline: Deadline) -> Candidate:
+        coefficients, family, value = candidate.coefficients, self.family, candidate.value
+        for _ in range(2 if isinstance(family, PointToPoint) else 1):
+            family = self._retimed(family, coefficients)
+            dense = self._program(2 * self._n_nodes, FINAL_SPARE, family)
+            start = self._inside(dense, coefficients)
+            optimum = None if start is None else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
+            if optimum is not None and (optimum.value > value - 1.0 or isinstance(family, PointToPoint)):
+                coefficients, value = optimum.coefficients, optimum.value
+        kept = self._repaired(coefficients, family)
+        if kept is None:
+            return Candidate.of(candidate.number, None)
+        return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
     def motion(self, candidate: Candidate) -> Motion:
         """Return the motion of a refined candidate; poses become what a controller makes of them, slowed down where a torque limit asks for it."""

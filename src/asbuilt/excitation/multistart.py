@@ -1,18 +1,23 @@
-"""Many starts on all cores: the best of several local searches, with progress and an end on demand."""
+"""Many starts: the best of several local searches, with progress and an end on demand."""
 
 from __future__ import annotations
 
-import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from asbuilt.dynamics.blas import one_blas_thread
+from asbuilt.excitation.crew import Crew
+from asbuilt.excitation.interior_point import Optimum
 from asbuilt.excitation.motion import Array
+
+Task = TypeVar("Task")
 
 POLL = 0.2
 
@@ -24,6 +29,11 @@ class Candidate:
     number: int
     coefficients: Array
     value: float
+
+    @classmethod
+    def of(cls, number: int, optimum: Optimum | None) -> Candidate:
+        """Return what a search ended at."""
+        return cls(number, np.zeros((0, 0)), -np.inf) if optimum is None else cls(number, optimum.coefficients, optimum.value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,50 +71,72 @@ class Deadline:
         """Make every search that asks end."""
         self._stopped.set()
 
+    def __reduce__(self) -> tuple[Callable[[float, float], Deadline], tuple[float, float]]:
+        """Pickle when it ends: another process of this machine has the same clock. A later `stop` here is not heard there."""
+        return Deadline.begun_at, (self._begin, self.seconds)
+
+    @classmethod
+    def begun_at(cls, begin: float, seconds: float) -> Deadline:
+        """Return the deadline that began when the clock was at `begin`."""
+        deadline = cls(seconds)
+        deadline._begin = begin
+        return deadline
+
     def __call__(self) -> bool:
         """Return whether to stop now."""
         return self._stopped.is_set() or self.elapsed > self.seconds
 
 
-def cores() -> int:
-    """Return the number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 def search_all(
-    searches: Sequence[Callable[[], Candidate]],
+    tasks: Iterable[Task],
+    search: Callable[[Task], Candidate],
     deadline: Deadline,
     *,
-    threads: int | None = None,
+    crew: Crew[Task, Candidate] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> list[Candidate]:
-    """Run the searches, best first in the answer; a keyboard interrupt or the deadline ends them early and keeps what they have.
+    """Do the searches that the tasks ask for, here and by a crew, best first in the answer; a keyboard interrupt or the deadline ends them early and keeps what they have.
 
-    Each search must look at the deadline itself; the first begins even where the time is up, so that there is an answer however slow the machine. The order does not depend on timing: equal values are ordered by number.
+    Each search must look at the deadline itself; the first begins even where the time is up, so that there is an answer however slow the machine. The
+    order does not depend on timing: equal values are ordered by number. What a lost crew was at is done here.
     """
     found: list[Candidate] = []
-    count = min(len(searches), threads or cores())
-    with one_blas_thread(), ThreadPoolExecutor(max_workers=max(count, 1)) as pool:
-        waiting = iter(searches)
-        pending: set[Future[Candidate]] = set()
+    waiting = deque(tasks)
+    planned = len(waiting)
+    pending: dict[Future[Candidate], Task] = {}
+    own: Future[Candidate] | None = None
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=1) as here:
         try:
             while True:
-                while len(pending) < count and not (deadline() and (found or pending)):
-                    following = next(waiting, None)
-                    if following is None:
+                while waiting and not (deadline() and (found or pending)):
+                    helped = own is not None
+                    if helped and (crew is None or not crew.has_room):
                         break
-                    pending.add(pool.submit(following))
+                    task = waiting.popleft()
+                    if crew is not None and helped:
+                        future = crew.submit(task)
+                    else:
+                        future = own = here.submit(search, task)
+                    pending[future] = task
                 if not pending:
                     break
-                done, pending = wait(pending, timeout=POLL, return_when=FIRST_COMPLETED)
-                found += [future.result() for future in done]
+                for future in wait(pending, timeout=POLL, return_when=FIRST_COMPLETED).done:
+                    task = pending.pop(future)
+                    if future is not own and future.exception() is not None:
+                        waiting.appendleft(task)
+                        continue
+                    own = None if future is own else own
+                    found.append(future.result())
                 if progress is not None:
                     best = max((candidate.value for candidate in found), default=-np.inf)
-                    progress(SearchProgress(deadline.elapsed, deadline.seconds, len(found), len(searches), best))
+                    progress(SearchProgress(deadline.elapsed, deadline.seconds, len(found), planned, best))
         except KeyboardInterrupt:
             deadline.stop()
             deadline.interrupted = True
-            found += [future.result() for future in pending]
+            if crew is not None:
+                crew.close()
+            if own is not None:
+                found.append(own.result())
     return best_first(found)
 
 

@@ -1,0 +1,105 @@
+"""Processes that take part in a search: threads would wait for each other, for much of a search is Python."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from pickle import PicklingError
+from typing import Generic, TypeVar
+
+from loky.process_executor import ProcessPoolExecutor
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+MOST = 7
+"""Most processes beside this one; each needs some 250 MB."""
+
+
+def available_cores() -> int:
+    """Return the number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Crew(Generic[Task, Result]):
+    """Processes that do `work` on tasks handed to them; work, tasks and results must be picklable.
+
+    They take part once they have loaded what they need, which takes seconds: `has_room` says whether one is free. Where none can be made, or they are
+    lost, there is never room. To be closed in the end; what they do then is lost.
+    """
+
+    def __init__(self, work: Callable[[Task], Result], size: int) -> None:
+        self._size, self._busy = min(size, MOST), 0
+        self._executor: ProcessPoolExecutor | None = None
+        self._ready: Future[bool] | None = None
+        if self._size < 1:
+            return
+        try:
+            with _interrupts_ignored():
+                self._executor = ProcessPoolExecutor(
+                    self._size,
+                    timeout=None,
+                    initializer=_begin,
+                    initargs=(work,),
+                    env={"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
+                )
+                self._ready = self._executor.submit(_is_ready)
+        except (OSError, ImportError, RuntimeError, TypeError, PicklingError):
+            self.close()
+
+    @property
+    def has_room(self) -> bool:
+        """Whether a process is there that has nothing to do."""
+        return self._ready is not None and self._ready.done() and self._ready.exception() is None and self._busy < self._size
+
+    def submit(self, task: Task) -> Future[Result]:
+        """Hand a task to a process that is free."""
+        assert self._executor is not None
+        self._busy += 1
+        future: Future[Result] = self._executor.submit(_do, task)
+        future.add_done_callback(self._done)
+        return future
+
+    def close(self) -> None:
+        """End the processes, whatever they do."""
+        if self._executor is not None:
+            self._executor.shutdown(wait=True, kill_workers=True)
+        self._executor = self._ready = None
+
+    def _done(self, future: Future[Result]) -> None:
+        self._busy -= 1
+        if future.cancelled() or future.exception() is not None:
+            self._size = 0
+
+
+_work: list[Callable[[object], object]] = []
+"""What this process was made to do, where it belongs to a crew."""
+
+
+def _begin(work: Callable[[object], object]) -> None:
+    _work[:] = [work]
+
+
+def _is_ready() -> bool:
+    return bool(_work)
+
+
+def _do(task: object) -> object:
+    return _work[0](task)
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Let processes that are begun within inherit that they ignore Ctrl-C, which is for this one to answer."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
