@@ -28,6 +28,9 @@ app = typer.Typer(
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What linear algebra libraries read when they are loaded, which commands do: their threads only get in each other's way on small matrices."""
 
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, with which typer ends a command, too."""
+
 for command in (
     robots,
     drives,
@@ -65,7 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except (KeyboardInterrupt, EOFError):
-        _fail("interrupted; no file was left half-written", 130)
+        _fail("interrupted; no file was left half-written", INTERRUPTED)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _fail("interrupted; no file was left half-written", INTERRUPTED)
+        raise
     except Exception as problem:
         if os.environ.get("ASBUILT_TRACEBACK"):
             raise
