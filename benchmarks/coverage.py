@@ -1,27 +1,41 @@
-"""Whether 95 % intervals cover the truth in 95 % of cases: 200 virtual recordings of each robot, torque noise of several colours."""
+"""Whether 95 % intervals cover the truth in 95 % of cases: 200 virtual recordings of each robot, torque noise of several colours; of real bodies 100, some near what is possible."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
+from asbuilt.identification.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.consistent_fit import fit_consistent
 from asbuilt.identification.identify import design_values
-from asbuilt.identification.least_squares import fit_least_squares
-from asbuilt.identification.square_root_information import accumulate
+from asbuilt.identification.least_squares import Estimate, fit_least_squares
+from asbuilt.identification.square_root_information import SquareRootInformation, accumulate
 from asbuilt.identification.uncertainty import block_uncertainty
 
+Array = NDArray[np.float64]
+
 REPETITIONS = 200
+REPETITIONS_OF_BODIES = 100
 RATE = 200.0
 NOISE = 0.3
 NORMAL_95 = 1.959964
+DRAWS = 200
+DRAWS_OF_BODIES = 100
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
 STUDIES = (
     ("kuka-iiwa7-r800", 0.2, 20.0),
     ("kuka-iiwa7-r800", 1.0, 60.0),
@@ -32,36 +46,113 @@ STUDIES = (
     ("puma-560", 0.3, 40.0),
 )
 """Robot, correlation time of the torque noise [s], length of the recording [s]."""
+STUDIES_OF_BODIES = (
+    ("kuka-iiwa7-r800", 0.3, 30.0, 0.3, 1.0),
+    ("kuka-iiwa7-r800", 0.3, 30.0, 0.3, 0.004),
+    ("kuka-iiwa7-r800", 0.3, 30.0, 2.0, 0.004),
+    ("kuka-iiwa7-r800", 0.3, 60.0, 0.3, 0.004),
+    ("franka-panda", 0.5, 60.0, 0.3, 0.004),
+    ("ur10e", 0.05, 30.0, 0.3, 0.004),
+)
+"""The same, then the noise [N m] and the smallest eigenvalue of `P0^-1 P` of every other link: the fit allows no less than 0.001."""
+SPREAD = 0.25
+"""Spread of the logarithm of the other eigenvalues: how far CAD is off."""
+SMALL_FRICTION = 0.03
 
 
-def coverage(robot: str, correlation_time: float, duration: float, repetitions: int = REPETITIONS) -> tuple[float, float, float]:
-    """Return the share of 95 % intervals that contain the truth, over all parameters: block-robust, the worst parameter's, textbook."""
-    model, drive = load_robot(robot), DriveSet.parse("viscous,coulomb,offset")
-    base = find_base_parameters(model, drive)
-    machine = InstalledRobot.ideal(model).with_drive(drive, np.tile([1.0, 2.0, 0.3], model.n_joints))
+def recordings(
+    machine: InstalledRobot, model: RobotModel, correlation_time: float, duration: float, noise: float, repetitions: int
+) -> Iterator[SquareRootInformation]:
+    """Yield the information of one motion recorded again and again, first-order noise of that correlation time [s] on the torque."""
+    base = find_base_parameters(model, DRIVE)
     recording = machine.record(random_fourier(model, rng=11, duration=duration, n_harmonics=10), RATE).recording
     recording = replace(recording, qd=None, qdd=None)
-    truth, design = base.values(machine.truth), design_values(model, base)
     chain, rng = SignalChain().resolved(recording), np.random.default_rng(0)
     forget, warm_up = np.exp(-1.0 / (RATE * correlation_time)), int(20 * RATE * correlation_time)
-    robust, textbook = [], []
     for _ in range(repetitions):
         white = rng.normal(size=(recording.n_samples + warm_up, model.n_joints))
         coloured = lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[warm_up:]
-        samples = prepare_samples(replace(recording, tau=recording.tau + NOISE * coloured), chain)
-        information = accumulate(model, base, samples)
-        estimate = fit_least_squares(information, weights="joint", prior=design)
+        yield accumulate(model, base, prepare_samples(replace(recording, tau=recording.tau + noise * coloured), chain))
+
+
+def shares(
+    seen: Iterator[SquareRootInformation], truth: Array, fit: Callable[[SquareRootInformation], Estimate], draws: int
+) -> dict[str, float]:
+    """Return the share of 95 % intervals that contain the truth, over all parameters and of the worst, for every kind of error."""
+    held: dict[str, list[Array]] = {"": [], "_bootstrap": [], "_textbook": []}
+    for repetition, information in enumerate(seen):
+        estimate = fit(information)
         error = np.abs(estimate.beta - truth)
-        robust.append(error < NORMAL_95 * block_uncertainty(information, estimate).std_errors)
-        textbook.append(error < NORMAL_95 * estimate.std_errors)
-    per_parameter = np.mean(robust, axis=0)
-    return float(per_parameter.mean()), float(per_parameter.min()), float(np.mean(textbook))
+        drawn = redraw(information, estimate, n_draws=draws, rng=repetition)
+        held[""].append(error < NORMAL_95 * block_uncertainty(information, estimate).std_errors)
+        held["_bootstrap"].append(error < NORMAL_95 * bootstrap_uncertainty(information, estimate, drawn).std_errors)
+        held["_textbook"].append(error < NORMAL_95 * estimate.std_errors)
+    found = {}
+    for kind, each in held.items():
+        per_parameter = np.mean(each, axis=0)
+        found[kind], found[f"{kind}_worst_parameter"] = float(per_parameter.mean()), float(per_parameter.min())
+    return found
 
 
-def measure() -> dict[str, float | str]:
+def coverage(robot: str, correlation_time: float, duration: float, repetitions: int = REPETITIONS) -> dict[str, float]:
+    """Return the shares of weighted least squares."""
+    model = load_robot(robot)
+    base = find_base_parameters(model, DRIVE)
+    machine = InstalledRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints))
+    design = design_values(model, base)
+    return shares(
+        recordings(machine, model, correlation_time, duration, NOISE, repetitions),
+        base.values(machine.truth),
+        lambda seen: fit_least_squares(seen, weights="joint", prior=design),
+        DRAWS,
+    )
+
+
+def coverage_of_bodies(
+    robot: str, correlation_time: float, duration: float, noise: float, edge: float, repetitions: int = REPETITIONS_OF_BODIES
+) -> dict[str, float]:
+    """Return the shares of the physically consistent fit of a robot with other bodies than CAD's, every other one near what is possible."""
+    model = load_robot(robot)
+    base, prior = find_base_parameters(model, DRIVE), cad_prior(model, DRIVE)
+    machine = off_from_cad(model, base, prior, edge)
+    return shares(
+        recordings(machine, model, correlation_time, duration, noise, repetitions),
+        base.values(machine.truth),
+        lambda seen: fit_consistent(seen, prior),
+        DRAWS_OF_BODIES,
+    )
+
+
+def off_from_cad(model: RobotModel, base: BaseParameters, prior: CadPrior, edge: float) -> InstalledRobot:
+    """Return a robot of other real bodies; where `edge` is small that is the smallest eigenvalue of every other, and one joint has next to no viscous friction."""
+    rng = np.random.default_rng(5)
+    bodies = []
+    for i, pseudo_inertia in enumerate(prior.pseudo_inertias):
+        root = np.linalg.cholesky(pseudo_inertia)
+        axes, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+        size = np.exp(SPREAD * rng.normal(size=4))
+        if edge < 0.1 and i % 2 == 1:
+            size[int(np.argmin(size))] = edge
+        bodies.append(LinkInertia.from_pseudo_inertia(root @ (axes * size) @ axes.T @ root.T).parameters)
+    friction = np.tile([1.0, 2.0, 0.3], (model.n_joints, 1))
+    if edge < 0.1:
+        friction[-2, 0] = SMALL_FRICTION
+    return InstalledRobot.ideal(model.with_parameters(np.concatenate(bodies))).with_drive(base.drive, friction.ravel())
+
+
+def measure(repetitions: int | None = None) -> dict[str, float | str]:
     """Return shares."""
     numbers: dict[str, float | str] = {}
     for robot, correlation_time, duration in STUDIES:
-        name = f"{robot}_{correlation_time:g}s_noise_{duration:g}s"
-        numbers[name], numbers[f"{name}_worst_parameter"], numbers[f"{name}_textbook"] = coverage(robot, correlation_time, duration)
+        found = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
+        numbers |= {f"{robot}_{correlation_time:g}s_noise_{duration:g}s{kind}": value for kind, value in found.items()}
+    for robot, correlation_time, duration, noise, edge in STUDIES_OF_BODIES:
+        found = coverage_of_bodies(robot, correlation_time, duration, noise, edge, repetitions or REPETITIONS_OF_BODIES)
+        name = f"bodies_{robot}_{correlation_time:g}s_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
+        numbers |= {f"{name}{kind}": value for kind, value in found.items()}
     return numbers
+
+
+if __name__ == "__main__":
+    for name, value in measure(int(sys.argv[1]) if len(sys.argv) > 1 else None).items():
+        print(f"{name:<72} {value:.3f}")

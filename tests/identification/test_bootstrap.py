@@ -171,3 +171,34 @@ def test_identify_takes_its_errors_from_the_draws_whatever_the_method(samples: S
 def test_errors_that_do_not_exist_are_named(samples: Samples) -> None:
     with pytest.raises(UsageError, match="blocks, bootstrap, textbook"):
         identify(MODEL, samples, base=BASE, errors="jackknife")  # type: ignore[arg-type]
+
+
+def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(samples: Samples) -> None:
+    """Student's quantile with 19 degrees of freedom is 2.093 (tables of Fisher and Yates); 20 blocks drawn with replacement scatter sqrt(20 / 19) too little."""
+    information = accumulate(MODEL, BASE, samples, block_seconds=2.0)
+    prior = cad_prior(MODEL, DRIVE)
+    for estimate, widening in ((fit_least_squares(information, weights="joint"), 1.0), (fit_consistent(information, prior), 2.093 / 1.96)):
+        drawn = redraw(information, estimate)
+        wide = drawn.std_errors * np.sqrt(20 / 19) * widening
+        found = bootstrap_uncertainty(information, estimate, drawn).std_errors
+        np.testing.assert_allclose(found, np.maximum(wide, estimate.std_errors), rtol=1e-3)
+    for method, warned in (("wls", False), ("consistent", True)):
+        result = identify(MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0)
+        assert any(warning.code == "bootstrap_near_bounds" for warning in result.warnings) == warned
+
+
+@pytest.mark.parametrize(("smoothing", "small"), [(1, False), (25, True)])
+def test_textbook_errors_are_those_of_the_textbook_and_labelled(smoothing: int, small: bool) -> None:
+    """Noise averaged over 25 neighbours is 25 times as good as it looks, sample by sample."""
+    clean, rng = made_samples(noise=0.0), np.random.default_rng(8)
+    noise = np.apply_along_axis(np.convolve, 0, rng.normal(size=clean.tau.shape), np.ones(smoothing) / np.sqrt(smoothing), mode="same")
+    noisy = replace(clean, tau=clean.tau + noise)
+    result, blocks = (identify(MODEL, noisy, base=BASE, errors=errors, block_seconds=2.0) for errors in ("textbook", "blocks"))
+    np.testing.assert_array_equal(result.covariance, result.textbook_covariance)
+    np.testing.assert_array_equal(result.std_errors, [parameter.textbook_std_error for parameter in blocks.parameters])
+    assert result.effective_samples == result.n_samples
+    assert (result.errors.kind, result.errors.asked) == ("textbook", "textbook")
+    assert result.errors.growth == pytest.approx(np.median(blocks.std_errors / result.std_errors))
+    assert "TOO SMALL" in result.errors_sentence
+    assert any(warning.code == "textbook_errors" for warning in result.warnings) == small
+    assert (result.errors.growth > 2.0) == small

@@ -285,3 +285,25 @@ def test_links_without_mass_properties_have_no_cad_value(arm):
     assert np.isnan(values[base.names.index("Fv2")])
     involved = np.any(base.regrouping[:, 10:20] != 0, axis=1)
     assert np.isnan(values[involved]).all()
+
+
+def test_a_result_says_how_its_errors_were_judged(arm):
+    model, base = arm
+    result = identify(model, recorded(model, base), base=base)
+    assert result.errors.kind == "blocks"
+    assert result.errors.n_blocks >= 8
+    assert "Standard errors (blocks): by formula from" in str(result.summary())
+    whole = json.loads(result.to_json())
+    assert whole["errors"]["kind"] == "blocks"
+    assert IdentificationResult.from_json(result.to_json()).errors == result.errors
+
+
+def test_a_result_of_a_version_that_did_not_say_how_is_read(arm):
+    whole = json.loads(invented(arm).to_json())
+    del whole["errors"]
+    for parameter in whole["parameters"]:
+        del parameter["dropped"]
+    old = IdentificationResult.from_json(json.dumps(whole))
+    assert old.errors.kind == "unstated"
+    assert not old.dropped.any()
+    assert str(old.summary()) == str(invented(arm).summary())

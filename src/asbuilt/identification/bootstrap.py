@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.least_squares import Estimate, Refit
 from asbuilt.identification.square_root_information import SquareRootInformation
 from asbuilt.identification.triangular import triangular_factor
-from asbuilt.identification.uncertainty import Uncertainty, basis_of, block_pulls
+from asbuilt.identification.uncertainty import COVERED, Uncertainty, basis_of, block_pulls
 
 Array = NDArray[np.float64]
 Seed = np.random.Generator | int | None
@@ -35,6 +36,8 @@ CHOSEN = {
     "total": "the share of errors in the motion",
 }
 """What estimators choose from the data and every draw takes over."""
+OWN_ROWS = ("huber", "bisquare", "ml", "iv")
+"""Estimators that make their own rows; others work on those of another only where an automatic choice led through that."""
 MOST_FAILURES = 0.1
 """Share of draws for which an estimator may refuse before the whole is refused."""
 
@@ -124,12 +127,15 @@ def _refitted(information: SquareRootInformation, weights: Array, refit: Refit, 
 def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap) -> Uncertainty:
     """Return the scatter of the draws as the errors of an estimate, no variance smaller than the textbook one.
 
-    Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement makes too small.
+    Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement makes too small, and those of fits that are not linear by the ratio of
+    Student's quantile with B - 1 degrees of freedom to the normal one besides: so few blocks know a scatter only roughly. Linear fits have no need of that, since draws
+    that miss influential blocks scatter the more; bounds hold such draws back. With it, 95 % intervals cover 95 to 97 % (benchmarks/coverage.py).
     """
     n = information.n_blocks
+    few = 1.0 if estimate.refit is None else float(stats.t.ppf(COVERED, n - 1) / stats.norm.ppf(COVERED))
     textbook = np.diag(estimate.covariance)
     told = textbook > 0
-    covariance = drawn.covariance * n / (n - 1.0)
+    covariance = drawn.covariance * (few**2 * n / (n - 1.0))
     swell = np.sqrt(np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)) * told
     covariance = covariance * np.outer(swell, swell)
     ratio = np.diag(covariance)[told] / textbook[told]
@@ -146,4 +152,5 @@ def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate
 def held_fixed(estimate: Estimate) -> tuple[str, ...]:
     """Return what all draws of an estimate have in common beside the blocks, in words."""
     joints = () if estimate.method in ("ols", "ml") else ("the weights of the joints",)
-    return (*joints, *((CHOSEN[estimate.method],) if estimate.method in CHOSEN else ()))
+    rows = ("the weights of the rows",) if estimate.information is not None and estimate.method not in OWN_ROWS else ()
+    return (*joints, *rows, *((CHOSEN[estimate.method],) if estimate.method in CHOSEN else ()))

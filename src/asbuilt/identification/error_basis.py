@@ -39,7 +39,8 @@ class ErrorBasis:
         if self.kind == "blocks":
             return f"Standard errors (blocks): by formula from {blocks}, allowing for residual correlation within them ({worth})."
         if self.kind == "bootstrap":
-            held = f", with {' and '.join(self.held_fixed)} held fixed" if self.held_fixed else ""
+            listed = ", ".join(self.held_fixed[:-1]) + (" and " if len(self.held_fixed) > 1 else "") + "".join(self.held_fixed[-1:])
+            held = f", with {listed} held fixed" if self.held_fixed else ""
             return f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks} drawn with replacement{held} ({worth})."
         if self.kind == "textbook":
             return f"Standard errors (textbook): residuals taken as independent, {self._too_small()}."

@@ -292,6 +292,14 @@ def _warnings(
                 "(median), since neighbouring residuals are alike. Use --errors blocks.",
             )
         )
+    if basis.kind == "bootstrap" and estimate.refit is not None:
+        found.append(
+            (
+                "bootstrap_near_bounds",
+                "Fits that bounds of real bodies hold scatter little near a bound: bootstrap errors are right over all parameters, but may be too small for single ones "
+                "that lie on a bound or trade with such. Errors by formula (--errors blocks) are not, and rather too large.",
+            )
+        )
     if basis.kind == "textbook" and basis.growth is None:
         found.append(
             (
