@@ -46,11 +46,12 @@ def test_ridge_is_tikhonov_toward_cad_at_one_of_its_weights(robot):
     assert np.argmin(distance) > 0
 
 
-def test_total_least_squares_is_that_of_the_singular_vector(robot):
-    """With every column noisy: the right singular vector of the scaled stack that belongs to its smallest singular value."""
+@pytest.mark.parametrize("believed", [None, 1.0, -3.0])
+def test_total_least_squares_is_that_of_the_singular_vector(robot, believed):
+    """With every column noisy: the right singular vector of the scaled stack that belongs to its smallest singular value, whatever CAD says."""
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.5, seed=9)
-    estimate = methods["total"].estimate(evidence_of(robot, samples))
+    estimate = methods["total"].estimate(evidence_of(robot, samples, None if believed is None else believed * beta))
     W, tau = weighted_stack(robot, samples, estimate.weights)
     size, length = np.linalg.norm(W, axis=0), np.linalg.norm(tau)
     exact = np.array([name.startswith("Fo") for name in base.names])
@@ -65,6 +66,21 @@ def test_total_least_squares_is_that_of_the_singular_vector(robot):
     rest = np.linalg.lstsq(W[:, exact], tau - W[:, ~exact] @ x, rcond=None)[0]
     np.testing.assert_allclose(estimate.beta[~exact], x, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(estimate.beta[exact], rest, rtol=1e-6, atol=1e-8)
+
+
+def test_total_least_squares_keeps_to_cad_what_no_sample_tells(robot):
+    model, base, beta = robot
+    samples = recording(model, base, beta, noise=0.3, still=(2,), seed=4)
+    cad = base.values(np.nan_to_num(parameter_values(model, DRIVE))) + 0.1
+    estimate = methods["total"].estimate(evidence_of(robot, samples, cad))
+    W, _ = weighted_stack(robot, samples, estimate.weights)
+    size = np.linalg.norm(W, axis=0)
+    never = size == 0
+    assert never.any()
+    np.testing.assert_allclose(estimate.beta[never], cad[never], rtol=1e-9)
+    s, vt = np.linalg.svd(W[:, ~never] / size[~never], full_matrices=False)[1:]
+    untold = vt[s < 1e-9 * s[0]]
+    np.testing.assert_allclose(untold @ (size * estimate.beta)[~never], untold @ (size * cad)[~never], atol=1e-6 * np.abs(size * cad).max())
 
 
 def test_total_least_squares_without_a_solution_is_refused(robot):

@@ -23,7 +23,7 @@ def estimate_total(evidence: Evidence) -> Estimate:
     """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows weighted joint by joint, D the column lengths.
 
     Errors of a column are taken as large relative to it as those of the torque relative to the torque; columns of offsets are exact. From the
-    triangular factor: exact columns first, the rest by its smallest singular value s, `(W^T W - s^2 D^2) beta = W^T tau`.
+    triangular factor: exact columns first, the rest by its smallest singular value s, `(W^T W - s^2 D^2) beta = W^T tau`; what no sample tells is that of the prior.
     Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns as in Van Huffel & Vandewalle, The Total Least Squares Problem, 1991,
     section 3.5. Errors are first order. Raises `IdentifiabilityError` where torque errors are as large as what the weakest column combination adds.
     """
@@ -37,11 +37,12 @@ def estimate_total(evidence: Evidence) -> Estimate:
         exact = np.array([name.rstrip("0123456789") in EXACT_TERMS for name in base.names])
         order = np.concatenate([np.flatnonzero(exact), np.flatnonzero(~exact)])
         first = int(exact.sum())
-        torque = factor @ np.append(-prior, 1.0)
         size = float(np.linalg.norm(factor[:, -1])) or 1.0
-        r = triangular_factor(np.column_stack([factor[:, order] / scale[order], torque / size]))
+        toward = prior[order] * scale[order] / size
+        r = triangular_factor(np.column_stack([factor[:, order] / scale[order], factor[:, -1] / size]))
         u, s, vt = np.linalg.svd(r[first:-1, first:-1])
         kept = s > rank_tolerance(information.n_samples * information.n_joints, base.n_base) * max(s.max(initial=0.0), 1.0)
+        untold = vt[~kept].T
         u, s, v = u[:, kept], s[kept], vt[kept].T
         z = u.T @ r[first:-1, -1]
         left = np.hypot(np.linalg.norm(r[first:-1, -1] - u @ z), r[-1, -1])
@@ -53,11 +54,12 @@ def estimate_total(evidence: Evidence) -> Estimate:
                 f"total least squares has no trustworthy solution: the errors ({smallest:.3g} of the torque) are as large as what the weakest "
                 f"combination of parameters of {base.robot} adds ({s[-1]:.3g} of its columns); use wls, or a richer motion"
             )
-        y = np.zeros(base.n_base)
-        y[first:] = v @ (s * z / (s**2 - smallest**2))
-        y[:first] = np.linalg.lstsq(r[:first, :first], r[:first, -1] - r[:first, first:-1] @ y[first:], rcond=None)[0]
-        beta = prior.copy()
-        beta[order] += size * y / scale[order]
+        y = toward.copy()
+        y[first:] = v @ (s * z / (s**2 - smallest**2)) + untold @ (untold.T @ toward[first:])
+        known = r[:first, -1] - r[:first, first:-1] @ y[first:] - r[:first, :first] @ toward[:first]
+        y[:first] += np.linalg.lstsq(r[:first, :first], known, rcond=None)[0]
+        beta = np.zeros(base.n_base)
+        beta[order] = size * y / scale[order]
         root = start.solution.inverse_root
         noisy = root[~exact] * (smallest * scale[~exact])[:, None]
         values, axes = np.linalg.eigh(np.eye(root.shape[1]) - noisy.T @ noisy)
