@@ -242,3 +242,21 @@ def test_a_search_whose_time_is_up_still_has_an_answer() -> None:
     found = search_all(range(5), search, Deadline(0.0))
     assert ran == [0]
     assert [candidate.number for candidate in found] == [0]
+
+
+def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
+    """A tenth of a / v: 0.25 Hz for limits that were assumed, more where the description allows more acceleration."""
+    slow = MotionBounds.assumed(load_robot("kuka-iiwa7-r800"))
+    assert DesignOptions(duration=20.0).for_limits(slow).size == 5
+    quick = replace(slow, acceleration=6.0 * slow.velocity)
+    assert DesignOptions(duration=20.0).for_limits(quick).size == 12
+    assert DesignOptions(duration=100.0).for_limits(quick).size == 25
+    assert DesignOptions(duration=20.0, size=7).for_limits(quick).size == 7
+    assert DesignOptions(duration=20.0, parametrisation="bspline").for_limits(quick).size is None
+
+
+def test_no_motion_is_nearer_to_the_bound_of_all_states_than_to_that_of_its_own(arm) -> None:
+    model, _ = arm
+    for limit in (0.5, 4.0):
+        design = design_motion(model, DRIVE, replace(QUICK, time_limit=limit))
+        assert design.family_efficiency >= design.d_efficiency

@@ -13,6 +13,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model, parameter_scale
 from asbuilt.excitation.crew import Crew, available_cores
@@ -141,7 +143,8 @@ def design_motion(
     MotionError
         If no start within the constraints is found, or no motion of the family tells all parameters.
     """
-    wanted = options or DesignOptions()
+    asked = options or DesignOptions()
+    wanted = asked.for_limits(MotionBounds.assumed(model, asked.fraction))
     found = base or find_base_parameters(model, drive)
     information = Information.of(model, found, wanted.noise if isinstance(wanted.noise, float) else np.array(wanted.noise))
     focus = [position_of(found, name) for name in wanted.focus] or None
@@ -149,6 +152,7 @@ def design_motion(
     objective = Objective(
         information, criterion_of(wanted.criterion, focus), scale, wanted.duration * wanted.information_rate, _checked_prior(prior, found)
     )
+    _loaded(information)
     whole, reserve = Deadline(wanted.time_limit), REFINEMENT_SHARE * wanted.time_limit
     deadline = Deadline(wanted.time_limit - reserve)
     search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
@@ -251,7 +255,16 @@ def design_bounds(
     highest = 2 * np.pi / family.shortest_wave
     velocity = np.minimum(bounds.velocity, highest * (bounds.upper - bounds.lower) / 2)
     slower = replace(bounds, velocity=velocity, acceleration=np.minimum(bounds.acceleration, highest * velocity))
-    return whole, bound_within(slower, 1)
+    own = bound_within(slower, 1)
+    return whole, own if own.upper < whole.upper else whole
+
+
+def _loaded(information: Information) -> None:
+    """Compile what a search runs, or load it where that was done before; after an installation it takes seconds, which are no part of a design's."""
+    rest = np.zeros((1, information.model.n_joints))
+    information.state_gradient(rest, rest, rest, information.rows(rest, rest, rest), np.eye(information.n_parameters))
+    inverse_dynamics(information.model, rest, rest, rest)
+    torque_derivatives(information.model, rest, rest, rest)
 
 
 def position_of(base: BaseParameters, name: str) -> int:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from asbuilt.errors import UsageError
+from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.parametrisations import PARAMETRISATIONS, Fourier, Parametrisation
+
+LEAST_FREQUENCY = 0.25
+"""Highest frequency of a Fourier series where nothing speaks for a higher one [Hz]."""
+
+LEAST_HARMONICS, MOST_HARMONICS = 4, 16
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,12 @@ class DesignOptions:
         if self.size is not None and self.size < 2:
             raise UsageError(f"a design needs at least 2 harmonics, 3 way points or control points; got {self.size}")
 
+    def for_limits(self, bounds: MotionBounds) -> DesignOptions:
+        """Return the options with the harmonics that suit a robot with these limits, where none are asked for."""
+        if self.size is not None or self.parametrisation != "fourier":
+            return self
+        return replace(self, size=usual_harmonics(self.duration / self.periods, bounds))
+
     @property
     def family(self) -> Parametrisation:
         """The family of motions."""
@@ -70,6 +82,13 @@ class DesignOptions:
         return PARAMETRISATIONS[self.parametrisation](self.duration, size)
 
 
-def usual_harmonics(period: float) -> int:
-    """Return the number of harmonics where none is asked for: up to a quarter of a hertz, at least 3."""
-    return max(3, round(0.25 * period))
+def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
+    """Return the number of harmonics where none is asked for: at least 4, up to a quarter of a hertz or, for a robot that is quick, to a tenth of a / v.
+
+    v and a are the limits of velocity and acceleration of its joints (the median); beyond 16 harmonics, a quarter of a hertz is all.
+    """
+    slow = max(LEAST_HARMONICS, round(LEAST_FREQUENCY * period))
+    if bounds is None:
+        return slow
+    quick = float(np.median(bounds.acceleration / bounds.velocity)) / 10
+    return max(slow, min(MOST_HARMONICS, round(quick * period)))
