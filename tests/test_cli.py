@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import subprocess
 import sys
@@ -126,6 +127,25 @@ def test_identify_writes_everything_and_validates(
     assert all(Path(path).stat().st_size > 0 for path in written["files"].values())
 
 
+@pytest.mark.parametrize("kind", ["blocks", "bootstrap", "textbook"])
+def test_every_output_says_how_errors_were_judged(
+    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path, kind: str
+) -> None:
+    found = document(capsys, "identify", "ur10e", recorded["ur10e train"], "--errors", kind, "--out", tmp_path)
+    assert (found["errors"]["kind"], found["errors"]["asked"]) == (kind, kind)
+    stored = json.loads(Path(found["files"]["result"]).read_text())["errors"]
+    assert stored == {name: value for name, value in found["errors"].items() if name != "sentence"}
+    sentence = found["errors"]["sentence"]
+    assert sentence.startswith(f"Standard errors ({kind}): ")
+    assert sentence in Path(found["files"]["summary"]).read_text()
+    page = Path(found["files"]["report"]).read_text()
+    assert f"<dt>standard errors</dt><dd>{kind}</dd>" in page
+    assert sentence in html.unescape(page)
+    assert sentence in call(capsys, "compare", found["files"]["result"])[1]
+    if kind == "bootstrap":
+        assert f"the choice of {found['method']}" in sentence
+
+
 def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
     command = [sys.executable, "-m", "asbuilt.cli", "identify", "scara", str(recorded["scara train"]), "--json"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -206,6 +226,12 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
         write_recording(tmp_path / f"{name}.csv", machine.record(motion, 200.0).recording)
     found = document(capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--out", tmp_path)
     assert found["payload"]["mass"]["estimate"] == pytest.approx(2.0, abs=0.02)
+    assert found["payload"]["validation"][0]["source"].endswith("loaded.csv, the data used")
+    held = document(
+        capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--holdout", "last:0.3"
+    )
+    assert held["payload"]["validation"][0]["source"].endswith("loaded.csv, held out last:0.3")
+    assert held["payload"]["n_samples"] < 0.8 * found["payload"]["n_samples"]
     alone = document(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv", "--out", tmp_path)
     assert alone["frame"] == "flange"
     assert alone["com"]["estimate"] == pytest.approx([0.0, 0.02, 0.08], abs=0.005)

@@ -93,7 +93,7 @@ def identify(
         others = reading.open(model, validate)
         study = run_study(model, recordings, validation=others, options=options, progress=report)
         loaded = reading.read(model, payload)
-        carried = run_payload_study(study.result, loaded, chain=options.chain) if loaded else None
+        carried = run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout) if loaded else None
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
     answer(
         as_json,

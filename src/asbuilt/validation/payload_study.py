@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
@@ -37,6 +38,8 @@ def run_payload_study(
     judging = [prepare_samples(recording, resolved) for recording in validation]
     if holdout is not None:
         parts = [hold_out(samples, holdout) for samples in learning]
-        learning, judging = [train for train, _ in parts], [held for _, held in parts] + judging
+        learning = [train for train, _ in parts]
+        judging = [replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts] + judging
+    judging = judging or [replace(samples, source=f"{samples.source}, the data used") for samples in learning]
     bare = [prepare_samples(recording, resolved) for recording in unloaded]
     return identify_payload(result, learning, unloaded=bare, frame=frame, arm=arm, validation=judging, gain_uncertainty=gain_uncertainty)

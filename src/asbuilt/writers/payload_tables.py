@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from asbuilt.identification.payload import Payload
 from asbuilt.tables import Column, Shown, Table, percent, rounded, significant, stacked
+from asbuilt.validation.comparison import recording_name
 
 Array = NDArray[np.float64]
 
@@ -80,13 +81,20 @@ def payload_torque_table(payload: Payload) -> Table:
     """Return the RMS torque error of each joint with the payload and for the bare arm."""
     rows = []
     for bare, carried in zip(payload.metrics_bare, payload.metrics, strict=True):
-        rows.append((Path(bare.source).name, "arm alone", *(significant(float(x)) for x in bare.rms), significant(bare.relative_error)))
         rows.append(
-            (Path(carried.source).name, "with payload", *(significant(float(x)) for x in carried.rms), significant(carried.relative_error))
+            (recording_name(bare.source), "arm alone", *(significant(float(x)) for x in bare.rms), significant(bare.relative_error))
+        )
+        rows.append(
+            (
+                recording_name(carried.source),
+                "with payload",
+                *(significant(float(x)) for x in carried.rms),
+                significant(carried.relative_error),
+            )
         )
     names = payload.metrics[0].joint_names
     columns = (
-        Column("recording", width=40),
+        Column("recording", width=60),
         Column("prediction"),
         *(Column(name, align="decimal", width=16) for name in names),
         Column("relative", align="decimal"),
