@@ -98,3 +98,5 @@ def test_too_few_blocks_fall_back_to_the_textbook(experiment):
     uncertainty = block_uncertainty(information, fit_least_squares(information))
     assert uncertainty.method == "textbook"
     assert uncertainty.effective_samples == len(t)
+    assert (uncertainty.basis.asked, uncertainty.basis.n_blocks, uncertainty.basis.growth) == ("blocks", FEWEST_BLOCKS - 1, None)
+    assert "7 time blocks are too few to do better" in uncertainty.basis.sentence(uncertainty.effective_samples, len(t))
