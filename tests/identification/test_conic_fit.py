@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.optimize import lsq_linear
 
 from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.body_bounds import BodyBounds, body_bounds, generous_bounds, non_negative_drives
-from asbuilt.identification.conic_fit import TINY_PULL, fit_real_bodies
+from asbuilt.identification.conic_fit import TINY_PULL, RealBodies, fit_real_bodies
 
 
 def factor_of(trial):
@@ -106,3 +108,40 @@ def test_impossible_bounds_are_refused(trial):
 def test_slack_of_bounds():
     bounds = BodyBounds(np.eye(2), np.array([0.0, 1.0]), ("a", "b"))
     np.testing.assert_allclose(bounds.slack([2.0, -3.0]), [2.0, -2.0])
+
+
+@pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e", "scara"])
+@pytest.mark.parametrize("weight", [1e1, 1e3, 1e6])
+def test_bodies_that_are_real_anyway_need_no_cone(trial, monkeypatch, robot, weight):
+    """Bounded least squares without cones (Stark & Parker's BVLS) and, to its lesser precision, the cone program itself find the same."""
+    case = trial(robot, noise=0.3, seed=3, duration=6.0, spread=0.05)
+    n = case.prior.n_links
+    factor = 0.1 * factor_of(case)
+    factor[:-1, -1] -= (
+        1.5
+        * factor[:-1, :-1]
+        @ case.base.values(np.where(np.arange(len(case.chi)) % 3 == 0, case.chi, 0.0) * (np.arange(len(case.chi)) >= 10 * n))
+    )
+    bounds = non_negative_drives(case.prior)
+    problem = RealBodies.of(case.prior, case.base.regrouping, bounds)
+    quick = problem.fit(factor, weight)
+    monkeypatch.setattr(RealBodies, "_inside", lambda *_: None)
+    conic = problem.fit(factor, weight)
+    assert conic.iterations > 0
+    torque = factor[:-1, :-1] @ case.base.regrouping
+    precision = 1e-8 * (objective(case, factor, conic.chi, weight) + 2.0 * weight * n)
+    assert np.linalg.norm(torque @ (quick.chi - conic.chi)) < np.sqrt(2.0 * precision) + 1e-6
+    assert (quick.iterations == 0) == (quick.part > 1.001e-3)
+    if quick.iterations:
+        assert weight < 1e6
+        return
+    assert np.any(np.abs(bounds.slack(quick.chi)) < 1e-9)
+    roots = [np.sqrt(weight) * np.linalg.cholesky(metric).T for metric in case.prior.metric]
+    pull = block_diag(*roots, np.sqrt(min(weight, 1.0) * 1e-3) * np.diag(1.0 / case.prior.drive_scale))
+    lower = np.full(len(case.chi), -np.inf)
+    lower[case.prior.non_negative] = 0.0
+    scale = np.concatenate([*(1.0 / np.linalg.norm(root, axis=0) for root in roots), case.prior.drive_scale])
+    rows, right = np.vstack([torque, pull]), np.concatenate([factor[:-1, -1], pull @ case.prior.parameters])
+    found = lsq_linear(rows * scale, right, (lower, np.full_like(lower, np.inf)), method="bvls", tol=1e-14).x * scale
+    assert objective(case, factor, quick.chi, weight) == pytest.approx(objective(case, factor, found, weight), rel=1e-9)
+    np.testing.assert_allclose(torque @ quick.chi, torque @ found, atol=1e-5)

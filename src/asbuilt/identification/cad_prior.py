@@ -27,8 +27,9 @@ PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
 PSEUDO_INERTIA_BASIS.setflags(write=False)
 
-_ROW, _COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
-_LENGTH: Array = np.where(_ROW == _COLUMN, 1.0, np.sqrt(2.0))
+SVEC_ROW, SVEC_COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+SVEC_LENGTH: Array = np.where(SVEC_ROW == SVEC_COLUMN, 1.0, np.sqrt(2.0))
+"""The entry of a symmetric 4 x 4 matrix that each entry of its `svec` holds, and the factor it holds it by."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +94,13 @@ class CadPrior:
 
 def svec(matrix: Array) -> Array:
     """Return symmetric 4 x 4 matrices as vectors of the same norm, (..., 4, 4) -> (..., 10): upper triangle by columns, off-diagonal entries times sqrt(2)."""
-    return np.asarray(matrix[..., _ROW, _COLUMN] * _LENGTH)
+    return np.asarray(matrix[..., SVEC_ROW, SVEC_COLUMN] * SVEC_LENGTH)
 
 
 def smat(vector: Array) -> Array:
-    """Return the symmetric matrix (4, 4) of a vector (10,); the inverse of `svec`."""
-    matrix = np.zeros((4, 4))
-    matrix[_ROW, _COLUMN] = matrix[_COLUMN, _ROW] = vector / _LENGTH
+    """Return the symmetric matrices of vectors, (..., 10) -> (..., 4, 4); the inverse of `svec`."""
+    matrix = np.zeros((*vector.shape[:-1], 4, 4))
+    matrix[..., SVEC_ROW, SVEC_COLUMN] = matrix[..., SVEC_COLUMN, SVEC_ROW] = vector / SVEC_LENGTH
     return matrix
 
 

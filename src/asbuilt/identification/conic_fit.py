@@ -8,11 +8,12 @@ import clarabel
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import lapack, solve_triangular
+from scipy.optimize import nnls
 
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.body_bounds import BodyBounds
-from asbuilt.identification.cad_prior import CadPrior, smat, svec
+from asbuilt.identification.cad_prior import PSEUDO_INERTIA_BASIS, CadPrior, smat, svec
 
 Array = NDArray[np.float64]
 
@@ -63,15 +64,20 @@ def fit_real_bodies(
 class RealBodies:
     """Hold what all conic fits of one robot have in common: `fit` is `fit_real_bodies` for another factor.
 
-    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`; `rows`, `limits` and `cones` are the constraints on q that do not depend on the data.
+    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) + s = (z, limits)`, r the residual, s in the `cones`; the first p rows
+    take `R torque` at `places` of their data, whose entries `told` (n_standard, p) can be nonzero. `bounds` and `room` are the linear ones, `bounds q <= room`.
     """
 
     prior: CadPrior
-    bounded: bool
     bodies: Array
     q0: Array
     torque: Array
-    rows: sparse.csc_matrix
+    bounds: Array
+    room: Array
+    smallest_part: float
+    pattern: sparse.csc_matrix
+    places: NDArray[np.int64]
+    told: NDArray[np.bool_]
     limits: Array
     cones: tuple[object, ...]
 
@@ -79,19 +85,21 @@ class RealBodies:
     def of(cls, prior: CadPrior, regrouping: Array, bounds: BodyBounds | None = None, smallest_part: float = SMALLEST_PART) -> RealBodies:
         """Return the program of a robot with these bounds."""
         bodies, q0 = near_one(prior)
-        n, inertial = len(prior.parameters), 10 * prior.n_links
-        blocks, right, cones = [], [], []
-        if bounds is not None and len(bounds.offsets):
-            bounded = bounds.rows @ bodies
-            size = np.linalg.norm(bounded, axis=1)
-            blocks.append(sparse.csc_matrix(-bounded / size[:, None]))
-            right.append(bounds.offsets / size)
-            cones.append(clarabel.NonnegativeConeT(len(bounded)))
-        blocks.append(sparse.csc_matrix(-sparse.eye_array(inertial, n)))
-        right.append(-smallest_part * np.tile(svec(np.eye(4)), prior.n_links))
-        cones += [clarabel.PSDTriangleConeT(4)] * prior.n_links
-        rows = sparse.csc_matrix(sparse.vstack(blocks))
-        return cls(prior, bounds is not None, bodies, q0, regrouping @ bodies, rows, np.concatenate(right), tuple(cones))
+        n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
+        rows, room = np.zeros((0, n)), np.zeros(0)
+        if bounds is not None:
+            rows, room = -bounds.rows @ bodies, bounds.offsets
+            size = np.linalg.norm(rows, axis=1)
+            rows, room = rows / size[:, None], room / size
+        below = np.vstack([rows, -np.eye(inertial, n)])
+        right = np.concatenate([room, -smallest_part * np.tile(svec(np.eye(4)), prior.n_links)])
+        torque = regrouping @ bodies
+        told = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
+        pattern = sparse.csc_matrix(np.vstack([np.hstack([told, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]))
+        places = np.flatnonzero((pattern.indices < p) & (np.arange(pattern.nnz) < pattern.indptr[n]))
+        linear = [clarabel.NonnegativeConeT(len(rows))] if len(rows) else []
+        cones = (clarabel.ZeroConeT(p), *linear, *[clarabel.PSDTriangleConeT(4)] * prior.n_links)
+        return cls(prior, bodies, q0, torque, rows, room, smallest_part, pattern, places, told.T > 0.0, right, cones)
 
     def fit(self, factor: Array, weight: float = TINY_PULL) -> ConicFit:
         """Return the minimiser for the triangular factor [R z] (p + 1, p + 1)."""
@@ -99,30 +107,55 @@ class RealBodies:
         p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
         torque = factor[:-1, :-1] @ self.torque
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
-        data = sparse.hstack([sparse.csc_matrix(torque), -sparse.eye_array(p)])
-        alone = sparse.hstack([self.rows, sparse.csc_matrix((self.rows.shape[0], p))])
-        constraints, limits = sparse.csc_matrix(sparse.vstack([data, alone])), np.concatenate([z, self.limits])
-        cones = [clarabel.ZeroConeT(p), *self.cones]
         for resolved in RESOLVED:
             pulled = max(weight, resolved * stiffest)
             pull = np.concatenate([np.repeat(pulled * prior.strength, 10), np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL)])
-            quadratic = sparse.csc_matrix(sparse.diags_array(np.concatenate([pull, np.ones(p)])))
+            inside = self._inside(torque, z, pull) if weight > TINY_PULL else None
+            if inside is not None:
+                return self._fit(inside, 0)
+            constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])
+            constraints.data[self.places] = torque.T[self.told]
+            quadratic = sparse.csc_matrix((np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)), (n + p, n + p))
             linear = np.concatenate([-pull * self.q0, np.zeros(p)])
-            solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, cones, _settings()).solve()
+            solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, list(self.cones), _settings()).solve()
             status = str(solution.status)
-            if "PrimalInfeasible" in status and self.bounded:
+            if "PrimalInfeasible" in status and len(self.bounds):
                 raise IdentifiabilityError(
                     f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them"
                 )
             if status in ("Solved", "AlmostSolved"):
-                break
-        else:
-            raise IdentifiabilityError(
-                f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}; "
-                "the data may hold values of extreme size"
-            )
-        chi = self.bodies @ np.array(solution.x[:n])
-        return ConicFit(chi, float(prior.relative_eigenvalues(chi).min()), int(solution.iterations))
+                return self._fit(np.array(solution.x[:n]), int(solution.iterations))
+        raise IdentifiabilityError(
+            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}; "
+            "the data may hold values of extreme size"
+        )
+
+    def _fit(self, q: Array, iterations: int) -> ConicFit:
+        return ConicFit(self.bodies @ q, self._smallest(q), iterations)
+
+    def _smallest(self, q: Array) -> float:
+        return float(np.linalg.eigvalsh(smat(q[: 10 * self.prior.n_links].reshape(-1, 10)))[:, 0].min())
+
+    def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
+        """Return the minimiser within the linear bounds, where its bodies are real already: no cone is needed for it then. None elsewhere.
+
+        Least distance programming by non-negative least squares (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23).
+        """
+        root, info = lapack.dpotrf(torque.T @ torque + np.diag(pull), lower=1)
+        if info:
+            return None
+        solved = solve_triangular(root, np.column_stack([torque.T @ z + pull * self.q0, -self.bounds.T]), lower=True, check_finite=False)
+        u, slopes = solved[:, 0], solved[:, 1:]
+        broken = -(self.room + u @ slopes)
+        if np.any(broken > 0.0):
+            goal = np.append(np.zeros(len(u)), 1.0)
+            both = np.vstack([slopes, broken])
+            error = both @ nnls(both, goal)[0] - goal
+            if error[-1] >= 0.0:
+                return None
+            u = u - error[:-1] / error[-1]
+        q = solve_triangular(root, u, lower=True, trans="T", check_finite=False)
+        return np.asarray(q) if self._smallest(q) >= self.smallest_part else None
 
 
 def _settings() -> clarabel.DefaultSettings:
@@ -135,13 +168,12 @@ def _settings() -> clarabel.DefaultSettings:
 
 def near_one(prior: CadPrior) -> tuple[Array, Array]:
     """Return M and q0 with `chi = M q`: q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD."""
-    roots = np.linalg.cholesky(prior.pseudo_inertias)
     n, inertial = len(prior.parameters), 10 * prior.n_links
+    roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]
+    images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)
     M = np.zeros((n, n))
-    units = np.array([smat(row) for row in np.eye(10)])
-    for i, L in enumerate(roots):
-        images = L @ units @ L.T
-        M[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = np.array([LinkInertia.from_pseudo_inertia(image).parameters for image in images]).T
+    places = np.arange(inertial).reshape(-1, 10)
+    M[places[:, :, None], places[:, None, :]] = np.linalg.solve(svec(PSEUDO_INERTIA_BASIS).T, images)
     M[range(inertial, n), range(inertial, n)] = prior.drive_scale
     q0 = np.concatenate([np.tile(svec(np.eye(4)), prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
     return M, q0

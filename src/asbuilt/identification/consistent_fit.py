@@ -14,7 +14,7 @@ from asbuilt.errors import UsageError
 from asbuilt.identification.body_bounds import BodyBounds, generous_bounds, non_negative_drives
 from asbuilt.identification.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, RealBodies, fit_real_bodies
-from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, closest_to_cad
+from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, EntropicFits, EntropicProblem
 from asbuilt.identification.least_squares import Estimate, FactorSolution, Refit, fit_least_squares
 from asbuilt.identification.prior_weight import WEIGHTS, choose_weight
 from asbuilt.identification.square_root_information import SquareRootInformation
@@ -28,6 +28,8 @@ Metric = Literal["entropic", "euclidean"]
 QUIETEST = 1e-5
 """Noise of a joint, as a fraction of its torque RMS, below which its weight grows no further: simulations have none, and programs round."""
 REWEIGHTINGS = 2
+ROUGH = 1e-3
+"""Squared distance from the minimum, in squared standard errors or so, at which fits that only choose the weight of CAD end."""
 START_SLACK = 0.1
 """Where bounded drive parameters start, in units of their scale."""
 WEAKEST_BELIEF = 1.0
@@ -84,8 +86,8 @@ def fit_consistent(
     """
     limits = generous_bounds(prior) if bounds is None else bounds
     with one_blas_thread():
-        w, rounds = _joint_weights(information, prior, limits, weights)
         problem = RealBodies.of(prior, information.base.regrouping, limits, smallest_part)
+        w, rounds = _joint_weights(information, problem, weights)
         fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
         notes = (
@@ -111,28 +113,51 @@ def fit_toward_cad(
     """
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")
-    base, coordinates = information.base, Coordinates.of(information.base)
+    base = information.base
     limits = non_negative_drives(prior) if bounds is None else non_negative_drives(prior).and_also(bounds)
 
-    def fit(factor: Array, pull: float, warm: Array | None) -> Array:
-        if metric == "euclidean":
-            return fit_real_bodies(prior, base.regrouping, factor=factor, bounds=limits, weight=pull).chi
-        if warm is not None:
-            return closest_to_cad(prior, coordinates, warm, weight=pull, factor=factor, bounds=limits).chi
-        chi = _inside(prior, limits)
-        for weaker in (*(stronger for stronger in WEIGHTS if stronger > pull), pull):
-            chi = closest_to_cad(prior, coordinates, chi, weight=weaker, factor=factor, bounds=limits).chi
-        return chi
-
     with one_blas_thread():
-        w, rounds = _joint_weights(information, prior, limits, weights)
+        conic = RealBodies.of(prior, base.regrouping, limits)
+        w, rounds = _joint_weights(information, conic, weights)
+        path = _EntropicPath(EntropicProblem(prior, Coordinates.of(base), limits), _inside(prior, limits))
+
+        def roughly(factors: Array, weight: float) -> Array:
+            return (
+                path.roughly(factors, weight) if metric == "entropic" else np.array([conic.fit(factor, weight).chi for factor in factors])
+            )
+
+        def exactly(factor: Array) -> Array:
+            return path.exactly(factor, pull) if metric == "entropic" else conic.fit(factor, pull).chi
+
         if weight is None:
-            choice = choose_weight(information, w, base.regrouping, fit)
+            choice = choose_weight(information, w, base.regrouping, roughly)
             pull, reason = choice.weight, choice.reason
         else:
             pull, reason = float(weight), f"weight of CAD {weight:g}, as given"
-        chi = fit(information.stacked(w), pull, None)
-        return _estimate(metric, information, prior, w, chi, pull, rounds, (reason,), lambda factor: fit(factor, pull, chi))
+        return _estimate(metric, information, prior, w, exactly(information.stacked(w)), pull, rounds, (reason,), exactly)
+
+
+class _EntropicPath:
+    """Fits from the strongest weight to weaker ones, each from the one before."""
+
+    def __init__(self, problem: EntropicProblem, start: Array) -> None:
+        self._problem, self._start = problem, start
+        self._reached: dict[float, EntropicFits] = {}
+
+    def roughly(self, factors: Array, weight: float) -> Array:
+        """Return the fits of many factors, to a small part of a standard error, from those of the same factors with the last weight."""
+        stronger = [self._reached[other] for other in self._reached if other > weight]
+        start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
+        self._reached[weight] = self._problem.fit(factors, weight, start, close=ROUGH)
+        return self._reached[weight].chi
+
+    def exactly(self, factor: Array, weight: float) -> Array:
+        """Return the fit of one factor, from that of the last of the factors fitted with this weight, or through stronger weights."""
+        if weight not in self._reached:
+            self._reached.clear()
+            for each in (*(stronger for stronger in WEIGHTS if stronger > weight), weight):
+                self.roughly(factor[None], each)
+        return np.asarray(self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0])
 
 
 def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
@@ -149,7 +174,7 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     return fit_real_bodies(prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2).chi
 
 
-def _joint_weights(information: SquareRootInformation, prior: CadPrior, bounds: BodyBounds, weights: Array | None) -> tuple[Array, int]:
+def _joint_weights(information: SquareRootInformation, problem: RealBodies, weights: Array | None) -> tuple[Array, int]:
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
     if weights is not None:
         return fit_least_squares(information, weights=weights, prior=np.zeros(information.base.n_base)).weights, 0
@@ -157,8 +182,7 @@ def _joint_weights(information: SquareRootInformation, prior: CadPrior, bounds: 
     quietest = np.maximum(QUIETEST * rms, np.finfo(np.float64).tiny)
     w = 1.0 / np.maximum(fit_least_squares(information, weights="joint", prior=np.zeros(information.base.n_base)).sigma, quietest)
     for _ in range(REWEIGHTINGS):
-        factor = information.stacked(w)
-        chi = fit_real_bodies(prior, information.base.regrouping, factor=factor, bounds=bounds).chi
+        chi = problem.fit(information.stacked(w)).chi
         w = 1.0 / np.maximum(np.sqrt(information.residual_energy(information.base.regrouping @ chi) / information.n_samples), quietest)
     return w, REWEIGHTINGS
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.triangular import triangular_factor
 
 Array = NDArray[np.float64]
-Fit = Callable[[Array, float, Array | None], Array]
-"""A fit `(factor, weight, warm start or None) -> chi`."""
+Fits = Callable[[Array, float], Array]
+"""Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, called for every weight in turn."""
 
 WEIGHTS: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
 """Weights to choose from, strongest first: what a divergence of 1 from CAD costs, in units of the squared weighted residual."""
@@ -34,7 +36,7 @@ class WeightChoice:
 
 
 def choose_weight(
-    information: SquareRootInformation, joint_weights: Array, regrouping: Array, fit: Fit, weights: tuple[float, ...] = WEIGHTS
+    information: SquareRootInformation, joint_weights: Array, regrouping: Array, fits: Fits, weights: tuple[float, ...] = WEIGHTS
 ) -> WeightChoice:
     """Return the strongest trust in CAD that predicts held-out time blocks as well as the best, within one standard error of the difference.
 
@@ -51,15 +53,14 @@ def choose_weight(
             f"weight of CAD {DEFAULT_WEIGHT:g}, the default: {information.n_blocks} time blocks are too few to choose it",
         )
     groups = np.array_split(np.arange(information.n_blocks), n_groups)
+    held = np.array([information.select(group).stacked(joint_weights) for group in groups])
+    factors = _without_each(held)
+    counts = np.array([sum(information.blocks[b].n_samples for b in group) for group in groups]) * information.n_joints
     errors = np.empty((len(weights), n_groups))
-    for g, group in enumerate(groups):
-        held = information.select(group)
-        factor = information.select(np.setdiff1d(np.arange(information.n_blocks), group)).stacked(joint_weights)
-        chi = None
-        for row, weight in enumerate(weights):
-            chi = fit(factor, weight, chi)
-            energy = held.residual_energy(regrouping @ chi)
-            errors[row, g] = float(joint_weights**2 @ energy) / (held.n_samples * held.n_joints)
+    for row, weight in enumerate(weights):
+        beta = fits(factors, weight) @ regrouping.T
+        residuals = (held[:, :, :-1] @ beta[:, :, None])[:, :, 0] - held[:, :, -1]
+        errors[row] = np.sum(residuals**2, axis=1) / counts
     means = errors.mean(axis=1)
     best = int(np.argmin(means))
     excess = errors - errors[best]
@@ -72,3 +73,14 @@ def choose_weight(
         f"weight of CAD {weights[chosen]:g}: the strongest of {len(weights)} whose error on {n_groups} held-out groups of time blocks, {means[chosen]:.3g}, lies within "
         f"one standard error ({standard_error[chosen]:.2g}) of the least, {means[best]:.3g} at {weights[best]:g}",
     )
+
+
+def _without_each(factors: Array) -> Array:
+    """Return the triangular factors of all but each, (m, p + 1, p + 1): those before it joined with those after it."""
+
+    def joined(one: Array, other: Array) -> Array:
+        return triangular_factor(np.vstack([one, other]))
+
+    before, after = [*accumulate(factors[:-1], joined)], [*accumulate(factors[:0:-1], joined)][::-1]
+    between = [joined(one, other) for one, other in zip(before[:-1], after[1:], strict=True)]
+    return np.array([after[0], *between, before[-1]])

@@ -19,7 +19,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.body_bounds import BodyBounds, non_negative_drives
 from asbuilt.identification.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.conic_fit import SMALLEST_PART, fit_real_bodies, near_one
-from asbuilt.identification.entropic_fit import Coordinates, closest_to_cad
+from asbuilt.identification.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.triangular import triangular_factor
 
 Array = NDArray[np.float64]
@@ -173,7 +173,8 @@ def _closest_above(cad: CadPrior, coordinates: Coordinates, chi: Array, part: fl
     inertial = 10 * cad.n_links
     below = np.concatenate([floor * cad.parameters[:inertial], np.zeros(len(chi) - inertial)])
     above = replace(cad, parameters=cad.parameters - below)
-    return np.asarray(closest_to_cad(above, coordinates, chi - below, bounds=bounds, barrier=FINE_BARRIER).chi + below)
+    problem = EntropicProblem(above, coordinates, bounds, held=True)
+    return np.asarray(problem.fit(None, 1.0, (chi - below)[None], barrier=FINE_BARRIER).chi[0] + below)
 
 
 def _closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> Array:
