@@ -28,6 +28,8 @@ DRIVE_PULL = 1e-3
 """Pull of drive parameters beside that of bodies."""
 CERTAIN = 1e-13
 """How precise a proof must be that bounds contradict one another: large residuals look like proofs at the solver's usual tolerance."""
+ROUGH = 1e-6
+"""Relative gap and infeasibility of a rough fit, 1e-8 being the solver's usual ones."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +103,8 @@ class RealBodies:
         cones = (clarabel.ZeroConeT(p), *linear, *[clarabel.PSDTriangleConeT(4)] * prior.n_links)
         return cls(prior, bodies, q0, torque, rows, room, smallest_part, pattern, places, told.T > 0.0, right, cones)
 
-    def fit(self, factor: Array, weight: float = TINY_PULL) -> ConicFit:
-        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1)."""
+    def fit(self, factor: Array, weight: float = TINY_PULL, *, rough: bool = False) -> ConicFit:
+        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1); a `rough` one misses it by a thousandth of a standard error or so."""
         prior, z = self.prior, factor[:-1, -1]
         p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
         torque = factor[:-1, :-1] @ self.torque
@@ -117,7 +119,7 @@ class RealBodies:
             constraints.data[self.places] = torque.T[self.told]
             quadratic = sparse.csc_matrix((np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)), (n + p, n + p))
             linear = np.concatenate([-pull * self.q0, np.zeros(p)])
-            solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, list(self.cones), _settings()).solve()
+            solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, list(self.cones), _settings(rough)).solve()
             status = str(solution.status)
             if "PrimalInfeasible" in status and len(self.bounds):
                 raise IdentifiabilityError(
@@ -131,7 +133,17 @@ class RealBodies:
         )
 
     def _fit(self, q: Array, iterations: int) -> ConicFit:
+        q = self._at_bounds(q)
         return ConicFit(self.bodies @ q, self._smallest(q), iterations)
+
+    def _at_bounds(self, q: Array) -> Array:
+        """Return q with drive parameters that rounding has left beyond their own bound at it: friction of -1e-9 would be a drive that pushes."""
+        q, inertial = q.copy(), 10 * self.prior.n_links
+        for row, room in zip(self.bounds[:, inertial:], self.room, strict=True):
+            (own,) = np.nonzero(row)
+            if len(own) == 1 and row @ q[inertial:] > room:
+                q[inertial + own] = room / row[own]
+        return q
 
     def _smallest(self, q: Array) -> float:
         return float(np.linalg.eigvalsh(smat(q[: 10 * self.prior.n_links].reshape(-1, 10)))[:, 0].min())
@@ -158,11 +170,14 @@ class RealBodies:
         return np.asarray(q) if self._smallest(q) >= self.smallest_part else None
 
 
-def _settings() -> clarabel.DefaultSettings:
+def _settings(rough: bool) -> clarabel.DefaultSettings:
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
     settings.tol_infeas_abs = settings.tol_infeas_rel = CERTAIN
+    if rough:
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ROUGH
+        settings.iterative_refinement_enable = False
     return settings
 
 

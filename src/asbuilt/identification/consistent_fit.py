@@ -123,7 +123,9 @@ def fit_toward_cad(
 
         def roughly(factors: Array, weight: float) -> Array:
             return (
-                path.roughly(factors, weight) if metric == "entropic" else np.array([conic.fit(factor, weight).chi for factor in factors])
+                path.roughly(factors, weight)
+                if metric == "entropic"
+                else np.array([conic.fit(factor, weight, rough=True).chi for factor in factors])
             )
 
         def exactly(factor: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import qr
+from scipy.linalg import lapack, qr
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -24,6 +24,8 @@ Refit = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 WEIGHT_CONVERGENCE = 1e-8
 MOST_ITERATIONS = 50
+WELL_CONDITIONED = 1e7
+"""Condition number, in the Frobenius norm and with scaled columns, up to which substitution is as good as singular values."""
 SMALLEST_NOISE = 1e-9
 """Noise of a joint as a fraction of the largest torque RMS below which its weight grows no further: simulations have none."""
 NEGLIGIBLE_COEFFICIENT = 1e-6
@@ -181,7 +183,7 @@ class Estimate:
             method=method,
             beta=found,
             covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
-            sigma=_deviation(information, found, solution, self.weights) if sigma is None else sigma,
+            sigma=_deviation(information, found, solution.inverse_root, self.weights) if sigma is None else sigma,
             solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
             iterations=self.iterations if iterations is None else iterations,
             converged=self.converged if converged is None else converged,
@@ -222,16 +224,17 @@ def fit_least_squares(
     iterations, converged = 0, True
     with one_blas_thread():
         while True:
-            solution = solve_factor(information.stacked(w), rows * n, toward)
-            sigma = _deviation(information, solution.x, solution, w)
             iterations += 1
             if not iterated:
                 break
-            renewed = 1.0 / np.maximum(sigma, floor)
+            x, root = _solved(information.stacked(w), rows * n, toward)
+            renewed = 1.0 / np.maximum(_deviation(information, x, root, w), floor)
             converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
             if converged or iterations > MOST_ITERATIONS:
                 break
             w = renewed
+        solution = solve_factor(information.stacked(w), rows * n, toward)
+        sigma = _deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or unexcited == "refuse"):
         raise IdentifiabilityError(_refusal(information, solution))
     variance = solution.residual_energy / max(rows * n - solution.rank, 1)
@@ -276,17 +279,31 @@ def combination(direction: Array, names: tuple[str, ...]) -> str:
     return text + (f" + ... ({len(shown) - MOST_TERMS} more)" if len(shown) > MOST_TERMS else "")
 
 
-def _deviation(information: SquareRootInformation, beta: Array, solution: FactorSolution, weights: Array) -> Array:
+def _solved(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Array]:
+    """Return x and the inverse root of `solve_factor`, by substitution where the triangle is far from singular: a third of the time."""
+    r = factor[:-1, :-1]
+    scale = np.linalg.norm(r, axis=0)
+    if np.all(scale > 0.0):
+        scaled = r / scale
+        inverse, singular = lapack.dtrtri(scaled)
+        if not singular and np.linalg.norm(inverse) * np.linalg.norm(scaled) < WELL_CONDITIONED:
+            root = inverse / scale[:, None]
+            return root @ factor[:-1, -1], root
+    solution = solve_factor(factor, n_rows, toward)
+    return solution.x, solution.inverse_root
+
+
+def _deviation(information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array) -> Array:
     """Return the standard deviation of each joint's residual, shape (n,)."""
-    spent = _spent(information, solution, weights)
+    spent = _spent(information, inverse_root, weights)
     return np.asarray(np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0)))
 
 
-def _spent(information: SquareRootInformation, solution: FactorSolution, weights: Array) -> Array:
+def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:
     """Parameters that each joint spends, shape (n,): the trace of its part of the hat matrix; they add up to the rank."""
     parts = []
     for support, factor, weight in zip(information.support, information.joint_factors, weights, strict=True):
-        part = weight * factor[:-1, :-1] @ solution.inverse_root[support]
+        part = weight * factor[:-1, :-1] @ inverse_root[support]
         parts.append(float(np.sum(part * part)))
     return np.array(parts)
 
