@@ -49,6 +49,20 @@ def test_same_minimum_as_an_independent_program(trial, weight):
     np.testing.assert_allclose(case.base.values(ours.chi), case.base.values(chi.value), atol=2e-3)
 
 
+@pytest.mark.parametrize("weight", [TINY_PULL, 1e3])
+@pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560"])
+def test_no_drive_pushes_by_rounding(trial, robot, weight):
+    """Torque of negative friction: the friction found is not 1e-9 below its bound either, which exports refuse."""
+    for seed in range(2):
+        case = trial(robot, "viscous,coulomb", noise=0.2, seed=seed, duration=2.0 + 2 * seed)
+        factor, chi = factor_of(case), case.prior.parameters.copy()
+        chi[case.prior.non_negative] = -np.abs(np.random.default_rng(seed).normal(size=len(case.prior.non_negative)))
+        factor[:-1, -1] = factor[:-1, :-1] @ (case.base.regrouping @ chi)
+        for bounds in (generous_bounds(case.prior), non_negative_drives(case.prior)):
+            fit = fit_real_bodies(case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight)
+            assert np.all(fit.chi[case.prior.non_negative] >= 0.0)
+
+
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560"])
 def test_no_feasible_direction_goes_down(trial, around_cad, robot):
     """Variational inequality, which is KKT for a convex problem: the slope toward any feasible point is not negative."""

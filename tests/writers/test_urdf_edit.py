@@ -143,7 +143,7 @@ def test_tilted_gravity_is_said(tmp_path: Path) -> None:
     path = arm_file(tmp_path)
     model = as_if_identified(read_urdf(path), 3).with_gravity([1.0, 0.0, -9.7])
     edited = edited_urdf(path, model)
-    assert any("gravity" in note and "[1.0, 0.0, -9.7]" in note for note in edited.notes)
+    assert any("gravity" in note and "(1, 0, -9.7)" in note for note in edited.notes)
     check_reloads(edited.content, model, tolerance=1e-9)
 
 

@@ -103,7 +103,9 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
             notes.append(f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}]: {said})")
     notes += left_out_drives(model, (), "URDF")
     if not np.array_equal(model.gravity, [0.0, 0.0, -9.81]):
-        notes.append(f"URDF has no place for gravity; the model has {model.gravity.tolist()} m/s^2 in the root frame")
+        notes.append(
+            f"URDF has no place for gravity; the model has ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame, set it where the file is loaded"
+        )
     return tuple(notes)
 
 
