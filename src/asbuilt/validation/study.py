@@ -184,8 +184,8 @@ def _searched(result: IdentificationResult, learning: Sequence[Samples], drive: 
 def _mounting_doubted(result: IdentificationResult, tilt: float, stands: Mounting | None) -> IdentificationResult:
     if stands is not None and stands.is_askew:
         message = (
-            f"Real bodies fit better where {stands.sentence}. A tilt that the description does not know is imitated by values that no bodies have, and real "
-            "bodies cannot follow it: check the mounting or identify with --mounting estimate."
+            f"The robot seems to stand askew by {np.rad2deg(stands.angle):.1f} deg, which values that no bodies have imitate and real bodies cannot follow: {stands.sentence}. "
+            "Check the mounting or identify with --mounting estimate."
         )
     elif tilt >= ASKEW:
         message = (
