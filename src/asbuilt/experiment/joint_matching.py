@@ -28,7 +28,7 @@ def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: s
     """
     if len(labels) > len(joint_names) and numbers_in(labels) is not None:
         raise RecordingError(_misfit(labels, joint_names, source, robot))
-    for simplify in (_words, _significant_words):
+    for simplify in (_itself, _words, _significant_words):
         keys = [simplify(label) for label in labels]
         wanted = [simplify(name) for name in joint_names]
         order = [keys.index(key) if keys.count(key) == 1 else -1 for key in wanted]
@@ -78,6 +78,10 @@ def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:
     if numbers is None or sorted(numbers) not in (list(range(len(labels))), list(range(1, len(labels) + 1))):
         return None
     return sorted(range(len(labels)), key=lambda k: numbers[k])
+
+
+def _itself(name: str) -> tuple[str, ...]:
+    return (name,)
 
 
 def _words(name: str) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
@@ -13,6 +13,7 @@ from asbuilt.experiment.roles import Role, recognise, unit_scale
 from asbuilt.experiment.sheet import ColumnName, RecordingSheet
 
 _QUANTITIES = ("position", "velocity", "acceleration", "torque")
+_LETTERS = {"q": "position", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
 _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 
@@ -61,7 +62,7 @@ def find_layout(
         If positions or torques are missing, columns are missing or claim the same place, or they do not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
-    groups = _group(names, known or {})
+    groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})})
     for quantity in _QUANTITIES:
         listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
         if listed is not None:
@@ -113,6 +114,21 @@ def _chosen(groups: Mapping[tuple[str, str], _Group], position: _Group, torque: 
         else:
             chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
     return chosen
+
+
+def _own_columns(names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet) -> dict[str, tuple[str, str]]:
+    """Return the columns that are plainly a quantity's letters and the name of a joint of the robot, for quantities that have one for every joint.
+
+    No joint's name can then be mistaken for a word, as in `q_tau` of a joint called tau.
+    """
+    if model is None or sheet.joints is not None:
+        return {}
+    return {
+        f"{letters}_{joint}": (quantity, joint)
+        for letters, quantity in _LETTERS.items()
+        if all(f"{letters}_{joint}" in names for joint in model.joint_names)
+        for joint in model.joint_names
+    }
 
 
 def _group(names: Sequence[str], known: Mapping[str, tuple[str, str]]) -> dict[tuple[str, str], _Group]:
@@ -168,8 +184,10 @@ def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | No
 
 
 def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
-    """Sort a group by joint number where it only counts, and return its joint labels."""
+    """Sort a group by joint number where it only counts, and return its joint labels; where some columns name a joint, numbers are the names of the rest."""
     _refuse_repeats(source, quantity, group)
+    if sheet.joints is None and any(role.joint for role in group.roles):
+        group.roles = [role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}") for role in group.roles]
     if all(role.joint for role in group.roles):
         return [role.joint for role in group.roles]
     _sort_by_number(source, quantity, group)
