@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from itertools import pairwise, permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -86,6 +87,19 @@ def test_a_payload_hidden_in_wrong_links_is_offered_as_part_of_them() -> None:
 def test_other_robots(robot: str) -> None:
     found = attribute(identified(robot, "f"))
     assert found.chosen == ("friction",)
+
+
+def test_a_single_hinge_says_nothing_of_masses_at_its_flange(tmp_path: Path) -> None:
+    """Their mass makes no torque there, so that neither a payload nor its absence is claimed."""
+    urdf = tmp_path / "door.urdf"
+    urdf.write_text(
+        '<robot name="door"><link name="wall"/><link name="wing"><inertial><origin xyz="0.3 0 0.5"/><mass value="4"/>'
+        '<inertia ixx="0.4" ixy="0" ixz="0" iyy="0.5" iyz="0" izz="0.2"/></inertial></link><joint name="hinge" type="revolute"><parent link="wall"/>'
+        '<child link="wing"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="2" effort="50"/></joint></robot>'
+    )
+    found = attribute(identified(str(urdf), "fl"))
+    assert {"friction", "links"} <= set(found.chosen)
+    assert not any("payload" in line or "flange" in line for line in found.findings)
 
 
 def test_shapley_values_are_means_over_the_orders() -> None:

@@ -221,6 +221,11 @@ class CauseFits:
         likely = [fit for fit in self.rivals if fit.score <= self.rivals[0].score + NEARLY]
         return min(likely, key=lambda fit: len(fit.causes))
 
+    @property
+    def tells_payload(self) -> bool:
+        """Whether the torques of this robot feel the mass of a body at the flange at all; those of a single hinge do not."""
+        return bool(self.present[self.columns["payload"][9]])
+
     @cached_property
     def possible_payload(self) -> tuple[CauseModel, float, float, Array]:
         """The fit with a payload in place of free links, its mass and error [kg] and its centre [m]."""

@@ -25,10 +25,10 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
     """Say what the causes weighed amount to, what was ruled out, and what this recording does not tell apart."""
     weighed = fits.weighed
     found = []
-    if "payload" in fits.causes and {"payload", "links"} & set(weighed):
+    if "payload" in fits.causes and fits.tells_payload and {"payload", "links"} & set(weighed):
         _, mass, error, centre = fits.possible_payload
         away = float(np.linalg.norm(centre))
-        where = ", ".join(f"{round(1e3 * float(c))}" for c in centre)
+        where = ", ".join(f"{1e3 * float(c):.0f}" for c in centre)
         body = f"{plus_minus(mass, error)} kg, its centre at ({where}) mm in the frame of {fits.result.model.link_names[-1]}"
         if "links" not in weighed:
             found.append(f"The last link carries {body}.")
