@@ -22,11 +22,15 @@ from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motion import Array, read_only
 from asbuilt.excitation.point_to_point import PointToPointMotion
 from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.travel import CHECK_RATE, Roadmap, travel_through, ways_clear
 
 CANDIDATES = 2000
 EXCHANGES = 12
 SMALLEST_EIGENVALUE = 1e-9
 """Directions of the parameters whose information over random poses is below this fraction of the largest are not told by gravity."""
+
+BARRED = 0.2
+"""Angles [rad] of a joint without any admissible pose among the candidates count as barred from this width on."""
 
 REFINEMENT_STEPS = 60
 DWELL = 1.0
@@ -37,7 +41,8 @@ class StaticDesign:
     """Hold K poses (K, n) in the order in which they are visited, the motion through them, and what they tell.
 
     `n_parameters` is the number of combinations of base parameters that gravity tells; `log_det`, `condition_number` and `scaled_condition_number`
-    refer to these, one torque reading per pose, noise included.
+    refer to these, one torque reading per pose, noise included. The motion turns at `turns` further poses where the straight way between two is not
+    clear; `collision_distance` is the smallest distance on the way [m], None where nothing was watched.
     """
 
     model: RobotModel
@@ -49,6 +54,8 @@ class StaticDesign:
     scaled_condition_number: float
     travel: float
     limits: LimitReport
+    turns: int
+    collision_distance: float | None
     solve_seconds: float
 
     def __post_init__(self) -> None:
@@ -69,15 +76,15 @@ def design_static_poses(
 ) -> StaticDesign:
     """Return the D-optimal poses for the parameters that gravity tells, ordered for short travel.
 
-    Exchange (Fedorov 1972) among random admissible poses, then a climb of all poses together within the limits; the order is that of a
-    short tour: nearest neighbour, improved by reversing stretches (2-opt; Croes 1958). `drive` may hold an offset.
+    Exchange (Fedorov 1972) among random admissible poses, then a climb of all poses together within the limits; then a short tour through them that keeps
+    the `constraints` on the way, too. `drive` may hold an offset.
 
     Raises
     ------
     UsageError
         If there are fewer poses than needed, or the robot carries no weight.
     MotionError
-        If no pose is admissible.
+        If no pose is admissible, or there is no way from one to another.
     """
     begin = time.monotonic()
     rng = np.random.default_rng([seed, 11])
@@ -85,11 +92,14 @@ def design_static_poses(
     information = Information.of(model, base, noise)
     bounds = MotionBounds.assumed(model, fraction)
     torque = torque_fraction * MotionBounds.of(model).torque
-    watch: list[StateConstraint] = [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
-    watch += list(constraints)
+    loads: list[StateConstraint] = [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
+    watch = [*loads, *constraints]
     pool = _admissible(watch, rng.uniform(bounds.lower, bounds.upper, size=(CANDIDATES, model.n_joints)))
     if len(pool) < 2:
         raise MotionError(f"{model.name}: no pose within the torque limits and clear of obstacles was found among {CANDIDATES}")
+    pool = _unwound(model, bounds, pool)
+    roadmap = Roadmap.of(pool, bounds, constraints) if constraints else None
+    pool = pool if roadmap is None else roadmap.stations
     told = _told(information, pool)
     p = told.shape[1]
     if p == 0:
@@ -98,12 +108,14 @@ def design_static_poses(
     if count < max(2, least):
         raise UsageError(f"gravity tells {p} parameters of {model.name}; that takes at least {max(2, least)} poses, got {count}")
     poses = pool[_exchanged(_pose_rows(information, pool, told), count)]
-    poses = _refined(information, told, bounds, watch, poses)
-    poses = poses[_short_tour(poses / bounds.velocity)]
-    motion = PointToPointMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration, dwell=dwell)
+    poses = _refined(information, told, bounds, watch, constraints, poses)
+    travel = travel_through(poses, roadmap, bounds, constraints, loads, dwell)
+    poses, motion = travel.poses, travel.motion
     total = _information(information, told, poses)
     size = 1.0 / np.sqrt(np.diag(total))
     limited, _ = limited_model(model)
+    visited = motion.at(motion.sample_times(CHECK_RATE))[0]
+    distances = [constraint.smallest_distance(visited) for constraint in constraints if hasattr(constraint, "smallest_distance")]
     return StaticDesign(
         model=model,
         poses=poses,
@@ -114,6 +126,8 @@ def design_static_poses(
         scaled_condition_number=float(np.sqrt(np.linalg.cond(total * np.outer(size, size)))),
         travel=motion.duration - dwell * (count - 2),
         limits=check_motion(limited, motion),
+        turns=travel.turns,
+        collision_distance=min(distances, default=None),
         solve_seconds=time.monotonic() - begin,
     )
 
@@ -178,8 +192,15 @@ def _exchanged(rows: Array, count: int) -> list[int]:
     return chosen
 
 
-def _refined(information: Information, told: Array, bounds: MotionBounds, watch: Sequence[StateConstraint], poses: Array) -> Array:
-    """Climb all poses together within the position limits; poses that become inadmissible go back to where they were."""
+def _refined(
+    information: Information,
+    told: Array,
+    bounds: MotionBounds,
+    watch: Sequence[StateConstraint],
+    obstacles: Sequence[StateConstraint],
+    poses: Array,
+) -> Array:
+    """Climb all poses together within the position limits; poses that become inadmissible, or leave where they can be reached, go back."""
     middle, half = (bounds.upper + bounds.lower) / 2, (bounds.upper - bounds.lower) / 2
 
     def negative(x: Array) -> tuple[float, Array]:
@@ -196,35 +217,27 @@ def _refined(information: Information, told: Array, bounds: MotionBounds, watch:
     found = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * start.size, options={"maxiter": REFINEMENT_STEPS})
     moved = middle + half * found.x.reshape(poses.shape)
     for k in range(len(moved)):
-        if not len(_admissible(watch, moved[k : k + 1])):
+        straight = bool(ways_clear(np.stack([poses[k], moved[k]]), [(0, 1)], obstacles)[0]) if obstacles else True
+        if not straight or not len(_admissible(watch, moved[k : k + 1])):
             moved[k] = poses[k]
     better = DOptimality().value(_information(information, told, moved)) >= DOptimality().value(_information(information, told, poses))
     return moved if better else poses
 
 
-def _short_tour(places: Array) -> list[int]:
-    """Return an order in which the sum of the largest joint distances is short; open, any end may come first."""
-    apart = np.abs(places[:, None] - places[None]).max(axis=2)
-    tours = []
-    for start in range(len(places)):
-        order, left = [start], set(range(len(places))) - {start}
-        while left:
-            nearest = min(left, key=lambda k: float(apart[order[-1], k]))
-            order.append(nearest)
-            left.remove(nearest)
-        tours.append(_untangled(order, apart))
-    return min(tours, key=lambda order: float(apart[order[:-1], order[1:]].sum()))
+def _unwound(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array:
+    """Return poses with whole turns added or taken off, where the limits allow it, so that joints stay near the middle of where they can go.
 
-
-def _untangled(order: list[int], apart: Array) -> list[int]:
-    improved = True
-    while improved:
-        improved = False
-        for i in range(len(order) - 1):
-            for j in range(i + 1, len(order)):
-                before = (apart[order[i - 1], order[i]] if i else 0.0) + (apart[order[j], order[j + 1]] if j + 1 < len(order) else 0.0)
-                after = (apart[order[i - 1], order[j]] if i else 0.0) + (apart[order[i], order[j + 1]] if j + 1 < len(order) else 0.0)
-                if after < before - 1e-12:
-                    order[i : j + 1] = reversed(order[i : j + 1])
-                    improved = True
-    return order
+    That is opposite to angles at which none of the poses is, else the middle of the range.
+    """
+    angles = np.sort(np.mod(pool, 2 * np.pi), axis=0)
+    gaps = np.diff(np.vstack([angles, angles[:1] + 2 * np.pi]), axis=0)
+    widest = np.argmax(gaps, axis=0)
+    joints = np.arange(model.n_joints)
+    opposite = angles[widest, joints] + gaps[widest, joints] / 2 + np.pi
+    centre = (bounds.upper + bounds.lower) / 2
+    opposite -= 2 * np.pi * np.round((opposite - centre) / (2 * np.pi))
+    middle = np.where(gaps[widest, joints] > BARRED, opposite, centre)
+    near = pool - 2 * np.pi * np.round((pool - middle) / (2 * np.pi))
+    near += 2 * np.pi * ((near < bounds.lower).astype(float) - (near > bounds.upper))
+    fits = (near > bounds.lower) & (near < bounds.upper) & [joint.is_revolute for joint in model.joints]
+    return np.where(fits, near, pool)

@@ -21,6 +21,8 @@ from asbuilt.tables import Cell, Column, Table, share, significant
 LISTED = 12
 """How many of the worst determined parameters the text names."""
 
+SAME_POSE = 1e-6
+
 
 def write_design(path: str | os.PathLike[str], design: Design, rate: float) -> dict[str, Path]:
     """Write the motion as CSV at `rate` [Hz]."""
@@ -48,7 +50,8 @@ def static_document(design: StaticDesign, files: Mapping[str, Path]) -> dict[str
         "condition_number": design.condition_number,
         "scaled_condition_number": design.scaled_condition_number,
         "worst_margin": design.limits.worst_margin,
-        "collision_distance": None,
+        "n_turns": design.turns,
+        "collision_distance": design.collision_distance,
         "solve_seconds": design.solve_seconds,
         "files": {kind: str(path) for kind, path in files.items()},
     }
@@ -69,7 +72,14 @@ def static_text(design: StaticDesign) -> str:
         ),
     )
     rows = tuple((k, *pose) for k, pose in enumerate(design.poses.tolist(), 1))
-    return "\n".join([head, Table(heads, rows).as_text(), _margins(design.limits).as_text()])
+    notes = []
+    if design.turns:
+        notes.append(f"the way turns at {design.turns} further poses, without a rest, to get round what is watched")
+    if design.collision_distance is not None:
+        notes.append(f"smallest distance between bodies, on the way too, {1000 * design.collision_distance:.0f} mm")
+    if np.ptp(design.poses, axis=0).max() < SAME_POSE:
+        notes.append("the poses are all the same, for gravity tells the same wherever this robot stands")
+    return "\n".join([head, Table(heads, rows).as_text(), _margins(design.limits).as_text(), *_numbered(notes)])
 
 
 def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[DurationTrial] = ()) -> dict[str, Any]:
@@ -137,8 +147,11 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
     if design.collision_distance is not None:
         notes.append(f"smallest distance between bodies {1000 * design.collision_distance:.0f} mm")
     tables = [_margins(design.limits).as_text(), "largest predicted standard errors, as share of the CAD value", _errors(design).as_text()]
-    numbered = [f"[{k}] {note}" for k, note in enumerate(notes, 1)]
-    return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *numbered])
+    return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *_numbered(notes)])
+
+
+def _numbered(notes: Sequence[str]) -> list[str]:
+    return [f"[{k}] {note}" for k, note in enumerate(notes, 1)]
 
 
 def _margins(limits: LimitReport) -> Table:
