@@ -97,6 +97,18 @@ def excite(
 
     if not 0.0 < rate < math.inf:
         raise UsageError(f"--rate takes a positive number of Hz, got {rate:g}")
+    of_motions = {
+        "--parametrisation": parametrisation != "fourier",
+        "--harmonics": harmonics is not None,
+        "--criterion": criterion != "d",
+        "--focus": focus is not None,
+        "--periods": periods != 1,
+        "--power": power is not None,
+        "--perturbed": perturbed != 0,
+    }
+    if static is not None and any(of_motions.values()):
+        idle = next(name for name, asked in of_motions.items() if asked)
+        raise UsageError(f"--static chooses poses for what gravity tells, all of it; {idle} is for motions, leave it out")
     model, drives, prior = described_robot(robot), DriveSet.parse(drive or "none"), None
     sigma = number_list("--noise", noise) or (1.0,)
     if given is not None:

@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motion_csv import read_motion
 from command_line import call
@@ -124,3 +128,26 @@ def test_an_earlier_result_leaves_less_to_find(capsys, tmp_path: Path, time_limi
     after = {parameter["name"]: parameter["std_error"] for parameter in document["parameters"]}
     assert all(after[name] <= before[name] * (1 + 1e-6) for name in before)
     assert np.mean([after[name] / before[name] for name in before]) < 0.9
+
+
+def test_options_of_motions_are_refused_for_standing_poses(capsys, tmp_path: Path) -> None:
+    for option in (("--focus", "m3"), ("--power", 50), ("--perturbed", 2), ("--criterion", "a"), ("--parametrisation", "bspline")):
+        status, _, err = call(capsys, "excite", "ur10e", "--static", 8, *option, "--out", tmp_path / "motion.csv")
+        assert status == 2
+        assert f"{option[0]} is for motions, leave it out" in err
+
+
+def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(capsys, tmp_path: Path) -> None:
+    """Of the recorded torque, a column times its standard error, both RMS along the motion that was written."""
+    file = tmp_path / "motion.csv"
+    status, out, err = call(capsys, "excite", "ur10e", "--duration", 8, "--time-limit", 1, "--rate", 500, "--out", file, "--json")
+    assert status == 0, err
+    model, document = load_robot("ur10e"), json.loads(out)
+    drive = DriveSet.parse(document["drive"])
+    state = read_motion(file, model).at(np.arange(0.0, 8.0, 0.002))
+    matrix = observation_matrix(model, *state, drive=drive, columns=find_base_parameters(model, drive).columns)
+    size = np.sqrt((inverse_dynamics(model, *state) ** 2).sum(axis=1).mean())
+    found = [parameter["std_error"] * np.linalg.norm(column) for parameter, column in zip(document["parameters"], matrix.T, strict=True)]
+    stated = [parameter["torque_effect"] for parameter in document["parameters"]]
+    assert stated == pytest.approx(np.array(found) / np.sqrt(len(state[0])) / size, rel=0.01)
+    assert "of the torque" in call(capsys, "excite", "ur10e", "--duration", 8, "--time-limit", 1, "--out", file)[1]

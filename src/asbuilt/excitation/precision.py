@@ -39,8 +39,19 @@ class DurationTrial:
 def predicted_precision(design: Design) -> float:
     """Return the largest torque error that one parameter's standard error causes, as a fraction of the torque, both RMS along the motion.
 
-    For parameter i, `std_i rms(column_i) / rms(torque)`, torques in units of the noise, over the parameters in focus (all where there is
-    none). The torque is that of the description. Unlike the error relative to the parameter it makes sense for parameters near zero.
+    It is the largest of the `torque_effects` of the parameters in focus, of all where there is none. Raises UsageError where the description has no masses.
+    """
+    effects = torque_effects(design)
+    if np.any(np.isnan(effects)):
+        raise UsageError(f"the description of {design.model.name} gives no masses, so a precision relative to its torque has no meaning")
+    chosen = [position_of(design.base, name) for name in design.options.focus] or slice(None)
+    return float(effects[chosen].max())
+
+
+def torque_effects(design: Design) -> Array:
+    """Return `std_i rms(column_i) / rms(torque)` of every base parameter (p,), torques in units of the noise; NaN where the description has no masses.
+
+    The torque is that of the description. Unlike the error relative to the parameter it makes sense for parameters near zero.
     """
     drive, values = described_drive(design.model)
     t = design.motion.sample_times(100.0)
@@ -48,11 +59,8 @@ def predicted_precision(design: Design) -> float:
     rigid = inverse_dynamics(design.model, *state)
     torque = (rigid + drive_torque(drive, values, *state, load=rigid, shares=design.model.motor_shares)) / design.noise
     size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
-    if size == 0:
-        raise UsageError(f"the description of {design.model.name} gives no masses, so a precision relative to its torque has no meaning")
-    effects = design.std_errors * np.sqrt(np.diag(design.mean_information))
-    chosen = [position_of(design.base, name) for name in design.options.focus] or slice(None)
-    return float(effects[chosen].max()) / size
+    effects: Array = design.std_errors * np.sqrt(np.diag(design.mean_information))
+    return effects / size if size > 0 else np.full_like(effects, np.nan)
 
 
 def design_for_precision(

@@ -14,7 +14,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.excitation.design import Design
 from asbuilt.excitation.limits import LimitReport
 from asbuilt.excitation.motion_csv import write_motion
-from asbuilt.excitation.precision import DurationTrial
+from asbuilt.excitation.precision import DurationTrial, torque_effects
 from asbuilt.excitation.static_poses import StaticDesign
 from asbuilt.tables import Cell, Column, Table, share, significant
 
@@ -60,7 +60,7 @@ def static_document(design: StaticDesign, files: Mapping[str, Path]) -> dict[str
 def static_text(design: StaticDesign) -> str:
     """Return static poses as a table."""
     head = (
-        f"{design.model.name} - {len(design.poses)} poses for the {design.n_parameters} parameters that gravity tells, "
+        f"{design.model.name} - {len(design.poses)} poses for the {design.n_parameters} {'parameter' if design.n_parameters == 1 else 'parameters'} that gravity tells, "
         f"{design.travel:.1f} s of travel\nlog det {design.log_det:.2f}, condition number {design.condition_number:.2f}, "
         f"scaled {design.scaled_condition_number:.2f}, found in {design.solve_seconds:.1f} s\n"
     )
@@ -107,9 +107,22 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
         "noise": design.noise.tolist(),
         "n_samples": design.n_samples,
         "parameters": [
-            {"id": int(i), "name": name, "unit": unit, "cad": cad, "std_error": error}
-            for i, name, unit, cad, error in zip(
-                design.base.ids, design.base.names, design.base.units, _cad(design), design.std_errors.tolist(), strict=True
+            {
+                "id": int(i),
+                "name": name,
+                "unit": unit,
+                "cad": cad,
+                "std_error": error,
+                "torque_effect": None if np.isnan(effect) else effect,
+            }
+            for i, name, unit, cad, error, effect in zip(
+                design.base.ids,
+                design.base.names,
+                design.base.units,
+                _cad(design),
+                design.std_errors.tolist(),
+                torque_effects(design).tolist(),
+                strict=True,
             )
         ],
         "durations_tried": [asdict(trial) for trial in trials],
@@ -137,7 +150,7 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
     ]
     notes = list(design.notes)
     notes += [
-        f"{trial.duration:g} s, {trial.size} {design.size_name} in {trial.periods} periods would give a precision of {trial.precision:.2g} of the torque"
+        f"{trial.duration:g} s, {trial.size} {design.size_name} in {trial.periods} {'period' if trial.periods == 1 else 'periods'} would give a precision of {trial.precision:.3g} of the torque"
         for trial in trials
     ]
     if design.assumed:
@@ -146,7 +159,11 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
         )
     if design.collision_distance is not None:
         notes.append(f"smallest distance between bodies {1000 * design.collision_distance:.0f} mm")
-    tables = [_margins(design.limits).as_text(), "largest predicted standard errors, as share of the CAD value", _errors(design).as_text()]
+    tables = [
+        _margins(design.limits).as_text(),
+        "what is told worst: predicted standard errors, and what one of them changes of the torque",
+        _errors(design).as_text(),
+    ]
     return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *_numbered(notes)])
 
 
@@ -183,8 +200,9 @@ def _margins(limits: LimitReport) -> Table:
 
 def _errors(design: Design) -> Table:
     cad, errors = np.array([np.nan if value is None else value for value in _cad(design)]), design.std_errors
-    ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.inf)
-    order = np.argsort(-np.where(np.isnan(ratio), -1.0, ratio))[:LISTED]
+    ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
+    effects = torque_effects(design)
+    order = np.argsort(-errors * np.sqrt(np.diag(design.mean_information)))[:LISTED]
     rows = tuple(
         (
             int(design.base.ids[i]),
@@ -193,6 +211,7 @@ def _errors(design: Design) -> Table:
             significant(float(errors[i]), 2),
             design.base.units[i],
             share(float(ratio[i])) if np.isfinite(ratio[i]) else None,
+            None if np.isnan(effects[i]) else f"{100 * effects[i]:.2g} %",
         )
         for i in order
     )
@@ -202,7 +221,8 @@ def _errors(design: Design) -> Table:
         Column("CAD", align="decimal"),
         Column("std err", align="decimal"),
         Column("unit"),
-        Column("share", align="decimal"),
+        Column("of CAD", align="decimal"),
+        Column("of the torque", align="decimal"),
     )
     return Table(heads, rows)
 
