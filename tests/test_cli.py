@@ -141,6 +141,7 @@ def test_every_output_says_how_errors_were_judged(
     page = Path(found["files"]["report"]).read_text()
     assert f"<dt>standard errors</dt><dd>{kind}</dd>" in page
     assert sentence in html.unescape(page)
+    assert all(note in html.unescape(page) for note in json.loads(Path(found["files"]["result"]).read_text())["notes"])
     assert sentence in call(capsys, "compare", found["files"]["result"])[1]
     if kind == "bootstrap":
         assert f"the choice of {found['method']}" in sentence

@@ -25,8 +25,6 @@ REFITTED_DRAWS = 200
 LEAST_TOLD = 1e-6
 """Part of the information on some direction that a draw must have at least; with less, the draw does not count."""
 CHOSEN = {
-    "huber": "the weights of the rows",
-    "bisquare": "the weights of the rows",
     "ml": "the noise that joints share",
     "iv": "the simulated motion",
     "ridge": "the pull to CAD",
@@ -36,8 +34,8 @@ CHOSEN = {
     "total": "the share of errors in the motion",
 }
 """What estimators choose from the data and every draw takes over."""
-OWN_ROWS = ("huber", "bisquare", "ml", "iv")
-"""Estimators that make their own rows; others work on those of another only where an automatic choice led through that."""
+OWN_ROWS = ("ml", "iv")
+"""Estimators that make rows without weighting them; other rows than those of the samples are weighted ones."""
 MOST_FAILURES = 0.1
 """Share of draws for which an estimator may refuse before the whole is refused."""
 
@@ -151,6 +149,9 @@ def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate
 
 def held_fixed(estimate: Estimate) -> tuple[str, ...]:
     """Return what all draws of an estimate have in common beside the blocks, in words."""
-    joints = () if estimate.method in ("ols", "ml") else ("the weights of the joints",)
-    rows = ("the weights of the rows",) if estimate.information is not None and estimate.method not in OWN_ROWS else ()
-    return (*joints, *rows, *((CHOSEN[estimate.method],) if estimate.method in CHOSEN else ()))
+    method, own = estimate.method, CHOSEN.get(estimate.method)
+    if method in ("huber", "bisquare") or (estimate.information is not None and method not in OWN_ROWS):
+        weights: tuple[str, ...] = ("the weights of joints and rows",)
+    else:
+        weights = () if method in ("ols", "ml") else ("the weights of the joints",)
+    return weights if own is None else (*weights, own)

@@ -257,9 +257,19 @@ def compare_results(
         parameters=changes,
         chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
         level=level,
-        sentences=(*torque_sentence(joints, level, of_models=of_models), *_friction(after, changes, of_models)),
+        sentences=(*torque_sentence(joints, level, of_models=of_models), *_dropping(dropped), *_friction(after, changes, of_models)),
         joints=joints,
         of_models=of_models,
+    )
+
+
+def _dropping(dropped: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Say that parameters without an error were not tested, but make torque all the same."""
+    if not dropped.any():
+        return ()
+    return (
+        f"{np.count_nonzero(dropped)} parameters were dropped as needless in one result or both: they are not tested, and the torque that dropping them costs "
+        "counts as change, beyond what errors allow.",
     )
 
 
