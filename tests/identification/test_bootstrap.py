@@ -182,9 +182,14 @@ def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(sam
         wide = drawn.std_errors * np.sqrt(20 / 19) * widening
         found = bootstrap_uncertainty(information, estimate, drawn).std_errors
         np.testing.assert_allclose(found, np.maximum(wide, estimate.std_errors), rtol=1e-3)
-    for method, warned in (("wls", False), ("consistent", True)):
+    for method, codes in (
+        ("wls", []),
+        ("consistent", ["bootstrap_near_bounds"]),
+        ("entropic", ["bootstrap_of_pull"]),
+        ("ridge", ["bootstrap_of_pull"]),
+    ):
         result = identify(MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0)
-        assert any(warning.code == "bootstrap_near_bounds" for warning in result.warnings) == warned
+        assert [warning.code for warning in result.warnings if warning.code.startswith("bootstrap")] == codes
 
 
 @pytest.mark.parametrize(("smoothing", "small"), [(1, False), (25, True)])

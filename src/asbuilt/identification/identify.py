@@ -38,6 +38,8 @@ POOR_TORQUE = 0.05
 LOAD_ITERATIONS = 6
 LOAD_CONVERGENCE = 1e-4
 """Friction that depends on load is settled where renewing the load lowers no joint's squared error by more than this fraction."""
+PULLED = ("ridge", "entropic", "euclidean")
+"""Methods that lean on CAD."""
 LARGE_CONDITION = 200.0
 """Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR 1992, ask for less than 100)."""
 
@@ -292,7 +294,15 @@ def _warnings(
                 "(median), since neighbouring residuals are alike. Use --errors blocks.",
             )
         )
-    if basis.kind == "bootstrap" and estimate.refit is not None:
+    if basis.kind == "bootstrap" and estimate.method in PULLED:
+        found.append(
+            (
+                "bootstrap_of_pull",
+                "Fits pulled to CAD all lean the same way, which their scatter does not show: bootstrap errors are too small where CAD is off. Errors by formula "
+                "(--errors blocks) count in what CAD leaves open.",
+            )
+        )
+    elif basis.kind == "bootstrap" and estimate.refit is not None:
         found.append(
             (
                 "bootstrap_near_bounds",
