@@ -92,7 +92,7 @@ def identify(
         recordings = reading.open(model, log)
         others = reading.open(model, validate)
         study = run_study(model, recordings, validation=others, options=options, progress=report)
-        loaded = reading.read(model, payload)
+        loaded = reading.open(model, payload)
         carried = run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout) if loaded else None
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
     answer(
@@ -115,7 +115,7 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Predict other recordings with an identified model, and with CAD beside it."""
-    from asbuilt.experiment.signal_chain import prepare_samples
+    from asbuilt.experiment.long_recordings import prepare_logged
     from asbuilt.validation.comparison import compare
     from asbuilt.validation.prediction import validate as predict
     from asbuilt.validation.prediction import validate_description
@@ -126,14 +126,12 @@ def validate(
         if out is not None:
             raise UsageError("validate --out writes the predictions of a result; of a robot as described there is only the table")
         model = described_robot(result)
-        prepared = [prepare_samples(recording, filtering.chain()) for recording in reading.read(model, log)]
-        errors = [validate_description(model, samples) for samples in prepared]
+        errors = [validate_description(model, prepare_logged(recording, filtering.chain())) for recording in reading.open(model, log)]
         answer(as_json, lambda: described_document(model, errors), lambda: described_torque_table(model, errors).as_text())
         return
     identified = read_result(Path(result))
-    recordings = reading.read(identified.model, log)
     chain = filtering.chain()
-    validations = [predict(identified, prepare_samples(recording, chain)) for recording in recordings]
+    validations = [predict(identified, prepare_logged(recording, chain)) for recording in reading.open(identified.model, log)]
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
     answer(
@@ -227,7 +225,7 @@ def payload(
 
     distinct_logs(log, unloaded, validate)
     identified = read_result(result)
-    read = [reading.read(identified.model, logs) for logs in (log, unloaded, validate)]
+    read = [reading.open(identified.model, logs) for logs in (log, unloaded, validate)]
     found = run_payload_study(
         identified,
         *read,

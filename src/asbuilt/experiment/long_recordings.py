@@ -18,7 +18,7 @@ from asbuilt.experiment.formats.parquet import scan_parquet
 from asbuilt.experiment.readers import TEXT_SUFFIXES, PathLike, ReadingOptions, grouped_files, read_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
-from asbuilt.experiment.signal_chain import SignalChain, stream_samples
+from asbuilt.experiment.signal_chain import SignalChain, prepare_samples, stream_samples
 from asbuilt.experiment.streaming import stream_recording
 
 Array = NDArray[np.float64]
@@ -98,6 +98,18 @@ class RecordingStream:
                 f"read in stretches of {self.chunk_samples} samples; checked and its filters chosen on the first {HEAD}",
             ),
         )
+
+
+def head_of(recording: Recording | RecordingStream) -> Recording:
+    """Return what a recording is checked by and its filters are chosen by: itself, or the beginning of a stream."""
+    return recording.head if isinstance(recording, RecordingStream) else recording
+
+
+def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
+    """Return the samples of a recording, held or not, after the signal chain, whose open choices are made for it."""
+    if isinstance(recording, RecordingStream):
+        return recording.prepared(chain.resolved(recording.head))
+    return prepare_samples(recording, chain)
 
 
 def is_long(path: Path) -> bool:

@@ -9,17 +9,18 @@ from numpy.typing import ArrayLike
 
 from asbuilt.errors import UsageError
 from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.long_recordings import RecordingStream, head_of, prepare_logged
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal_chain import SignalChain
 from asbuilt.identification.payload import Arm, Payload, identify_payload
 from asbuilt.identification.result import IdentificationResult
 
 
 def run_payload_study(
     result: IdentificationResult,
-    loaded: Sequence[Recording],
-    unloaded: Sequence[Recording] = (),
-    validation: Sequence[Recording] = (),
+    loaded: Sequence[Recording | RecordingStream],
+    unloaded: Sequence[Recording | RecordingStream] = (),
+    validation: Sequence[Recording | RecordingStream] = (),
     *,
     chain: SignalChain | None = None,
     holdout: str | None = None,
@@ -33,13 +34,13 @@ def run_payload_study(
     """
     if not loaded:
         raise UsageError(f"no recording under load is given for {result.robot}")
-    resolved = (chain or SignalChain()).resolved(*loaded)
-    learning = [prepare_samples(recording, resolved) for recording in loaded]
-    judging = [prepare_samples(recording, resolved) for recording in validation]
+    resolved = (chain or SignalChain()).resolved(*(head_of(recording) for recording in loaded))
+    learning = [prepare_logged(recording, resolved) for recording in loaded]
+    judging = [prepare_logged(recording, resolved) for recording in validation]
     if holdout is not None:
         parts = [hold_out(samples, holdout) for samples in learning]
         learning = [train for train, _ in parts]
         judging = [replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts] + judging
     judging = judging or [replace(samples, source=f"{samples.source}, the data used") for samples in learning]
-    bare = [prepare_samples(recording, resolved) for recording in unloaded]
+    bare = [prepare_logged(recording, resolved) for recording in unloaded]
     return identify_payload(result, learning, unloaded=bare, frame=frame, arm=arm, validation=judging, gain_uncertainty=gain_uncertainty)
