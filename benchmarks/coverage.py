@@ -20,7 +20,7 @@ from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.experiment.simulation import InstalledRobot
 from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.cad_prior import CadPrior, cad_prior
-from asbuilt.identification.consistent_fit import fit_consistent
+from asbuilt.identification.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.identify import design_values
 from asbuilt.identification.least_squares import Estimate, fit_least_squares
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate
@@ -55,6 +55,11 @@ STUDIES_OF_BODIES = (
     ("ur10e", 0.05, 30.0, 0.3, 0.004),
 )
 """The same, then the noise [N m] and the smallest eigenvalue of `P0^-1 P` of every other link: the fit allows no less than 0.001."""
+STUDIES_OF_PULLS = (
+    ("kuka-iiwa7-r800", 0.3, 30.0, 0.3, 0.004),
+    ("kuka-iiwa7-r800", 0.3, 30.0, 2.0, 1.0),
+)
+"""The same for the fit with an entropic prior around CAD."""
 SPREAD = 0.25
 """Spread of the logarithm of the other eigenvalues: how far CAD is off."""
 SMALL_FRICTION = 0.03
@@ -109,16 +114,23 @@ def coverage(robot: str, correlation_time: float, duration: float, repetitions: 
 
 
 def coverage_of_bodies(
-    robot: str, correlation_time: float, duration: float, noise: float, edge: float, repetitions: int = REPETITIONS_OF_BODIES
+    robot: str,
+    correlation_time: float,
+    duration: float,
+    noise: float,
+    edge: float,
+    repetitions: int = REPETITIONS_OF_BODIES,
+    *,
+    pulled: bool = False,
 ) -> dict[str, float]:
-    """Return the shares of the physically consistent fit of a robot with other bodies than CAD's, every other one near what is possible."""
+    """Return the shares of the physically consistent fit, `pulled` to CAD or not, of a robot with other bodies than CAD's, every other one near what is possible."""
     model = load_robot(robot)
     base, prior = find_base_parameters(model, DRIVE), cad_prior(model, DRIVE)
     machine = off_from_cad(model, base, prior, edge)
     return shares(
         recordings(machine, model, correlation_time, duration, noise, repetitions),
         base.values(machine.truth),
-        lambda seen: fit_consistent(seen, prior),
+        lambda seen: fit_toward_cad(seen, prior) if pulled else fit_consistent(seen, prior),
         DRAWS_OF_BODIES,
     )
 
@@ -146,9 +158,11 @@ def measure(repetitions: int | None = None) -> dict[str, float | str]:
     for robot, correlation_time, duration in STUDIES:
         found = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
         numbers |= {f"{robot}_{correlation_time:g}s_noise_{duration:g}s{kind}": value for kind, value in found.items()}
-    for robot, correlation_time, duration, noise, edge in STUDIES_OF_BODIES:
-        found = coverage_of_bodies(robot, correlation_time, duration, noise, edge, repetitions or REPETITIONS_OF_BODIES)
-        name = f"bodies_{robot}_{correlation_time:g}s_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
+    for pulled, (robot, correlation_time, duration, noise, edge) in [(False, s) for s in STUDIES_OF_BODIES] + [
+        (True, s) for s in STUDIES_OF_PULLS
+    ]:
+        found = coverage_of_bodies(robot, correlation_time, duration, noise, edge, repetitions or REPETITIONS_OF_BODIES, pulled=pulled)
+        name = f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
         numbers |= {f"{name}{kind}": value for kind, value in found.items()}
     return numbers
 
