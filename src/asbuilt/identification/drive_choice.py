@@ -218,15 +218,15 @@ def _objection(columns: CandidateColumns, before: Array, after: Array, placed: P
     if candidate.at_bound:
         shape = candidate.term.free_shapes or candidate.term.shapes
         return f"its best {shape[0].name} lies at an end of the credible range"
-    if not np.all(_surely_positive(after[:, columns.own_places(placed)])):
+    if not np.all(surely_positive(after[:, columns.own_places(placed)])):
         return "its parameters do not come out positive"
     for term, places in columns.drive_places[placed[0]]:
-        if term.non_negative and np.any(_surely_positive(-after[:, places]) & ~_surely_positive(-before[:, places])):
+        if term.non_negative and np.any(surely_positive(-after[:, places]) & ~surely_positive(-before[:, places])):
             return f"{term.key} would become negative beside it"
     return None
 
 
-def _surely_positive(parameters: Array) -> NDArray[np.bool_]:
+def surely_positive(parameters: Array) -> NDArray[np.bool_]:
     """Return which parameters (folds, m), each learnt without one fold, are positive by two standard errors of a jackknife over the folds."""
     folds, mean = len(parameters), parameters.mean(axis=0)
     errors = np.sqrt((folds - 1) / folds * np.sum((parameters - mean) ** 2, axis=0))

@@ -28,6 +28,7 @@ from asbuilt.identification.identify import identify
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.mounting import Mounting, find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
+from asbuilt.identification.spring_search import suspected_springs
 from asbuilt.validation.attribution import Attribution, attribute
 from asbuilt.validation.comparison import Comparison, compare, recording_name
 from asbuilt.validation.cutoff_sweep import CutoffSweep, sweep_cutoffs
@@ -43,7 +44,7 @@ ASKEW = np.deg2rad(0.5)
 BADLY_FITTING = ("bodies_strained", "bodies_refused")
 """Warnings of an automatic choice where something acts that real bodies cannot follow,"""
 SEARCHED = 30_000
-"""for which, up to so many samples, it is looked whether the robot stands askew."""
+"""for which, up to so many samples, it is looked whether the robot stands askew, and for springs."""
 GAINS_TAKEN = (
     "Torques come from currents, whose gains were taken as exact: where the torque per ampere of a joint is 3 % off, so is what its torque tells, beyond the "
     "standard errors. asbuilt gains finds it from a payload of known mass."
@@ -165,15 +166,16 @@ def run_study(
     attribution = None
     if result.evidence is not None and options.mounting == "as_described":
         attribution = attribute(result)
-        result = _mounting_doubted(result, attribution.tilt, _searched(result, learning, chosen.drive, options))
+        stands = _searched(result, learning, chosen.drive, options)
+        result = _mounting_doubted(result, attribution.tilt, stands)
+    result = _springs_suspected(result, stands, learning, chosen.drive, options)
     report("predict", 1.0)
     return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs, attribution)
 
 
 def _searched(result: IdentificationResult, learning: Sequence[Samples], drive: DriveSet, options: StudyOptions) -> Mounting | None:
     """Find how the robot stands where real bodies fit badly; None elsewhere, and for long recordings."""
-    fits = not any(warning.code in BADLY_FITTING for warning in result.warnings)
-    if fits or sum(len(samples.t) for samples in learning) > SEARCHED:
+    if not _to_be_searched(result, learning):
         return None
     try:
         return find_mounting(result.model, learning, drive=drive, block_seconds=options.block_seconds)
@@ -195,6 +197,30 @@ def _mounting_doubted(result: IdentificationResult, tilt: float, stands: Mountin
     else:
         return result
     return replace(result, warnings=(*result.warnings, IdentificationWarning("mounting_askew", message)))
+
+
+def _to_be_searched(result: IdentificationResult, learning: Sequence[Samples]) -> bool:
+    fits = not any(warning.code in BADLY_FITTING for warning in result.warnings)
+    return not fits and sum(len(samples.t) for samples in learning) <= SEARCHED
+
+
+def _springs_suspected(
+    result: IdentificationResult, stands: Mounting | None, learning: Sequence[Samples], drive: DriveSet, options: StudyOptions
+) -> IdentificationResult:
+    """Say where springs that no file describes would explain what real bodies cannot follow, on a robot that stands as it was found to."""
+    if not _to_be_searched(result, learning):
+        return result
+    askew = stands is not None and stands.is_askew
+    model = stands.model if stands is not None and askew else result.model
+    springs = suspected_springs(model, learning, drive, block_seconds=options.block_seconds)
+    if not springs:
+        return result
+    joints = "/".join(str(joint) for joint in sorted(spring.joint + 1 for spring in springs))
+    message = (
+        f"A spring would explain what real bodies cannot follow at {', '.join(map(str, springs))}: cables or hoses that wind up there, or a sensor that drifts with position. "
+        f"Where that can be, identify with {'--mounting estimate ' if askew else ''}--drive {drive},spring:joints={joints}."
+    )
+    return replace(result, warnings=(*result.warnings, IdentificationWarning("spring_suspected", message)))
 
 
 def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
