@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise, permutations
 from pathlib import Path
@@ -64,6 +65,15 @@ def test_sizes_are_those_of_the_causes() -> None:
     friction = attribute(identified(ARM, "f"))
     np.testing.assert_allclose([friction.values[f"Fc{k}"] for k in range(1, 8)], 2.0, atol=0.05)
     assert "Coulomb 2.0 N m" in friction.sentences[0]
+
+
+def test_friction_is_told_in_plain_numbers_whatever_terms_the_result_has() -> None:
+    """A power of velocity in place of viscous friction at joint 1: the sentence still says Coulomb and viscous, not one large Coulomb."""
+    found = attribute(identified(ARM, "f", drive="viscous:joints=2/3/4/5/6/7,coulomb,offset,power:joints=1:exponent=0.7"))
+    for k in (0, 1):
+        numbers = re.search(r"friction \(Coulomb ([\d.]+) N m, viscous ([\d.]+) N m s/rad\)", found.sentences[k])
+        assert numbers is not None, found.sentences[k]
+        np.testing.assert_allclose([float(number) for number in numbers.groups()], [2.0, 1.0], atol=0.1)
 
 
 def test_shares_are_those_of_the_torques_of_the_causes_and_half_of_what_they_have_in_common() -> None:

@@ -145,7 +145,7 @@ def gather_evidence(
     drive = base.drive
     known = available_terms()
     for key in (*PLAIN_TERMS, *RICHER_TERMS):
-        if key in known and key not in drive.keys:
+        if key in known and (key not in drive.keys or key in PLAIN_TERMS):  # at every joint, though the result has it at some
             drive = drive.with_term(known[key])
     links = 10 * model.n_joints
     columns = np.concatenate([base.columns[base.columns < links], links + np.arange(model.n_joints * drive.columns_per_joint)])
