@@ -54,7 +54,10 @@ def excite(
     precision: Annotated[
         float, typer.Option("--precision", metavar="SHARE", help="with --duration auto: torque error per parameter, as share of the torque")
     ] = 0.002,
-    periods: Annotated[int, typer.Option("--periods", metavar="N", help="repeat a Fourier series so often within the duration")] = 1,
+    periods: Annotated[
+        int | None,
+        typer.Option("--periods", metavar="N", help="repeat a Fourier series so often within the duration (default: by duration)"),
+    ] = None,
     collision: Annotated[
         str | None,
         typer.Option("--collision", metavar="SOURCE", help="keep bodies apart: skeleton[:RADIUS], a .urdf with geometry, or a .toml file"),
@@ -102,7 +105,7 @@ def excite(
         "--harmonics": harmonics is not None,
         "--criterion": criterion != "d",
         "--focus": focus is not None,
-        "--periods": periods != 1,
+        "--periods": periods is not None,
         "--power": power is not None,
         "--perturbed": perturbed != 0,
     }

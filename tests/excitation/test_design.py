@@ -250,7 +250,9 @@ def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
     assert DesignOptions(duration=20.0).for_limits(slow).size == 5
     quick = replace(slow, acceleration=6.0 * slow.velocity)
     assert DesignOptions(duration=20.0).for_limits(quick).size == 12
-    assert DesignOptions(duration=100.0).for_limits(quick).size == 25
+    assert [getattr(DesignOptions(duration=100.0).for_limits(slow), name) for name in ("size", "periods")] == [25, 1]
+    assert [getattr(DesignOptions(duration=100.0).for_limits(quick), name) for name in ("size", "periods")] == [15, 4]
+    assert [getattr(DesignOptions(duration=100.0, periods=1).for_limits(quick), name) for name in ("size", "periods")] == [25, 1]
     assert DesignOptions(duration=20.0, size=7).for_limits(quick).size == 7
     assert DesignOptions(duration=20.0, parametrisation="bspline").for_limits(quick).size is None
 

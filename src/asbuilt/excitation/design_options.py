@@ -23,7 +23,7 @@ class DesignOptions:
     | field | meaning |
     |---|---|
     | `parametrisation`, `size` | family of motions and how rich it is: harmonics, control points or way points |
-    | `duration`, `periods` | length of the motion [s]; a Fourier series may run through several periods |
+    | `duration`, `periods` | length of the motion [s]; a Fourier series may run through several periods, one where nothing else suits the limits |
     | `criterion`, `focus` | `d`, `a`, `e` or `condition`; names or ids of base parameters for D_s |
     | `noise` | standard deviation of the torque [N m or N], one number or one per joint |
     | `information_rate` | independent torque samples per second that the noise refers to [1/s] |
@@ -36,7 +36,7 @@ class DesignOptions:
     parametrisation: str = "fourier"
     size: int | None = None
     duration: float = 20.0
-    periods: int = 1
+    periods: int | None = None
     criterion: str = "d"
     focus: tuple[str, ...] = ()
     noise: float | tuple[float, ...] = 1.0
@@ -60,35 +60,39 @@ class DesignOptions:
         for name in ("fraction", "torque_fraction"):
             if not 0 < getattr(self, name) <= 1:
                 raise UsageError(f"{name} must lie above 0 and at most at 1, got {getattr(self, name)}")
-        for name in ("starts", "periods"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name, count in (("starts", self.starts), ("periods", self.periods)):
+            if count is not None and count < 1:
+                raise UsageError(f"{name} must be at least 1, got {count}")
         if self.size is not None and self.size < 2:
             raise UsageError(f"a design needs at least 2 harmonics, 3 way points or control points; got {self.size}")
 
     def for_limits(self, bounds: MotionBounds) -> DesignOptions:
-        """Return the options with the harmonics that suit a robot with these limits, where none are asked for."""
+        """Return the options with the harmonics and periods that suit a robot with these limits, where none are asked for."""
         if self.size is not None or self.parametrisation != "fourier":
             return self
-        return replace(self, size=usual_harmonics(self.duration / self.periods, bounds))
+        useful = useful_frequency(bounds)
+        periods = self.periods or (max(1, round(useful * self.duration / MOST_HARMONICS)) if useful > 1.01 * LEAST_FREQUENCY else 1)
+        return replace(self, periods=periods, size=usual_harmonics(self.duration / periods, bounds))
 
     @property
     def family(self) -> Parametrisation:
         """The family of motions."""
         if self.parametrisation == "fourier":
-            size = self.size or usual_harmonics(self.duration / self.periods)
-            return Fourier(self.duration, size, self.periods)
+            periods = self.periods or 1
+            return Fourier(self.duration, self.size or usual_harmonics(self.duration / periods), periods)
         size = self.size or max(4, round(self.duration / 1.25) + 1)
         return PARAMETRISATIONS[self.parametrisation](self.duration, size)
 
 
 def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
-    """Return the number of harmonics where none is asked for: at least 4, up to a quarter of a hertz or, for a robot that is quick, to a tenth of a / v.
+    """Return the number of harmonics where none is asked for: at least 4, up to a quarter of a hertz or, for a robot that is quick, its useful frequency.
 
-    v and a are the limits of velocity and acceleration of its joints (the median); beyond 16 harmonics, a quarter of a hertz is all.
+    Beyond 16 harmonics, a quarter of a hertz is all.
     """
     slow = max(LEAST_HARMONICS, round(LEAST_FREQUENCY * period))
-    if bounds is None:
-        return slow
-    quick = float(np.median(bounds.acceleration / bounds.velocity)) / 10
-    return max(slow, min(MOST_HARMONICS, round(quick * period)))
+    return slow if bounds is None else max(slow, min(MOST_HARMONICS, round(useful_frequency(bounds) * period)))
+
+
+def useful_frequency(bounds: MotionBounds) -> float:
+    """Return a tenth of a / v, the median over joints of the limits of acceleration over velocity [Hz]: below, a joint is at full speed most of the time."""
+    return float(np.median(bounds.acceleration / bounds.velocity)) / 10

@@ -96,7 +96,7 @@ def design_for_precision(
         told = None if progress is None else partial(_told_trial, progress, wanted.duration)
         design = design_motion(model, drive, quick, prior=prior, constraints=constraints, with_bound=False, progress=told)
         reached = predicted_precision(design)
-        trials.append(DurationTrial(wanted.duration, design.size, wanted.periods, reached))
+        trials.append(DurationTrial(wanted.duration, design.size, design.options.periods or 1, reached))
         if reached <= precision:
             final = design_motion(model, drive, wanted, prior=prior, constraints=constraints, progress=progress)
             return (final if predicted_precision(final) <= precision else design), tuple(trials)
@@ -115,5 +115,5 @@ def _told_trial(progress: Callable[[SearchProgress], None], duration: float, sta
 
 
 def _of_duration(options: DesignOptions, duration: float) -> DesignOptions:
-    periods = math.ceil(duration / LONGEST_PERIOD) if options.parametrisation == "fourier" else 1
+    periods = math.ceil(duration / LONGEST_PERIOD) if options.parametrisation == "fourier" and duration > LONGEST_PERIOD else None
     return replace(options, duration=duration, periods=periods)

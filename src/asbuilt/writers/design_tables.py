@@ -94,6 +94,7 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
         "duration": design.motion.duration,
         "n_harmonics": design.size if design.options.parametrisation == "fourier" else None,
         "size": design.size,
+        "periods": design.options.periods or 1,
         "n_parameters": design.base.n_base,
         "log_det": design.log_det,
         "d_efficiency": design.d_efficiency,
@@ -138,7 +139,7 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
     """Return a design in words and two small tables."""
     head = (
         f"{design.model.name} - {design.options.parametrisation} motion of {design.motion.duration:g} s, "
-        f"{design.size} {design.size_name}, {design.base.n_base} parameters (drive terms {design.base.drive})"
+        f"{design.size} {design.size_name}{_periods(design)}, {design.base.n_base} parameters (drive terms {design.base.drive})"
     )
     bound, family = design.d_efficiency, design.family_efficiency
     facts = [
@@ -165,6 +166,11 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
         _errors(design).as_text(),
     ]
     return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *_numbered(notes)])
+
+
+def _periods(design: Design) -> str:
+    count = design.options.periods or 1
+    return f" in {count} periods" if count > 1 else ""
 
 
 def _numbered(notes: Sequence[str]) -> list[str]:
