@@ -1,0 +1,83 @@
+"""What acts on a robot that its description lacks and real bodies cannot imitate: a mounting that is askew, springs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.samples import Samples
+from asbuilt.identification.mounting import Mounting, find_mounting
+from asbuilt.identification.result import IdentificationResult, IdentificationWarning
+from asbuilt.identification.spring_search import suspected_springs
+
+ASKEW = np.deg2rad(0.5)
+"""Tilt of the mounting [rad] from which it is said so."""
+BADLY_FITTING = ("bodies_strained", "bodies_refused")
+"""Warnings of an automatic choice where something acts that real bodies cannot follow,"""
+SEARCHED = 30_000
+"""for which, up to so many samples, it is looked whether the robot stands askew, and for springs."""
+
+
+def with_hidden_causes(
+    result: IdentificationResult,
+    learning: Sequence[Samples],
+    drive: DriveSet,
+    *,
+    tilt: float | None = None,
+    stands: Mounting | None = None,
+    block_seconds: float | None = None,
+) -> IdentificationResult:
+    """Return the result with warnings of what seems to act unseen.
+
+    `tilt` [rad] is by how much nested models would turn gravity, None where that was not asked; `stands` how the robot was found to stand, where it was.
+    Where real bodies fit badly, mounting and springs are looked for in the samples it was learnt from, unless these are long.
+    """
+    searched = any(warning.code in BADLY_FITTING for warning in result.warnings) and sum(len(samples.t) for samples in learning) <= SEARCHED
+    if tilt is not None:
+        stands = _mounting(result, learning, drive, block_seconds) if searched else None
+        result = _mounting_doubted(result, tilt, stands)
+    return _springs_suspected(result, stands, learning, drive, block_seconds) if searched else result
+
+
+def _mounting(result: IdentificationResult, learning: Sequence[Samples], drive: DriveSet, block_seconds: float | None) -> Mounting | None:
+    try:
+        return find_mounting(result.model, learning, drive=drive, block_seconds=block_seconds)
+    except AsbuiltError:
+        return None
+
+
+def _mounting_doubted(result: IdentificationResult, tilt: float, stands: Mounting | None) -> IdentificationResult:
+    if stands is not None and stands.is_askew:
+        message = (
+            f"The robot seems to stand askew by {np.rad2deg(stands.angle):.1f} deg, which values that no bodies have imitate and real bodies cannot follow: {stands.sentence}. "
+            "Check the mounting or identify with --mounting estimate."
+        )
+    elif tilt >= ASKEW:
+        message = (
+            f"The robot seems to stand askew by {np.rad2deg(tilt):.1f} deg, which its description does not know and links then have to imitate. Check the mounting "
+            "or identify with --mounting estimate."
+        )
+    else:
+        return result
+    return replace(result, warnings=(*result.warnings, IdentificationWarning("mounting_askew", message)))
+
+
+def _springs_suspected(
+    result: IdentificationResult, stands: Mounting | None, learning: Sequence[Samples], drive: DriveSet, block_seconds: float | None
+) -> IdentificationResult:
+    """Say where springs that no file describes would explain what real bodies cannot follow, on a robot that stands as it was found to."""
+    askew = stands is not None and stands.is_askew
+    model = stands.model if stands is not None and askew else result.model
+    springs = suspected_springs(model, learning, drive, block_seconds=block_seconds)
+    if not springs:
+        return result
+    joints = "/".join(str(joint) for joint in sorted(spring.joint + 1 for spring in springs))
+    message = (
+        f"A spring would explain what real bodies cannot follow at {', '.join(map(str, springs))}: cables or hoses that wind up there, or a sensor that drifts with position. "
+        f"Where that can be, identify with {'--mounting estimate ' if askew else ''}--drive {drive},spring:joints={joints}."
+    )
+    return replace(result, warnings=(*result.warnings, IdentificationWarning("spring_suspected", message)))
