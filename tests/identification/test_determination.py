@@ -3,6 +3,7 @@ import numpy as np
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.simulation import InstalledRobot
@@ -47,6 +48,20 @@ def test_every_parameter_is_in_one_class_by_its_error() -> None:
         assert parameter.name in expected
     assert len(told.well) + len(told.fairly) + len(told.hardly) + len(told.not_at_all) == result.n_base
     assert told.in_short.startswith(f"Determined to 10 % or better: {len(told.well)} of {result.n_base}")
+
+
+def test_what_is_hardly_known_is_poorly_determined_or_makes_next_to_no_torque() -> None:
+    """Moving a negligible parameter by its error moves the torque by less than a twentieth of the residual, by a regressor of its own; the others by more."""
+    model, taken = load_robot("ur10e"), samples("ur10e", duration=10.0)
+    base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
+    result = identify(model, taken, base=base, method="entropic")
+    told = determination(result, motions=False)
+    W = observation_matrix(model, taken.q, taken.qd, taken.qdd, drive=base.drive, columns=base.columns)
+    felt = np.linalg.norm(W / np.tile(result.sigma, len(taken.t))[:, None], axis=0) / np.sqrt(len(taken.t)) * result.std_errors
+    assert 0 < len(told.negligible) < len(told.hardly)
+    for name in told.hardly:
+        assert (felt[base.names.index(name)] < 0.05) == (name in told.negligible)
+    assert f"{len(told.negligible)} of which make next to no torque" in told.in_short
 
 
 def test_a_joint_that_stands_still_is_said_and_moving_it_is_advised() -> None:

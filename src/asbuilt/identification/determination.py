@@ -25,8 +25,6 @@ WELL = 0.10
 """Standard error, as a fraction of the larger of estimate and CAD value, up to which a parameter is determined well,"""
 HARDLY = 0.50
 """and from which hardly."""
-UNNOTICED = 0.05
-"""Torque that an error stands for, as a fraction of the residual, up to which it hardly matters."""
 TRADES = 2.5
 """How much larger the error of a combination must be than its parameters would have alone to be called a trade-off."""
 MOST_NAMED = 5
@@ -66,7 +64,7 @@ class Determination:
     """Say what a recording determines.
 
     `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that and `negligible` those of them whose error hardly changes the
-    torque of this motion; `not_at_all` those that nothing in the recording tells; `dropped` those that the estimator set to zero as needless, which have no error.
+    torque of this motion, so that the result does not call them poorly determined; `not_at_all` those that nothing in the recording tells; `dropped` those that the estimator set to zero as needless, which have no error.
     """
 
     well: tuple[str, ...]
@@ -84,6 +82,7 @@ class Determination:
         total = sum(len(names) for names in (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped))
         parts = [
             f"Determined to 10 % or better: {len(self.well)} of {total} parameters; to 50 %: {len(self.fairly)}; hardly: {len(self.hardly)}"
+            + (f", {len(self.negligible)} of which make next to no torque in this motion" if self.negligible else "")
         ]
         if self.not_at_all:
             parts.append(f"not at all: {len(self.not_at_all)}")
@@ -145,8 +144,7 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     well, hardly = told & (error <= WELL * size), told & (error > HARDLY * size)
     with one_blas_thread():
         information = known_information(result)
-        alone = 1.0 / np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
-        negligible = hardly & (error <= UNNOTICED * np.sqrt(result.effective_samples) * alone)
+        negligible = hardly & ~np.array([parameter.poorly_determined for parameter in result.parameters])
         combinations = _combinations(result, information, told)
         weak = np.flatnonzero(~well & ~(negligible & told) & ~dropped)
         advice = _advice(result, information, weak) if motions and weak.size else ()
