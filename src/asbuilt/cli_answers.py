@@ -51,5 +51,6 @@ def path_texts(files: Mapping[str, Path]) -> dict[str, str]:
 
 def listed_files(files: Mapping[str, Path]) -> str:
     """Return the lines that say which files were written, empty where none were."""
-    lines = [f"  {kind:<11} {path}" for kind, path in files.items()]
+    width = max((len(kind) for kind in files), default=0)
+    lines = [f"  {kind:<{max(width, 11)}} {path}" for kind, path in files.items()]
     return "\n".join(["", "", "written:", *lines]) if lines else ""

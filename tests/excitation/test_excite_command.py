@@ -13,6 +13,7 @@ from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.excitation.collision import watched
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motion_csv import read_motion
 from command_line import call
@@ -151,3 +152,19 @@ def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(capsys,
     stated = [parameter["torque_effect"] for parameter in document["parameters"]]
     assert stated == pytest.approx(np.array(found) / np.sqrt(len(state[0])) / size, rel=0.01)
     assert "of the torque" in call(capsys, "excite", "ur10e", "--duration", 8, "--time-limit", 1, "--out", file)[1]
+
+
+def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path: Path) -> None:
+    file, base = tmp_path / "motion.csv", ("excite", "ur10e", "--duration", 8, "--time-limit", 1)
+    status, out, err = call(capsys, *base, "--out", file, "--json")
+    assert status == 0, err
+    (note,) = [note for note in json.loads(out)["notes"] if note.startswith("NOT CHECKED FOR COLLISIONS")]
+    model = load_robot("ur10e")
+    motion = read_motion(file, model)
+    (guard,) = watched(model, collision="skeleton")
+    distance = guard.smallest_distance(motion.at(motion.sample_times(100.0))[0])
+    stated = int(note.split()[-2 if distance < 0 else -5])
+    assert ("runs into itself" in note) == (distance < 0)
+    assert stated == pytest.approx(1000 * abs(distance), abs=3)
+    assert "NOT CHECKED FOR COLLISIONS" in call(capsys, "excite", "ur10e", "--static", 6, "--out", file)[1]
+    assert "NOT CHECKED" not in call(capsys, *base, "--collision", "skeleton", "--out", file)[1]

@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.errors import MotionError, UsageError
+from asbuilt.errors import AsbuiltError, MotionError, UsageError
 from asbuilt.excitation.admissible import random_states
 from asbuilt.excitation.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.distances import nearest_on_segments, nearest_to_box
@@ -169,6 +169,14 @@ def watched(
         edges = np.array(tool_box, dtype=np.float64).reshape(3, 2)
         found.append(ToolBox(model, edges[:, 0], edges[:, 1], tool_frame))
     return tuple(found)
+
+
+def skeleton_distance(model: RobotModel, q: Array) -> float | None:
+    """Return the smallest distance between capsules along the robot's stick figure over poses (N, n) [m], None where it has none that could meet."""
+    try:
+        return CollisionGuard(model, surroundings(model, "skeleton")).smallest_distance(q)
+    except AsbuiltError:
+        return None
 
 
 def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:

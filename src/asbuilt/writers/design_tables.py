@@ -10,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.excitation.collision import skeleton_distance
 from asbuilt.excitation.design import Design
 from asbuilt.excitation.limits import LimitReport
+from asbuilt.excitation.motion import Motion
 from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.precision import DurationTrial, torque_effects
 from asbuilt.excitation.static_poses import StaticDesign
@@ -22,6 +25,7 @@ LISTED = 12
 """How many of the worst determined parameters the text names."""
 
 SAME_POSE = 1e-6
+UNWATCHED_RATE = 100.0
 
 
 def write_design(path: str | os.PathLike[str], design: Design, rate: float) -> dict[str, Path]:
@@ -77,6 +81,8 @@ def static_text(design: StaticDesign) -> str:
         notes.append(f"the way turns at {design.turns} further poses, without a rest, to get round what is watched")
     if design.collision_distance is not None:
         notes.append(f"smallest distance between bodies, on the way too, {1000 * design.collision_distance:.0f} mm")
+    else:
+        notes.append(_unwatched(design.model, design.motion))
     if np.ptp(design.poses, axis=0).max() < SAME_POSE:
         notes.append("the poses are all the same, for gravity tells the same wherever this robot stands")
     return "\n".join([head, Table(heads, rows).as_text(), _margins(design.limits).as_text(), *_numbered(notes)])
@@ -130,7 +136,7 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
         "searches": len(design.candidates),
         "interrupted": design.interrupted,
         "solve_seconds": design.solve_seconds,
-        "notes": list(design.notes),
+        "notes": [*design.notes, *([_unwatched(design.model, design.motion)] if design.collision_distance is None else [])],
         "files": {kind: str(path) for kind, path in files.items()},
     }
 
@@ -160,12 +166,24 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
         )
     if design.collision_distance is not None:
         notes.append(f"smallest distance between bodies {1000 * design.collision_distance:.0f} mm")
+    else:
+        notes.append(_unwatched(design.model, design.motion))
     tables = [
         _margins(design.limits).as_text(),
         "what is told worst: predicted standard errors, and what one of them changes of the torque",
         _errors(design).as_text(),
     ]
     return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *_numbered(notes)])
+
+
+def _unwatched(model: RobotModel, motion: Motion) -> str:
+    """Say that nobody looked for collisions, and whether the stick figure meets itself."""
+    told = "NOT CHECKED FOR COLLISIONS with itself, the floor or anything else (--collision, --tool-box)"
+    distance = skeleton_distance(model, motion.at(motion.sample_times(UNWATCHED_RATE))[0])
+    if distance is None:
+        return told
+    meeting = f"runs into itself by {-1000 * distance:.0f} mm" if distance < 0 else f"comes within {1000 * distance:.0f} mm of itself"
+    return f"{told}; in capsules, its stick figure {meeting}"
 
 
 def _periods(design: Design) -> str:
