@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -15,6 +16,9 @@ from asbuilt.validation.comparison import compare
 from asbuilt.validation.prediction import validate
 from asbuilt.writers.report import report_html, write_report
 from asbuilt.writers.report_verdict import verdict
+
+sys.path.append(str(Path(__file__).parents[1] / "validation"))
+from virtual_causes import identified
 
 VOID = {"meta", "link", "br", "img", "input", "hr", "line", "circle"}
 
@@ -162,3 +166,19 @@ def test_nothing_overflows_a_phone(browser: Any, page: Path) -> None:
     browser.get(page.as_uri())
     run = browser.execute_script
     assert run("return document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+@pytest.mark.parametrize("width", [1300, 900])
+def test_no_table_is_cut_off(browser: Any, width: int, tmp_path: Path) -> None:
+    """Seven joints with long expressions of parameters, causes and all, at the width of half a screen too."""
+    page = write_report(tmp_path / "report.html", identified("kuka-iiwa7-r800", "pf"), [])
+    browser.set_window_size(width, 1000)
+    browser.get(page.as_uri())
+    run = browser.execute_script
+    assert run("return document.querySelectorAll('.scroll table').length") >= 3
+    assert (
+        run(
+            "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1).map(e => e.innerText.slice(0, 60))"
+        )
+        == []
+    )

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
 
 DRIVE_WORDS = {"armature": "armature", "viscous": "viscous friction", "coulomb": "Coulomb friction", "offset": "torque offset"}
 """Drive terms whose key is not their name; the others are called by their key."""
@@ -32,6 +36,34 @@ def in_words(base: BaseParameters) -> tuple[str, ...]:
     )
 
 
+def drive_in_words(drive: DriveSet) -> str:
+    """Return the terms of a set for a reader: at which joints, with which shapes there.
+
+    >>> drive_in_words(DriveSet.parse("viscous:joints=2/3,offset,power:joints=1/3:exponent=0.7/0.5/0.6,stribeck:velocity=0.1"))
+    'viscous friction (joints 2, 3); stribeck (velocity 0.1); power (joint 1: exponent 0.7; joint 3: exponent 0.6); torque offset'
+    """
+    return "; ".join(_term_in_words(term) for term in drive.terms) or "none"
+
+
+def _term_in_words(term: DriveTerm) -> str:
+    stated = {shape.name: getattr(term, shape.name) for shape in term.shapes if getattr(term, shape.name) is not None}
+    several = [len(values) for values in stated.values() if isinstance(values, tuple)]
+    if several:
+        inside = "; ".join(f"joint {number}: {_shapes(term.at(number - 1), stated)}" for number in term.joints or range(1, several[0] + 1))
+    else:
+        where = [] if term.joints is None else [f"joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))}"]
+        inside = "; ".join([*where, *([_shapes(term, stated)] if stated else [])])
+    return _term_name(term) + (f" ({inside})" if inside else "")
+
+
+def _shapes(term: DriveTerm, names: Iterable[str]) -> str:
+    return ", ".join(f"{name} {term.value(name):.3g}" for name in names)
+
+
+def _term_name(term: DriveTerm) -> str:
+    return DRIVE_WORDS.get(term.key, term.key.replace("_", " "))
+
+
 def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
     per_link = len(PARAMETER_NAMES)
     link, name = column // per_link, PARAMETER_NAMES[column % per_link]
@@ -54,4 +86,4 @@ def _of_drive(base: BaseParameters, place: int) -> str:
     joint, column = divmod(place, base.drive.columns_per_joint)
     term = [term for term in base.drive.terms for _ in term.letters][column]
     letter = f" {base.drive.letters[column]}" if len(term.letters) > 1 else ""
-    return f"{DRIVE_WORDS.get(term.key, term.key.replace('_', ' '))}{letter}, joint {joint + 1}"
+    return f"{_term_name(term)}{letter}, joint {joint + 1}"

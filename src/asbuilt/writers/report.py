@@ -23,6 +23,7 @@ from asbuilt.tables import beside, deviation, percent, rounded, share, significa
 from asbuilt.validation.attribution import Attribution, attribute
 from asbuilt.validation.compared_parameter import ComparedParameter
 from asbuilt.validation.comparison import compare, recording_name
+from asbuilt.validation.parameter_words import drive_in_words
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.cause_figures import attribution_figure
@@ -101,7 +102,7 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
         relative += f", {', '.join(share(metrics.relative_error) for metrics in result.validation)} held out"
     return [
         ("method", result.method),
-        ("drive terms", str(result.base.drive)),
+        ("drive terms", drive_in_words(result.base.drive)),
         ("samples", f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz, {result.duration:.1f} s"),
         ("standard errors", result.errors.kind),
         ("independent samples", significant(result.effective_samples)),
@@ -131,6 +132,7 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
         "id": parameter.id,
         "name": parameter.name,
         "expression": parameter.expression,
+        "words": parameter.words,
         "unit": parameter.unit,
         "cad": by_design,
         "cad_value": parameter.cad,

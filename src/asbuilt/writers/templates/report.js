@@ -91,7 +91,10 @@
     });
     const traces = [part(0, data.rank, "determined", "measured", "circle")];
     if (data.rank < values.length) traces.push(part(data.rank, values.length, "not determined", "built", "x"));
-    Plotly.react("singular-plot", traces, layout({ hovermode: "closest", xaxis: axis("number"), yaxis: axis("singular value", { type: "log", dtick: 1, tickformat: "~g" }) }), bare);
+    const positive = values.filter((value) => value > 0);
+    const decades = positive.length ? Math.log10(Math.max(...positive) / Math.min(...positive)) : 1;
+    const marks = decades < 3 ? "D2" : Math.ceil(decades / 6);
+    Plotly.react("singular-plot", traces, layout({ hovermode: "closest", xaxis: axis("number"), yaxis: axis("singular value", { type: "log", dtick: marks, tickformat: "~g" }) }), bare);
   }
 
   function draw() {
