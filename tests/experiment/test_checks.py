@@ -309,3 +309,19 @@ def test_real_currents(shared: Path) -> None:
         amperes = read_recording(path, model=ur10e, sheet=sheet)
         assert codes(ur10e, amperes.scaled([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])) == {"clock-irregular"}
         assert codes(ur10e, amperes) == {"clock-irregular", "torque-scale"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_torque_beneath_noise_is_no_torque_of_another_robot(seed: int) -> None:
+    """A SCARA without gravity, its torques as small as the noise of its sensors; the same noise around torques of another time is called unlike."""
+    model = bundled_robot("scara")
+    recording = record(model, seed)
+    rng = np.random.default_rng(seed)
+    smooth = np.array([np.convolve(noise, np.ones(40) / 40, mode="same") for noise in rng.normal(size=recording.tau.T.shape)]).T
+    noise = 1.5 * smooth / smooth.std(axis=0) * recording.tau.std(axis=0)
+    codes = {finding.code for finding in check_recording(model, replace(recording, tau=recording.tau + noise)).findings}
+    assert "torque-unlike-model" not in codes
+    codes = {
+        finding.code for finding in check_recording(model, replace(recording, tau=np.roll(recording.tau, 700, axis=0) + noise)).findings
+    }
+    assert "torque-unlike-model" in codes
