@@ -72,7 +72,7 @@ def measure(
     say(
         f"Fourier series as `asbuilt excite ROBOT --duration S --time-limit {time_limit:g}` designs them: viscous, Coulomb and offset for every joint, noise 1 N m (N),"
     )
-    say("95 % of the limits of motion and 80 % of those of torque allowed; margins on a grid of 1 kHz, as shares of the whole limits.")
+    say("95 % of the limits of motion and 80 % of those of torque allowed; harmonics x periods; margins on a grid of 1 kHz, as shares of the whole limits.")
     say("")
     heads = (
         "robot",
@@ -97,7 +97,7 @@ def measure(
             say(
                 robot,
                 f"{duration:g} s",
-                design.size,
+                f"{design.size}" + (f" x {periods}" if (periods := design.options.periods or 1) > 1 else ""),
                 design.base.n_base,
                 f"{design.solve_seconds:.1f} s",
                 len(design.candidates),
