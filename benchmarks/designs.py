@@ -72,7 +72,9 @@ def measure(
     say(
         f"Fourier series as `asbuilt excite ROBOT --duration S --time-limit {time_limit:g}` designs them: viscous, Coulomb and offset for every joint, noise 1 N m (N),"
     )
-    say("95 % of the limits of motion and 80 % of those of torque allowed; harmonics x periods; margins on a grid of 1 kHz, as shares of the whole limits.")
+    say(
+        "95 % of the limits of motion and 80 % of those of torque allowed; harmonics x periods; margins on a grid of 1 kHz, as shares of the whole limits."
+    )
     say("")
     heads = (
         "robot",
