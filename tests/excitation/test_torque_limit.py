@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.excitation.torque_limit import PowerLimit, TorqueLimit, perturbed_models
 
@@ -21,6 +22,15 @@ def rough(model):
                 joint.drive, viscous=3.0 + k, coulomb=4.0, terms={"load_friction": {"Fl": 0.05 + 0.01 * k}, "spring": {"Ks": 2.0 + k}}
             ),
         )
+        for k, joint in enumerate(model.joints)
+    ]
+    return replace(model, joints=tuple(joints))
+
+
+def unlike(model):
+    """The robot with friction whose shape differs from joint to joint, and one joint without."""
+    joints = [
+        replace(joint, drive=replace(joint.drive, terms={"stribeck": {"Fs": 5.0, "velocity": 0.3 + 0.1 * k, "power": 2.0}} if k else {}))
         for k, joint in enumerate(model.joints)
     ]
     return replace(model, joints=tuple(joints))
@@ -53,11 +63,21 @@ def test_values_are_the_torques_of_every_description(name: str) -> None:
         np.testing.assert_allclose(found[:, place], (inverse_dynamics(other, *state) / limit)[:, kept], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("friction", [False, True])
+@pytest.mark.parametrize("make", [rough, unlike])
+def test_friction_is_that_of_the_description_away_from_standstill(make) -> None:
+    model, limit = make(load_robot("ur10e")), np.full(6, 50.0)
+    state = states(6)
+    state[1][np.abs(state[1]) < 0.3] = 0.3
+    rigid = inverse_dynamics(model, *state)
+    drive, values = described_drive(model)
+    expected = rigid + drive_torque(drive, values, *state, load=rigid)
+    np.testing.assert_allclose(TorqueLimit((model,), limit).values(*state), expected / limit, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [lambda model: model, rough, unlike])
 @pytest.mark.parametrize("others", [0, 3])
-def test_slopes_of_torque_and_power_are_differences_of_the_values(friction: bool, others: int) -> None:
-    model = load_robot("ur10e")
-    model = rough(model) if friction else model
+def test_slopes_of_torque_and_power_are_differences_of_the_values(make, others: int) -> None:
+    model = make(load_robot("ur10e"))
     limit = np.array([300.0, 250.0, 100.0, np.inf, 30.0, 20.0])
     state = states(6)
     state[1][np.abs(state[1]) < 0.1] = 0.1

@@ -36,6 +36,7 @@ class TorqueLimit(StateConstraint):
         self._limit = limit
         self._finite = np.flatnonzero(np.isfinite(limit))
         self._drive, self._values = described_drive(self._model)
+        self._differ = any(isinstance(getattr(term, shape.name), tuple) for term in self._drive.terms for shape in term.shapes)
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque over its limit, (N, models x limited joints)."""
@@ -82,13 +83,21 @@ class TorqueLimit(StateConstraint):
         if not self._drive:
             return np.zeros_like(q)
         if self._drive.of_motor.any():
-            return drive_torque(self._drive, self._values, q, qd, qdd, load=load, shares=self._model.motor_shares)
+            return self._exact_friction(q, qd, qdd, load)
         sign = np.tanh(qd / SIGN_WIDTH)
         away = np.abs(qd) + 1e-12
-        ahead = drive_torque(self._drive, self._values, q, away, qdd, load=load)
-        behind = drive_torque(self._drive, self._values, q, -away, qdd, load=load)
+        ahead, behind = self._exact_friction(q, away, qdd, load), self._exact_friction(q, -away, qdd, load)
         mixed: Array = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
         return mixed
+
+    def _exact_friction(self, *state: Array) -> Array:
+        """Return the drive torque, of all joints at once where they differ in nothing but values, (N, n)."""
+        if self._differ or self._drive.of_motor.any():
+            return drive_torque(self._drive, self._values, *state[:3], load=state[3], shares=self._model.motor_shares)
+        q, qd, qdd, load = (np.ascontiguousarray(x).reshape(-1) for x in state)
+        columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
+        friction: Array = np.einsum("csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1))
+        return friction
 
 
 class PowerLimit(StateConstraint):
