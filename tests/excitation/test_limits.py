@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues, Joint, JointLimits, Link, RobotModel
 from asbuilt.description.rotation import placement, rotation_x
 from asbuilt.errors import MotionError
@@ -139,3 +140,12 @@ def test_a_robot_too_weak_for_its_weight_is_refused() -> None:
     for generator in (random_fourier, random_point_to_point):
         with pytest.raises(MotionError, match=r"no random motion within the torque limits \(0.5, inf\)"):
             generator(model, 1)
+
+
+def test_jumps_of_acceleration_are_not_taken_for_no_jerk() -> None:
+    panda = load_robot("franka-panda")
+    way = np.array([np.zeros(7), np.full(7, -0.3)])
+    jumping = PointToPointMotion.within(way, velocity=1.0, acceleration=2.0)
+    smooth = QuinticMotion.between(way[0], way[1], 2.0)
+    assert check_motion(panda, jumping).worst["jerk"] is None
+    assert check_motion(panda, smooth).worst["jerk"] is not None

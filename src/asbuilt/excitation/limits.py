@@ -10,7 +10,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drive_torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motion import QUANTITIES, Array, Motion, read_only
+from asbuilt.excitation.motion import JUMPING, QUANTITIES, Array, Motion, read_only
 
 ALLOWED_EXCESS = 1e-9
 """A limit counts as violated when it is exceeded by more than this fraction (rounding)."""
@@ -162,7 +162,8 @@ class LimitReport:
 def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> LimitReport:
     """Compare a motion, sampled at `rate` [Hz] and at its end, with the limits of the robot.
 
-    The torque is that of the rigid bodies and of the drive terms whose values the description gives. A limit that is infinite is not reported.
+    The torque is that of the rigid bodies and of the drive terms whose values the description gives. A limit that is infinite is not reported, nor is the
+    jerk of motions whose acceleration jumps, which a controller rounds off as it likes.
 
     Raises
     ------
@@ -174,7 +175,8 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
     t = motion.sample_times(rate)
     t = t if t[-1] >= motion.duration else np.append(t, motion.duration)
     bounds = MotionBounds.of(model)
-    values = {quantity: motion.derivative(t, order) for order, quantity in enumerate(QUANTITIES)}
+    known = [quantity for quantity in QUANTITIES if quantity != "jerk" or motion.parametrisation not in JUMPING]
+    values = {quantity: motion.derivative(t, order) for order, quantity in enumerate(known)}
     if np.any(np.isfinite(bounds.torque)):
         state = (values["position"], values["velocity"], values["acceleration"])
         rigid = inverse_dynamics(model, *state)

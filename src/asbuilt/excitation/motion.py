@@ -13,6 +13,9 @@ from asbuilt.errors import MotionError
 Array = NDArray[np.float64]
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+
+JUMPING = ("point-to-point",)
+"""Parametrisations whose acceleration jumps."""
 """Names of the time derivatives of a motion; the index is the order."""
 
 TIME_TOLERANCE = 1e-9

@@ -15,7 +15,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.excitation.collision import skeleton_distance
 from asbuilt.excitation.design import Design
 from asbuilt.excitation.limits import LimitReport
-from asbuilt.excitation.motion import Motion
+from asbuilt.excitation.motion import JUMPING, Motion
 from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.precision import DurationTrial, torque_effects
 from asbuilt.excitation.static_poses import StaticDesign
@@ -160,6 +160,8 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
         f"{trial.duration:g} s, {trial.size} {design.size_name} in {trial.periods} {'period' if trial.periods == 1 else 'periods'} would give a precision of {trial.precision:.3g} of the torque"
         for trial in trials
     ]
+    if design.motion.parametrisation in JUMPING:
+        notes.append("the acceleration jumps; how much jerk that becomes is up to the controller")
     if design.assumed:
         notes.append(
             f"the description gives no limit of {', '.join(design.assumed)} for some joints; those of MotionBounds.assumed were kept"

@@ -12,7 +12,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motion import Array, Motion, read_only
+from asbuilt.excitation.motion import JUMPING, Array, Motion, read_only
 from asbuilt.excitation.programs.clearance import Clearance
 from asbuilt.excitation.programs.naming import file_stem
 
@@ -30,9 +30,6 @@ START_TOLERANCE = {True: 0.01, False: 0.002}
 
 REST = 1e-3
 """A motion is at rest at its ends when it moves slower than this part of its top speed there."""
-
-JUMPING = ("point-to-point",)
-"""Parametrisations whose acceleration jumps."""
 
 DRY_RUN_CHECK_RATE = 100.0
 """Rate at which the slow dry run is checked against the limits [Hz]."""
