@@ -54,6 +54,17 @@ def test_a_robot_as_designed_needs_no_cause() -> None:
     assert all(line.endswith("no cause explains it.") for line in found.sentences)
 
 
+def test_too_few_independent_samples_are_said_to_be_too_few() -> None:
+    """The same errors, worth as many samples as nothing can be told from: neither is a cause named nor is any said to be needless."""
+    result = identified(ARM, "pf")
+    found = attribute(replace(result, effective_samples=0.5))
+    assert found.chosen == ()
+    assert all(line.endswith("too little is held out to tell why.") for line in found.sentences)
+    (said,) = found.findings
+    assert "--validate" in said
+    assert CAUSES["friction"] in said
+
+
 def test_sizes_are_those_of_the_causes() -> None:
     said = " ".join(attribute(identified(ARM, "p")).findings)
     assert "carries 1.9" in said

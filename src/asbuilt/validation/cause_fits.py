@@ -32,6 +32,8 @@ NEARLY = 6.0
 """Difference in score, as of a deviance, within which two combinations are about as likely (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995: not strong evidence)."""
 WORTH_TELLING = 0.05
 """Share of the error from which a cause is held against others."""
+MOSTLY_LEFT = 0.5
+"""Share of the error below which a combination of causes has taken most of it away."""
 OWN = 0.5
 """Two causes cannot be told apart where without either one the error grows by less than this part of that cause's share."""
 NOISE_FLOOR = 1e-4
@@ -102,6 +104,7 @@ class CauseFits:
         self.floor = np.maximum(floor, np.finfo(float).tiny)
         self.weights = 1.0 / np.maximum(result.sigma, self.floor)
         self.independent = evidence.n_fitted * min(1.0, result.effective_samples / result.n_samples)
+        self.independent_judged = self.independent * evidence.n_judged / evidence.n_fitted
         stacked = triangular_factor(np.vstack([w * rows for w, rows in zip(self.weights, self.fitted, strict=True)]))
         length = np.linalg.norm(stacked[:, :-1], axis=0)
         self.present = length > 1e-9 * length.max(initial=0.0)
@@ -174,11 +177,12 @@ class CauseFits:
         energy = float(np.sum((self.weights * np.maximum(rms_fitted, self.floor)) ** 2)) * self.independent
         noise = energy / max(n_rows - rank, 1.0) * e.n_fitted / self.independent
         rms = _rms(self.judged, x, e.n_judged)
-        independent_judged = self.independent * e.n_judged / e.n_fitted
         return CauseModel(
             causes=causes,
             rms=rms,
-            score=float(2.0 * independent_judged * np.sum(np.log(np.maximum(rms, self.floor))) + rank + np.sum((self.belief * x) ** 2)),
+            score=float(
+                2.0 * self.independent_judged * np.sum(np.log(np.maximum(rms, self.floor))) + rank + np.sum((self.belief * x) ** 2)
+            ),
             rms_fitted=rms_fitted,
             rank=rank,
             told=told,
@@ -220,6 +224,18 @@ class CauseFits:
         """The combination with the fewest causes among those about as likely as the best."""
         likely = [fit for fit in self.rivals if fit.score <= self.rivals[0].score + NEARLY]
         return min(likely, key=lambda fit: len(fit.causes))
+
+    @cached_property
+    def untold(self) -> CauseModel | None:
+        """The combination that takes most of the error away, more than half, where none is chosen for want of independent samples; None elsewhere."""
+        if self.chosen.causes:
+            return None
+
+        def left(fit: CauseModel) -> float:
+            return float(self.weights**2 @ fit.rms**2)
+
+        best = min(self.rivals, key=left)
+        return best if left(best) < MOSTLY_LEFT * left(self.chosen) else None
 
     @property
     def tells_payload(self) -> bool:

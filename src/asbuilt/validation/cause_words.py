@@ -64,6 +64,13 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
         instead = ", ".join(CAUSES[cause] for cause in CAUSES if cause in rival.causes - fits.chosen.causes) or "nothing"
         replaced = ", ".join(CAUSES[cause] for cause in CAUSES if cause in fits.chosen.causes - rival.causes)
         found.append(f"About as likely, for what this recording tells: {instead} in place of {replaced}.")
+    if fits.untold is not None:
+        listed = ", ".join(CAUSES[cause] for cause in CAUSES if cause in fits.untold.causes)
+        found.append(
+            f"Too little is held out to tell why CAD is off: {listed} together take most of the error away, but {fits.untold.rank} parameters stand against some "
+            f"{significant(fits.independent_judged, 2)} independent samples of each joint. Record longer, or judge by a recording of its own (--validate)."
+        )
+        return tuple(found)
     missing = [CAUSES[cause] for cause in fits.causes if cause not in weighed and not (cause == "payload" and "links" in weighed)]
     if missing:
         found.append(f"Not needed to explain this recording: {', '.join(missing)}.")
@@ -83,6 +90,8 @@ def reason(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) ->
         sorted((cause for cause, share in shares.items() if sign * share[k] >= WORTH_SAYING), key=lambda cause: -abs(shares[cause][k]))
         for sign in (1, -1)
     )
+    if fits.untold is not None:
+        return "too little is held out to tell why"
     if not with_it or left > MOSTLY:
         return f"no cause explains {'it' if left > 1.0 - WORTH_SAYING else 'most of it'}"
     parts = [f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in with_it]
