@@ -14,6 +14,7 @@ from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm, Shape
 from asbuilt.errors import UsageError
 from asbuilt.identification.drive_candidates import CandidateColumns, Choice, Folds, Placed, candidates, chosen_drive
 from asbuilt.identification.drive_shapes import fit_shapes, thinned
@@ -269,8 +270,17 @@ def _concluded(
         f"drive terms {_named(chosen)} chosen beside {_named(start)}; each lowers its joint's torque error on held-out blocks: {added}; the choice made anew "
         f"without the blocks that judge it, all joints: {gain}"
     ]
-    shaped = ",".join(str(term) for term in chosen.terms if term.shapes)
-    return DriveChoice(chosen, (*sentences, *((f"fitted shapes: {shaped}",) if shaped else ()), *objections), (), gain, tuple(additions))
+    shaped = [
+        f"{shape.name} of {term.key} {', '.join(_shape_at(term, shape, k, names) for k in range(len(names)) if term.is_at(k))}"
+        for term in chosen.terms
+        for shape in term.shapes
+    ]
+    sentences += [f"fitted shapes: {'; '.join(shaped)}"] if shaped else []
+    return DriveChoice(chosen, (*sentences, *objections), (), gain, tuple(additions))
+
+
+def _shape_at(term: DriveTerm, shape: Shape, joint: int, names: Sequence[str]) -> str:
+    return f"{names[joint]} {term.at(joint).value(shape.name):.3g}{f' {shape.unit}' if shape.unit else ''}"
 
 
 def _refined(

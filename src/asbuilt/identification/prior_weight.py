@@ -66,13 +66,13 @@ def choose_weight(
     excess = errors - errors[best]
     standard_error = excess.std(axis=1, ddof=1) / np.sqrt(n_groups)
     chosen = int(np.flatnonzero(excess.mean(axis=1) <= standard_error)[0])
-    tried = f"{len(weights)}, by {n_groups} groups of time blocks held out in turn"
+    judged = f"on {n_groups} groups of time blocks held out in turn"
     if chosen == best:
-        why = f"the best of {tried}, with an error of {means[best]:.3g}"
+        why = f"the best of {len(weights)} {judged}, with an error of {means[best]:.3g}"
     else:
         why = (
-            f"the strongest of {tried}, whose error, {means[chosen]:.3g}, lies within one standard error ({standard_error[chosen]:.2g}) of the least, "
-            f"{means[best]:.3g} at {weights[best]:g}"
+            f"the strongest of {len(weights)} whose error {judged}, {means[chosen]:.3g}, lies within one standard error ({standard_error[chosen]:.2g}) of the "
+            f"least, {means[best]:.3g} at {weights[best]:g}"
         )
     return WeightChoice(weights[chosen], weights, errors, f"weight of CAD {weights[chosen]:g}: {why}")
 
