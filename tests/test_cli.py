@@ -120,6 +120,8 @@ def test_identify_writes_everything_and_validates(
     assert "Why CAD is off" in out
     same = document(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"])
     assert same["n_changed"] == 0
+    drifted = document(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"], "--out", log.parent / "drifted")
+    assert {Path(path).name for path in drifted["files"].values()} == {"drift.csv", "drift.txt", "drift.html"}
     assert call(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"], "--cad", "scara")[0] == 2
     assert call(capsys, "compare", found["files"]["result"], "--cad-tolerance", "much")[0] == 2
     written = document(capsys, "compare", found["files"]["result"], "--cad-tolerance", "5%", "--out", log.parent / "compared")

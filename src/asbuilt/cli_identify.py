@@ -180,7 +180,7 @@ def compare(
     if controller is not None:
         recording = reading.read(identified.model, [controller])[0]
         beside = compare_with_controller(identified, recording, holdout=holdout)
-        files = write_drift(out, beside.difference, beside.as_text()) if out is not None else {}
+        files = write_drift(out, beside) if out is not None else {}
         answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
         return
     design = None if cad is None else described_robot(cad)

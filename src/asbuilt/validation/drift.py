@@ -104,8 +104,8 @@ class Drift:
     def _changed(self) -> str:
         return "differ" if self.of_models else "changed"
 
-    def table(self) -> Table:
-        """Return the parameters of both, what changed most in torque first."""
+    def table(self, *, changed: bool | None = None) -> Table:
+        """Return the parameters of both, what changed most in torque first: all, or only those that `changed` beyond doubt or did not."""
         heads = (
             Column("id", align="right"),
             Column("parameter", width=28),
@@ -121,6 +121,8 @@ class Drift:
         rows: list[tuple[Cell, ...]] = []
         beyond_doubt = "DIFFERS" if self.of_models else "CHANGED"
         for each in self.ranked:
+            if changed is not None and each.changed is not changed:
+                continue
             error = float(np.hypot(each.before_error, each.after_error))
             outcome = (
                 beyond_doubt
@@ -151,7 +153,12 @@ class Drift:
             f"std err: of the difference, both errors together; torque: RMS over all joints that the {change} makes on the motion the {judged} result was judged by; joint: the one that "
             f"notices most. A {change} matters where it is beyond doubt and its own part is noticed; shared: those named could make up for the rest, and this recording hardly tells them apart."
         )
-        return Table(heads, tuple(rows), title="Base parameters", notes=(note,))
+        title = {
+            None: "Base parameters",
+            True: f"Parameters that {self._changed} beyond doubt",
+            False: "Parameters within errors, or not tested",
+        }
+        return Table(heads, tuple(rows), title=title[changed], notes=(note,))
 
     def as_text(self) -> str:
         """Return verdict, sentences and table for a terminal."""
@@ -257,7 +264,11 @@ def compare_results(
         parameters=changes,
         chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
         level=level,
-        sentences=(*torque_sentence(joints, level, of_models=of_models), *_dropping(dropped), *_friction(after, changes, of_models)),
+        sentences=(
+            *torque_sentence(joints, level, of_models=of_models),
+            *_dropping(dropped),
+            *_friction(after, changes, said if of_models else None),
+        ),
         joints=joints,
         of_models=of_models,
     )
@@ -273,11 +284,11 @@ def _dropping(dropped: NDArray[np.bool_]) -> tuple[str, ...]:
     )
 
 
-def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...], of_models: bool) -> tuple[str, ...]:
-    """Say of every joint how its drive terms changed."""
+def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...], models: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Say of every joint how its drive terms changed, or in which of two named models they are what."""
     by_name = {change.name: change for change in changes}
     words = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
-    found, link = [], "against" if of_models else "to"
+    found = []
     for k, joint in enumerate(result.joint_names):
         parts = []
         for letter, what in words.items():
@@ -287,12 +298,16 @@ def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]
             growth = change.after / change.before - 1 if change.before > 3 * change.before_error else np.inf
             relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= TELLING_GROWTH else ""
             traded = f", some of which {' and '.join(change.shared_with)} could make up for" if change.shared_with else ""
-            parts.append(
-                f"{what} {_shown(change.before, change.before_error)} {link} {_shown(change.after, change.after_error)} {change.unit}{relative}{traded}"
+            before, after = _shown(change.before, change.before_error), _shown(change.after, change.after_error)
+            values = (
+                f"{before} to {after} {change.unit}"
+                if models is None
+                else f"{before} ({models[0]}) against {after} {change.unit} ({models[1]})"
             )
+            parts.append(f"{what} {values}{relative}{traded}")
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
-    return tuple(found) or (f"No drive term {'differs' if of_models else 'changed'} beyond doubt.",)
+    return tuple(found) or (f"No drive term {'differs' if models else 'changed'} beyond doubt.",)
 
 
 def _shown(value: float, error: float) -> str:

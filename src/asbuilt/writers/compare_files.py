@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 from asbuilt.identification.determination import Determination
 from asbuilt.validation.attribution import Attribution
 from asbuilt.validation.comparison import Comparison
+from asbuilt.validation.controller_model import ControllerComparison
 from asbuilt.validation.drift import Drift
 from asbuilt.writers.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.compare_report import comparison_html
+from asbuilt.writers.drift_report import drift_html
 from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.files import atomic_write
 
@@ -63,11 +65,13 @@ def write_comparison(folder: Path, result: IdentificationResult, verdict: CadVer
     return files
 
 
-def write_drift(folder: Path, drift: Drift, text: str | None = None) -> dict[str, Path]:
-    """Write drift.csv and drift.txt, `text` where that says more; returns their paths by kind."""
+def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[str, Path]:
+    """Write drift.csv, drift.txt and drift.html of two results, or of a result and the controller's model; returns their paths by kind."""
+    drift = compared if isinstance(compared, Drift) else compared.difference
     return {
         "comparison": atomic_write(folder / "drift.csv", drift.table().as_csv()),
-        "text": atomic_write(folder / "drift.txt", text or drift.as_text()),
+        "text": atomic_write(folder / "drift.txt", compared.as_text()),
+        "report": atomic_write(folder / "drift.html", drift_html(compared)),
     }
 
 
