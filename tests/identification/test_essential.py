@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,13 +131,22 @@ def test_compare_neither_tests_nor_counts_them(essential: IdentificationResult) 
 
 
 def test_a_parameter_dropped_on_one_side_is_no_change(results: tuple[IdentificationResult, IdentificationResult]) -> None:
-    for pair in (results, results[::-1]):
+    stored = replace(results[0], free=None), results[1]
+    for pair in (stored, stored[::-1]):
         drift = compare_results(*pair)
         assert {change.name for change in drift.parameters if change.dropped} == {p.name for p in results[0].parameters if p.dropped}
         assert not any(change.changed for change in drift.parameters if change.dropped)
         assert drift.chi_square.degrees == results[0].n_base - results[0].dropped.sum()
         assert f"{results[0].dropped.sum()} parameters were dropped as needless in one result or both" in drift.as_text()
         json.loads(json_text(drift.as_document()))
+
+
+def test_two_methods_on_one_recording_are_no_change_at_all(results: tuple[IdentificationResult, IdentificationResult]) -> None:
+    drift = compare_results(*results)
+    assert not any(change.dropped for change in drift.parameters)
+    np.testing.assert_allclose([change.after for change in drift.parameters], results[1].estimates, rtol=1e-12)
+    assert drift.chi_square.degrees == results[0].n_base
+    assert drift.chi_square.statistic < 1e-9
 
 
 def test_a_payload_is_weighed_with_them_at_zero(results: tuple[IdentificationResult, IdentificationResult]) -> None:

@@ -18,6 +18,7 @@ from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
 from asbuilt.identification.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
 from asbuilt.identification.evidence import Evidence, Unexcited
+from asbuilt.identification.free_values import free_values
 from asbuilt.identification.least_squares import Estimate
 from asbuilt.identification.methods import find_method
 from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
@@ -213,6 +214,7 @@ def conclude(
         provenance=provenance,
         notes=estimate.notes,
         errors=uncertainty.basis,
+        free=None if estimate.method == "wls" else free_values(information, design),
     )
 
 

@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.identification.cause_evidence import CauseEvidence
 from asbuilt.identification.error_basis import ErrorBasis
+from asbuilt.identification.free_values import FreeValues
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.summary import Summary, summarise
 from asbuilt.identification.torque_prediction import Prediction, predict_torque
@@ -98,6 +99,7 @@ class IdentificationResult:
     | `warnings`, `provenance` | what to know, and how the samples were made |
     | `notes` | what the estimator decided, in sentences |
     | `evidence` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |
+    | `free` | the parameters by weighted least squares alone, by which two results are compared; None where `method` is that, or in files of earlier versions |
     """
 
     model: RobotModel
@@ -127,6 +129,7 @@ class IdentificationResult:
     notes: tuple[str, ...] = ()
     evidence: CauseEvidence | None = None
     errors: ErrorBasis = field(default_factory=ErrorBasis)
+    free: FreeValues | None = None
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
@@ -139,6 +142,8 @@ class IdentificationResult:
             object.__setattr__(self, name, values)
         if len(self.parameters) != p:
             raise ResultError(f"a result for {p} base parameters needs as many parameters, got {len(self.parameters)}")
+        if self.free is not None and len(self.free.estimates) != p:
+            raise ResultError(f"a result for {p} base parameters needs as many free values, got {len(self.free.estimates)}")
 
     @property
     def robot(self) -> str:
@@ -233,6 +238,7 @@ class IdentificationResult:
         whole = {"format": FORMAT, "version": FORMAT_VERSION} | self.as_dict()
         whole |= {name: getattr(self, name).tolist() for name in ("singular_values", "covariance", "textbook_covariance")}
         whole |= {"evidence": None if self.evidence is None else self.evidence.as_dict()}
+        whole |= {"free": None if self.free is None else self.free.as_dict()}
         return json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1) + "\n"
 
     @classmethod
@@ -284,6 +290,7 @@ class IdentificationResult:
                 notes=tuple(whole.get("notes", ())),
                 evidence=None if whole.get("evidence") is None else CauseEvidence.from_dict(whole["evidence"]),
                 errors=ErrorBasis.from_dict(whole.get("errors") or {}),
+                free=None if whole.get("free") is None else FreeValues.from_dict(whole["free"]),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as problem:
             if isinstance(problem, ResultError):

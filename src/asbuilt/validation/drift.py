@@ -14,6 +14,7 @@ from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, rounde
 from asbuilt.tables import share as percentage
 from asbuilt.validation.compared_parameter import matters_text
 from asbuilt.validation.comparison import FALSE_DISCOVERY_RATE, recording_name
+from asbuilt.validation.equal_terms import ComparedValues, on_equal_terms
 from asbuilt.validation.parameter_words import in_words
 from asbuilt.validation.prediction import design_values, torque_units
 from asbuilt.validation.significance import (
@@ -196,7 +197,9 @@ def compare_results(
 ) -> Drift:
     """Compare two results of one robot parameter by parameter, each with its own covariance, taken as independent.
 
-    `of_models` words it as of two models of one robot instead of two dates. Drive terms that only one of them has are left out. Raises ResultError where the robots differ in joints or geometry.
+    Two dates are compared on equal terms, by the `free` values of both, whatever estimators the results are by: bounds and pulls shift values by what no covariance counts,
+    the same way in both or not. `of_models` takes the values as they were identified, and words it as of two models of one robot. Drive terms that only one of them has
+    are left out. Raises ResultError where the robots differ in joints or geometry.
     """
     design_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
@@ -207,11 +210,12 @@ def compare_results(
                 f"{before.base.names[i]} stands for {before.base.expressions[i]} in one result and for {after.base.expressions[j]} in the other; "
                 "identify both with the same drive terms"
             )
-    difference = after.estimates[two] - before.estimates[one]
-    covariance = before.covariance[np.ix_(one, one)] + after.covariance[np.ix_(two, two)]
+    first, second, terms = (ComparedValues.own(before), ComparedValues.own(after), ()) if of_models else on_equal_terms(before, after)
+    difference = second.estimates[two] - first.estimates[one]
+    covariance = first.covariance[np.ix_(one, one)] + second.covariance[np.ix_(two, two)]
     error = np.sqrt(np.diag(covariance))
-    dropped = before.dropped[one] | after.dropped[two]
-    determined = np.array([before.parameters[i].determined and after.parameters[j].determined for i, j in zip(one, two, strict=True)])
+    dropped = first.dropped[one] | second.dropped[two]
+    determined = first.determined[one] & second.determined[two]
     tested = determined & ~dropped & (error > 0)
     sigmas = difference[tested] / error[tested]
     p_values = two_sided_probability(sigmas)
@@ -236,10 +240,10 @@ def compare_results(
             name=name,
             expression=after.base.expressions[j],
             unit=after.base.units[j],
-            before=float(before.estimates[i]),
-            before_error=float(before.std_errors[i]),
-            after=float(after.estimates[j]),
-            after_error=float(after.std_errors[j]),
+            before=float(first.estimates[i]),
+            before_error=float(first.std_errors[i]),
+            after=float(second.estimates[j]),
+            after_error=float(second.std_errors[j]),
             sigmas=_number(tests[0, place]),
             p_value=_number(tests[1, place]),
             false_discovery=_number(tests[2, place]),
@@ -266,6 +270,7 @@ def compare_results(
         level=level,
         sentences=(
             *torque_sentence(joints, level, of_models=of_models),
+            *terms,
             *_dropping(dropped),
             *_friction(after, changes, said if of_models else None),
         ),
