@@ -46,7 +46,7 @@ def check(
     from asbuilt.writers.tabular import check_document
 
     model = described_robot(robot)
-    recordings = reading.read(model, log)
+    recordings = reading.open(model, log)
     checks = [check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None

@@ -14,9 +14,10 @@ from asbuilt.excitation.attained import InformationEfficiency, information_effic
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array
 from asbuilt.experiment.finding import joined
+from asbuilt.experiment.long_recordings import RecordingStream, head_of, prepare_logged
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
-from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal_chain import SignalChain
 
 TOO_LITTLE = 1e-3
 """Share of the attainable information on its worst told parameter below which a joint is said to have moved too little."""
@@ -104,13 +105,13 @@ class Attainment:
         return f"Least told, by standard error against the best motion of the same length: {joined(said)}."
 
 
-def recorded_information(model: RobotModel, recording: Recording) -> Attainment:
+def recorded_information(model: RobotModel, recording: Recording | RecordingStream) -> Attainment:
     """Compare the states of a recording, after the default signal chain, with the best that the robot's limits admit.
 
     The drive terms are those that the torque source calls for. Raises RecordingError where the recording is too short for the filters.
     """
-    drive = DriveSet.default(recording.torque_source)
-    samples = prepare_samples(recording, SignalChain())
+    drive = DriveSet.default(head_of(recording).torque_source)
+    samples = prepare_logged(recording, SignalChain())
     travel, top_speed = _use_of_limits(model, samples)
     return Attainment(model.joint_names, drive, information_efficiency(model, drive, samples), travel, top_speed, limited_model(model)[1])
 

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.clock_checks import believable, clock_findings
+from asbuilt.experiment.clock_checks import clock_findings
+from asbuilt.experiment.closer_look import look_closer
 from asbuilt.experiment.excitation_checks import excitation_findings
 from asbuilt.experiment.finding import Finding
+from asbuilt.experiment.long_recordings import RecordingStream
 from asbuilt.experiment.motion_checks import DEGREE, in_degrees, motion_findings
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.smoothed_motion import smoothed_motion
+from asbuilt.experiment.smoothed_motion import EvenPieces, smoothed_motion
+from asbuilt.experiment.survey import Survey, survey
 from asbuilt.experiment.torque_checks import torque_findings
 
 _ORDER = {"error": 0, "warning": 1, "info": 2}
@@ -72,45 +75,42 @@ class RecordingCheck:
             raise RecordingError("\n".join(f"{self.source}: {finding.message}. {finding.cure}." for finding in self.errors))
 
 
-def check_recording(model: RobotModel, recording: Recording) -> RecordingCheck:
+def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:
     """Look for everything that would spoil an identification of `model` from `recording`, and say it with place, value and cure.
 
     Checked are the clock, missing values, units, signs, the order of joints, limits, saturation, filtering and excitation; where the clock is wrong,
-    the clock and missing values alone.
+    the clock and missing values alone. A stream is gone through twice; besides its times only a dozen pieces of it are held.
 
     Raises
     ------
     RecordingError
         If the recording's joints are not those of the model.
     """
-    if recording.n_joints != model.n_joints:
-        raise RecordingError(
-            f"{recording.source} has {recording.n_joints} joints ({', '.join(recording.joint_names)}) but {model.name} has {model.n_joints} "
-            f"({', '.join(model.joint_names)}); choose the right robot, or read the recording with model = ..."
-        )
-    if recording.joint_names != model.joint_names and set(recording.joint_names) == set(model.joint_names):
-        recording = recording.reordered(model.joint_names)
-    findings = list(clock_findings(recording))
+    stretches = recording if isinstance(recording, RecordingStream) else (recording,)
+    known = survey(model, stretches)
+    findings = list(clock_findings(known))
     if not any(finding.severity == "error" and finding.code.startswith("clock") for finding in findings):
-        findings += _findings_in_time(model, believable(recording))
-    findings += (Finding("note", "info", note.removesuffix(".")) for note in recording.notes)
+        findings += _findings_in_time(model, stretches, known)
+    findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
         robot=model.name,
         source=recording.source,
-        n_samples=recording.n_samples,
-        n_joints=recording.n_joints,
-        rate=recording.rate,
-        duration=recording.duration,
+        n_samples=known.n_samples,
+        n_joints=known.n_joints,
+        rate=known.rate,
+        duration=known.duration,
         findings=tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity])),
     )
 
 
-def _findings_in_time(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def _findings_in_time(model: RobotModel, stretches: Iterable[Recording], known: Survey) -> Iterator[Finding]:
     """Look at motion, torque and excitation, which means nothing before the clock is right."""
-    motion = smoothed_motion(recording)
-    degrees = in_degrees(model, recording, motion) is not None
+    pieces = EvenPieces.of(known.t, known.usable)
+    closer = look_closer(model, stretches, known, () if pieces is None else pieces.rows)
+    motion = None if pieces is None else smoothed_motion(pieces, closer.pieces)
+    degrees = in_degrees(model, known, motion) is not None
     revolute = np.array([joint.is_revolute for joint in model.joints])
-    yield from motion_findings(model, recording, motion)
-    yield from torque_findings(model, recording, motion, np.where(revolute & degrees, DEGREE, 1.0))
+    yield from motion_findings(model, known, motion)
+    yield from torque_findings(model, known, closer, motion, np.where(revolute & degrees, DEGREE, 1.0))
     if not degrees:
-        yield from excitation_findings(model, recording, motion)
+        yield from excitation_findings(model, known, motion)

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asbuilt.experiment.finding import Finding, joined
-from asbuilt.experiment.recording import Array, Recording
 from asbuilt.experiment.smoothed_motion import GAP_STEPS
+from asbuilt.experiment.survey import Missing, Survey
 
-CREDIBLE = {"position": 1e6, "velocity": 1e6, "acceleration": 1e9, "torque": 1e9}
-"""Largest value that any robot could log, in any unit of the quantity."""
 _IRREGULAR = 0.05
 _SHORT_RUN = 20
 _STALE = 0.2
@@ -21,7 +17,7 @@ _SLOWEST, _FASTEST = 5.0, 1e5
 _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
-def clock_findings(recording: Recording) -> Iterator[Finding]:
+def clock_findings(recording: Survey) -> Iterator[Finding]:
     """Look for values that are no numbers or absurd, a clock in the wrong unit, times that repeat, run back or jump, an uneven clock, and samples that repeat the last one."""
     yield from _not_finite(recording)
     t = recording.t
@@ -74,39 +70,7 @@ def clock_findings(recording: Recording) -> Iterator[Finding]:
     yield from _stale(recording)
 
 
-def fresh_samples(recording: Recording) -> NDArray[np.bool_]:
-    """Return which samples differ from the one before in position or torque."""
-    changed = np.any(np.diff(recording.q, axis=0) != 0, axis=1) | np.any(np.diff(recording.tau, axis=0) != 0, axis=1)
-    return np.concatenate([[True], changed])
-
-
-def believable(recording: Recording) -> Recording:
-    """Return the recording with NaN in place of values that no robot could log, so that no other check stumbles over them."""
-
-    def cleaned(what: str, values: Array) -> Array:
-        return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
-
-    if not any(np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what] for what, values in _quantities(recording)):
-        return recording
-    return replace(
-        recording,
-        q=cleaned("position", recording.q),
-        tau=cleaned("torque", recording.tau),
-        qd=None if recording.qd is None else cleaned("velocity", recording.qd),
-        qdd=None if recording.qdd is None else cleaned("acceleration", recording.qdd),
-    )
-
-
-def _quantities(recording: Recording) -> Iterator[tuple[str, Array]]:
-    yield "position", recording.q
-    yield "torque", recording.tau
-    if recording.qd is not None:
-        yield "velocity", recording.qd
-    if recording.qdd is not None:
-        yield "acceleration", recording.qdd
-
-
-def _not_finite(recording: Recording) -> Iterator[Finding]:
+def _not_finite(recording: Survey) -> Iterator[Finding]:
     """Find values that are missing, infinite or absurd; columns that lack the same rows are told of together."""
     bad_times = np.flatnonzero(~np.isfinite(recording.t))
     if bad_times.size:
@@ -116,20 +80,15 @@ def _not_finite(recording: Recording) -> Iterator[Finding]:
             f"{bad_times.size} of {recording.n_samples} time stamps are no numbers, first at sample {bad_times[0] + 1}",
             "Repair or remove these rows",
         )
-    alike: dict[bytes, list[tuple[str, int]]] = {}
-    for what, values in _quantities(recording):
-        bad = ~(np.abs(values) <= CREDIBLE[what])
-        for k in np.flatnonzero(bad.any(axis=0)).tolist():
-            alike.setdefault(bad[:, k].tobytes(), []).append((what, k))
-    quantities = dict(_quantities(recording))
-    for mask, columns in alike.items():
-        rows = np.flatnonzero(np.frombuffer(mask, dtype=np.bool_))
-        what, k = columns[0]
-        value = float(quantities[what][rows[0], k])
+    alike: dict[bytes, list[Missing]] = {}
+    for column in recording.missing:
+        alike.setdefault(column.rows.tobytes(), []).append(column)
+    for columns in alike.values():
+        rows, value = columns[0].rows, columns[0].first
         kind = "missing (NaN)" if np.isnan(value) else "infinite" if np.isinf(value) else f"{value:.3g}, which no robot logs,"
         told = [
-            f"the {what} of {joined([recording.joint_names[k] for quantity, k in columns if quantity == what])}"
-            for what in dict.fromkeys(quantity for quantity, _ in columns)
+            f"the {what} of {joined([recording.joint_names[column.joint] for column in columns if column.quantity == what])}"
+            for what in dict.fromkeys(column.quantity for column in columns)
         ]
         yield Finding(
             "not-finite",
@@ -137,7 +96,7 @@ def _not_finite(recording: Recording) -> Iterator[Finding]:
             f"{rows.size} of {recording.n_samples} values of {' and '.join(told)} are no usable numbers, the first {kind} at sample {rows[0] + 1}, "
             f"t = {recording.t[rows[0]]:.6g} s",
             "Repair or remove these rows, or leave them out with time windows in a recording sheet",
-            joint=recording.joint_names[k],
+            joint=recording.joint_names[columns[0].joint],
             time=float(recording.t[rows[0]]),
         )
 
@@ -161,8 +120,8 @@ def _wrong_unit(step: float) -> Iterator[Finding]:
         )
 
 
-def _stale(recording: Recording) -> Iterator[Finding]:
-    fresh = np.flatnonzero(fresh_samples(recording))
+def _stale(recording: Survey) -> Iterator[Finding]:
+    fresh = np.flatnonzero(recording.fresh)
     if fresh.size < 3:
         return
     runs = np.diff(np.append(fresh, recording.n_samples))

@@ -11,15 +11,15 @@ from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.finding import Finding, joined
-from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.survey import Survey
 
 _WEAK_CONDITION = 100.0
 _RANK_TOLERANCE = 1e-7
 _MOST_SAMPLES = 800
 
 
-def excitation_findings(model: RobotModel, recording: Recording, motion: SmoothedMotion | None) -> Iterator[Finding]:
+def excitation_findings(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> Iterator[Finding]:
     """Compare samples with parameters, and look at the scaled condition number of the observation matrix on this motion.
 
     Base parameters with viscous, Coulomb and offset terms; columns are scaled to unit length before their singular values are taken.

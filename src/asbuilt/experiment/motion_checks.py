@@ -8,27 +8,26 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.clock_checks import fresh_samples
 from asbuilt.experiment.finding import Finding, joined
-from asbuilt.experiment.recording import Array, Recording
+from asbuilt.experiment.recording import Array
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.survey import Survey
 
 DEGREE = np.pi / 180
 _STILL_ANGLE = 0.05
 _STILL_LENGTH = 0.005
 _ALIKE = 0.995
-_LIMIT_MARGIN = 0.01
 _LAG = 0.3
 _END = 0.4
 
 
-def in_degrees(model: RobotModel, recording: Recording, motion: SmoothedMotion | None) -> str | None:
+def in_degrees(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> str | None:
     """Return why the positions must be degrees: as radians they leave the limits or exceed the speeds, as degrees they do not."""
     turning = np.array([joint.is_revolute for joint in model.joints])
     if not turning.any():
         return None
-    q = recording.q[:, turning]
-    reach = np.nanmax(np.abs(np.where(np.isfinite(q), q, np.nan)), axis=0)
+    furthest = np.where(recording.reach.count > 0, np.maximum(np.abs(recording.reach.low), np.abs(recording.reach.high)), np.nan)
+    reach = furthest[turning]
     bounds = np.array([max(abs(j.limits.lower), abs(j.limits.upper)) for j in model.joints])[turning]
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
     over = reach / bounds
@@ -47,7 +46,7 @@ def in_degrees(model: RobotModel, recording: Recording, motion: SmoothedMotion |
     return None
 
 
-def motion_findings(model: RobotModel, recording: Recording, motion: SmoothedMotion | None) -> Iterator[Finding]:
+def motion_findings(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> Iterator[Finding]:
     """Look for degrees, positions outside limits, joints that stand or move alike, and velocities that are not the derivative of the positions."""
     degrees = in_degrees(model, recording, motion)
     if degrees is not None:
@@ -65,34 +64,29 @@ def motion_findings(model: RobotModel, recording: Recording, motion: SmoothedMot
         yield from _velocities(recording, motion, motion.logged_qd)
 
 
-def _limits(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def _limits(model: RobotModel, recording: Survey) -> Iterator[Finding]:
+    beyond = recording.beyond
     for k, joint in enumerate(model.joints):
-        if joint.kind == "continuous":
-            continue
-        q = recording.q[:, k]
-        beyond = np.maximum(joint.limits.lower - q, q - joint.limits.upper)
-        beyond = np.where(np.isfinite(beyond), beyond, -np.inf)
-        worst = int(np.argmax(beyond))
-        if beyond[worst] <= _LIMIT_MARGIN:
+        count, value, worst = int(beyond.count[k]), float(beyond.value[k]), int(beyond.row[k])
+        if not count:
             continue
         unit = "rad" if joint.is_revolute else "m"
-        count = int(np.sum(beyond > _LIMIT_MARGIN))
         yield Finding(
             "position-limit",
             "warning",
-            f"{joint.name} is outside its limits [{joint.limits.lower:.4g}, {joint.limits.upper:.4g}] {unit} in {count} of {q.size} samples, "
-            f"furthest {q[worst]:.4g} {unit} at {recording.t[worst]:.4g} s",
+            f"{joint.name} is outside its limits [{joint.limits.lower:.4g}, {joint.limits.upper:.4g}] {unit} in {count} of {recording.n_samples} samples, "
+            f"furthest {value:.4g} {unit} at {recording.t[worst]:.4g} s",
             "Check the units and the joint's zero position in the log against the model",
             joint=joint.name,
             time=float(recording.t[worst]),
         )
 
 
-def _still(model: RobotModel, recording: Recording, scale: float) -> Iterator[Finding]:
+def _still(model: RobotModel, recording: Survey, scale: float) -> Iterator[Finding]:
     standing: list[tuple[str, float, str]] = []
     for k, joint in enumerate(model.joints):
-        q = recording.q[np.isfinite(recording.q[:, k]), k] * (scale if joint.is_revolute else 1.0)
-        reach = float(np.ptp(q)) if q.size else 0.0
+        factor = scale if joint.is_revolute else 1.0
+        reach = float(recording.reach.high[k] * factor - recording.reach.low[k] * factor) if recording.reach.count[k] else 0.0
         if reach < (_STILL_ANGLE if joint.is_revolute else _STILL_LENGTH):
             standing.append((joint.name, reach, "rad" if joint.is_revolute else "m"))
     if len(standing) == model.n_joints:
@@ -114,13 +108,12 @@ def _still(model: RobotModel, recording: Recording, scale: float) -> Iterator[Fi
         )
 
 
-def _alike(recording: Recording) -> Iterator[Finding]:
+def _alike(recording: Survey) -> Iterator[Finding]:
     n = recording.n_joints
-    finite = np.all(np.isfinite(recording.q), axis=1)
-    moving = [k for k in range(n) if finite.any() and np.ptp(recording.q[finite, k]) > 0]
+    moving = recording.likeness.moving
     if len(moving) < 3:
         return
-    likeness = np.abs(np.corrcoef(recording.q[finite][:, moving].T))
+    likeness = np.abs(recording.likeness.correlations(moving))
     group = max((np.flatnonzero(row > _ALIKE) for row in likeness), key=len)
     if len(group) < 3:
         return
@@ -135,7 +128,7 @@ def _alike(recording: Recording) -> Iterator[Finding]:
     )
 
 
-def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> Iterator[Finding]:
+def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Iterator[Finding]:
     names = recording.joint_names
     slope = motion.qd
     energy = np.sum(slope**2, axis=0)
@@ -193,12 +186,12 @@ def _velocities(recording: Recording, motion: SmoothedMotion, logged: Array) -> 
     yield from _ends(recording, motion, logged, [int(k) for k in moving])
 
 
-def _lag(recording: Recording, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
+def _lag(recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
     """Find the shift that matches logged velocities best with the derivative of the positions, to a fraction of a sample by a parabola."""
     lags = np.array([_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
     if not np.all(np.isfinite(lags)):
         return
-    fresh = float(np.mean(fresh_samples(recording)))
+    fresh = float(np.mean(recording.fresh))
     step = 1.0 / (recording.rate * fresh)
     middle = float(np.median(lags))
     if abs(middle) > _LAG * step:
@@ -228,7 +221,7 @@ def _best_shift(late: Array, early: Array) -> float:
     return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
 
 
-def _ends(recording: Recording, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
+def _ends(recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
     """Find ends where velocity and position part, as the transient of a filter makes them."""
     width = int(_END * motion.rate)
     if width < 1 or motion.n_samples < 10 * width:

@@ -101,14 +101,12 @@ class Recording:
     @property
     def rate(self) -> float:
         """Sampling rate [Hz]: the inverse of the median positive time step; NaN where there is none."""
-        steps = np.diff(self.t)
-        steps = steps[np.isfinite(steps) & (steps > 0)]
-        return float(1.0 / np.median(steps)) if steps.size else float("nan")
+        return median_rate(self.t)
 
     @property
     def duration(self) -> float:
         """Time from the earliest to the latest sample [s]."""
-        return float(np.nanmax(self.t) - np.nanmin(self.t)) if np.any(np.isfinite(self.t)) else float("nan")
+        return time_span(self.t)
 
     def flipped(self) -> Recording:
         """Return the recording with the opposite torque sign (also of extra torques), for controllers that log the load's torque."""
@@ -163,6 +161,18 @@ class Recording:
             qdd=None if self.qdd is None else self.qdd[keep],
             extra={name: value[keep] for name, value in self.extra.items()},
         )
+
+
+def median_rate(t: Array) -> float:
+    """Return the sampling rate [Hz] of times (N,) [s]: the inverse of the median positive step; NaN where there is none."""
+    steps = np.diff(t)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(1.0 / np.median(steps)) if steps.size else float("nan")
+
+
+def time_span(t: Array) -> float:
+    """Return the time from the earliest to the latest of times (N,) [s]."""
+    return float(np.nanmax(t) - np.nanmin(t)) if np.any(np.isfinite(t)) else float("nan")
 
 
 def _read_only(value: ArrayLike, name: str, source: str) -> Array:

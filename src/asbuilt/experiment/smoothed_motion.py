@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,39 +46,51 @@ class SmoothedMotion:
         return np.arange(0, self.n_samples, step, dtype=np.int64)
 
 
-def smoothed_motion(recording: Recording) -> SmoothedMotion | None:
-    """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964), between gaps and without bad samples.
+@dataclass(frozen=True, eq=False)
+class EvenPieces:
+    """The pieces of a recording to be smoothed: the rows of each, the usual step of the clock [s] and the width of the smoothing in samples."""
 
-    Long recordings are sampled by a dozen stretches. None where no stretch is long enough.
-    """
-    columns = [recording.q, recording.tau] + ([recording.qd] if recording.qd is not None else [])
-    good = np.isfinite(recording.t) & np.all([np.all(np.isfinite(values), axis=1) for values in columns], axis=0)
-    t, first = np.unique(recording.t[good], return_index=True)
-    if t.size < 20:
-        return None
-    step = float(np.median(np.diff(t)))
-    window = max(5, int(_WINDOW / step) | 1)
-    rows = np.flatnonzero(good)[first]
-    breaks = np.flatnonzero(np.diff(t) > GAP_STEPS * step) + 1
-    bounds = [(a, b) for a, b in zip([0, *breaks], [*breaks, t.size], strict=True) if b - a > 2 * window]
-    pieces = [(a, min(a + _STRETCH_SAMPLES, b)) for start, b in bounds for a in range(start, b, _STRETCH_SAMPLES)]
-    pieces = [(a, b) for a, b in pieces if b - a > 2 * window]
-    if not pieces:
-        return None
-    if len(pieces) > _MOST_STRETCHES:
-        pieces = [pieces[k] for k in np.linspace(0, len(pieces) - 1, _MOST_STRETCHES).astype(int)]
+    rows: tuple[NDArray[np.int64], ...]
+    step: float
+    window: int
+
+    @classmethod
+    def of(cls, t: Array, usable: NDArray[np.bool_]) -> EvenPieces | None:
+        """Choose pieces between gaps and without bad samples, of long recordings a dozen; None where no stretch is long enough."""
+        rows = np.flatnonzero(usable)
+        t = t[rows]
+        if not np.all(np.diff(t) > 0):
+            t, first = np.unique(t, return_index=True)
+            rows = rows[first]
+        if t.size < 20:
+            return None
+        steps = np.diff(t)
+        step = float(np.median(steps))
+        window = max(5, int(_WINDOW / step) | 1)
+        breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
+        bounds = [(a, b) for a, b in zip([0, *breaks], [*breaks, t.size], strict=True) if b - a > 2 * window]
+        pieces = [(a, min(a + _STRETCH_SAMPLES, b)) for start, b in bounds for a in range(start, b, _STRETCH_SAMPLES)]
+        pieces = [(a, b) for a, b in pieces if b - a > 2 * window]
+        if len(pieces) > _MOST_STRETCHES:
+            pieces = [pieces[k] for k in np.linspace(0, len(pieces) - 1, _MOST_STRETCHES).astype(int)]
+        return cls(tuple(rows[a:b] for a, b in pieces), step, window) if pieces else None
+
+
+def smoothed_motion(pieces: EvenPieces, logged: Sequence[Recording]) -> SmoothedMotion:
+    """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964); `logged` are the samples of every piece."""
     smooth: list[list[Array]] = []
     numbers = []
-    for number, (a, b) in enumerate(pieces):
-        even = np.arange(t[a], t[b - 1], step)
-        q, tau, *rest = [_resampled(even, t[a:b], values[rows[a:b]]) for values in columns]
-        inner = slice(window // 2, -(window // 2))
-        derivatives = [savgol_filter(q, window, 3, deriv=k, delta=step, axis=0)[inner] for k in range(3)]
-        smooth.append([*derivatives, *(savgol_filter(values, window, 3, axis=0)[inner] for values in (tau, *rest))])
+    inner = slice(pieces.window // 2, -(pieces.window // 2))
+    for number, part in enumerate(logged):
+        columns = [part.q, part.tau] + ([part.qd] if part.qd is not None else [])
+        even = np.arange(part.t[0], part.t[-1], pieces.step)
+        q, tau, *rest = [_resampled(even, part.t, values) for values in columns]
+        derivatives = [savgol_filter(q, pieces.window, 3, deriv=k, delta=pieces.step, axis=0)[inner] for k in range(3)]
+        smooth.append([*derivatives, *(savgol_filter(values, pieces.window, 3, axis=0)[inner] for values in (tau, *rest))])
         numbers.append(np.full(smooth[-1][0].shape[0], number, dtype=np.int64))
     joined = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]
     return SmoothedMotion(
-        joined[0], joined[1], joined[2], joined[3], joined[4] if len(joined) > 4 else None, np.concatenate(numbers), 1.0 / step
+        joined[0], joined[1], joined[2], joined[3], joined[4] if len(joined) > 4 else None, np.concatenate(numbers), 1.0 / pieces.step
     )
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.signal import welch
 
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.clock_checks import fresh_samples
+from asbuilt.experiment.closer_look import CloserLook
 from asbuilt.experiment.finding import Finding, joined
-from asbuilt.experiment.recording import Array, Recording
+from asbuilt.experiment.recording import Array
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.survey import Survey
+from asbuilt.experiment.tallies import Indices
 from asbuilt.experiment.torque_fit import TorqueFit, best_assignment
 
 _CLEAR = 0.9
@@ -22,15 +24,18 @@ _PLAUSIBLE = (0.3, 3.0)
 _BRAKING = 0.5
 _QUIET_FLOOR = 1e-9
 _PLATEAU_RUN = 5
+_SHORTEST = 256
 
 
-def torque_findings(model: RobotModel, recording: Recording, motion: SmoothedMotion | None, position_scale: Array) -> Iterator[Finding]:
+def torque_findings(
+    model: RobotModel, recording: Survey, closer: CloserLook, motion: SmoothedMotion | None, position_scale: Array
+) -> Iterator[Finding]:
     """Hold the measured torques against the model's rigid-body torques; gravity decides most, its size is known to some tens of percent from CAD.
 
     `position_scale` (n,) turns logged positions into rad (1, or pi/180 where they were found to be degrees).
     """
-    yield from _saturation(model, recording)
-    yield from _filtered(recording)
+    yield from _saturation(model, recording, closer)
+    yield from _filtered(closer.torques, recording.rate)
     if motion is None:
         return
     fit = TorqueFit.of(model, motion, position_scale)
@@ -47,7 +52,7 @@ def torque_findings(model: RobotModel, recording: Recording, motion: SmoothedMot
         yield Finding(
             "no-torque",
             "error",
-            f"the torques do not change at all: the first joint's is {recording.tau[0, 0]:.4g} in {recording.n_samples} samples",
+            f"the torques do not change at all: the first joint's is {recording.first_torque:.4g} in {recording.n_samples} samples",
             "Log the measured joint torques or motor currents",
         )
         return
@@ -79,7 +84,7 @@ def _exchanges(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Iterator[F
     )
 
 
-def _sign_and_scale(model: RobotModel, recording: Recording, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
+def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
     names = model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
     loud = predicted > _SPEAKING_SHARE * np.max(predicted)
@@ -143,7 +148,7 @@ def _sign_and_scale(model: RobotModel, recording: Recording, fit: TorqueFit, rat
         )
 
 
-def _scale_finding(model: RobotModel, recording: Recording, scale: float, evidence: str) -> Finding:
+def _scale_finding(model: RobotModel, recording: Survey, scale: float, evidence: str) -> Finding:
     if 300 < scale < 3000:
         guess, cure = "they look like mN m", 'Write units = { torque = "mN m" } in a recording sheet'
     elif scale < 0.3 and (scale > 0.005 or recording.torque_source == "current"):
@@ -159,65 +164,54 @@ def _scale_finding(model: RobotModel, recording: Recording, scale: float, eviden
     )
 
 
-def _saturation(model: RobotModel, recording: Recording) -> Iterator[Finding]:
+def _saturation(model: RobotModel, recording: Survey, closer: CloserLook) -> Iterator[Finding]:
     """Find torques that stay at an extreme value, or reach the joint's torque limit."""
-    fresh = fresh_samples(recording)
-    t, tau = recording.t[fresh], recording.tau[fresh]
+    fresh = np.flatnonzero(recording.fresh)
     for k, joint in enumerate(model.joints):
-        values = tau[:, k]
-        finite = values[np.isfinite(values)]
-        if finite.size < 20 or np.ptp(finite) == 0:
-            continue
-        low, high = float(finite.min()), float(finite.max())
-        for extreme in (high, low):
-            flat = values == extreme
-            longest, start = _longest_run(flat)
-            near = np.abs(finite - extreme) < 0.05 * (high - low)
-            levels = max(1, np.unique(finite[near]).size - 1)
-            usual = (near.sum() - flat.sum()) / levels
-            if longest >= _PLATEAU_RUN and flat.sum() > 8 * max(usual, 1.0):
+        for plateau in closer.plateaus[k]:
+            flat = plateau.places.size
+            longest, start = _longest_run(plateau.places)
+            usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
+            if longest >= _PLATEAU_RUN and flat > 8 * max(usual, 1.0):
                 yield Finding(
                     "saturation",
                     "warning",
-                    f"the torque of {joint.name} stays at {extreme:.5g} N m in {int(flat.sum())} of {values.size} samples, up to {longest} in a row: it is cut off there",
+                    f"the torque of {joint.name} stays at {plateau.extreme:.5g} N m in {flat} of {fresh.size} samples, up to {longest} in a row: it is cut off there",
                     "Leave these stretches out with time windows in a recording sheet, or record a gentler motion",
                     joint=joint.name,
-                    time=float(t[start]),
+                    time=float(recording.t[fresh[start]]),
                 )
-        limit = joint.limits.torque
-        if recording.torque_source == "current" or not np.isfinite(limit) or limit <= 0:
+        limit, over = joint.limits.torque, int(recording.loud.count[k])
+        if not closer.plateaus[k] or recording.torque_source == "current" or not np.isfinite(limit) or limit <= 0:
             continue
-        over = np.abs(values) >= 0.99 * limit
-        if 3 <= over.sum() < 0.5 * values.size:
-            worst = int(np.nanargmax(np.abs(values)))
+        if 3 <= over < 0.5 * fresh.size:
             yield Finding(
                 "torque-limit",
                 "warning",
-                f"the torque of {joint.name} reaches {values[worst]:.4g} N m in {int(over.sum())} of {values.size} samples; its limit is {limit:.4g} N m",
+                f"the torque of {joint.name} reaches {recording.loud.value[k]:.4g} N m in {over} of {fresh.size} samples; its limit is {limit:.4g} N m",
                 "Record a gentler motion if the drive saturates, or check the torque's unit",
                 joint=joint.name,
-                time=float(t[worst]),
+                time=float(recording.t[recording.loud.row[k]]),
             )
 
 
-def _longest_run(flags: Array) -> tuple[int, int]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flags, dtype=np.int8), [0]])))
-    if not edges.size:
+def _longest_run(places: Indices) -> tuple[int, int]:
+    """Return how many of rising places follow each other without a break at most, and the first of them."""
+    if not places.size:
         return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    return int(lengths.max()), int(edges[::2][np.argmax(lengths)])
+    starts = np.flatnonzero(np.diff(places, prepend=places[0] - 2) != 1)
+    lengths = np.diff(starts, append=places.size)
+    longest = int(np.argmax(lengths))
+    return int(lengths[longest]), int(places[starts[longest]])
 
 
-def _filtered(recording: Recording) -> Iterator[Finding]:
-    """Find torques without the noise floor of a sensor: power at high frequency below 1e-9 of the peak's, in most joints."""
-    good = np.isfinite(recording.t) & np.all(np.isfinite(recording.tau), axis=1)
-    tau, rate = recording.tau[good], recording.rate
-    if tau.shape[0] < 256 or not np.isfinite(rate):
+def _filtered(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
+    """Find torques (N, n) without the noise floor of a sensor: power at high frequency below 1e-9 of the peak's, in most joints; several pieces are averaged."""
+    shortest = min((len(tau) for tau in torques if len(tau) >= _SHORTEST), default=0)
+    if not shortest or not np.isfinite(rate):
         return
-    trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
-    level = tau - tau.mean(axis=0)
-    level = level - trend * (trend * level).sum(axis=0) / np.sum(trend**2)
-    frequency, power = welch(level, fs=rate, nperseg=min(1024, tau.shape[0]), axis=0)
+    spectra = [_spectrum(tau, rate, min(1024, shortest)) for tau in torques if len(tau) >= _SHORTEST]
+    frequency, power = spectra[0][0], np.mean([power for _, power in spectra], axis=0)
     peak = power.max(axis=0)
     if not np.any(peak > 0):
         return
@@ -234,3 +228,11 @@ def _filtered(recording: Recording) -> Iterator[Finding]:
         "they were low-pass filtered before, or simulated without noise",
         "Filtering again adds little; where positions and torques were filtered differently, the errors of the parameters are too small",
     )
+
+
+def _spectrum(tau: Array, rate: float, length: int) -> tuple[Array, Array]:
+    trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
+    level = tau - tau.mean(axis=0)
+    level = level - trend * (trend * level).sum(axis=0) / np.sum(trend**2)
+    frequency, power = welch(level, fs=rate, nperseg=length, axis=0)
+    return frequency, power
