@@ -19,6 +19,7 @@ from asbuilt.identification.identify import identify
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.validation.drift import Drift, compare_results
 from asbuilt.validation.equal_terms import ComparedValues
+from asbuilt.validation.significance import chi_square
 from asbuilt.validation.study import StudyOptions, run_study
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
@@ -124,3 +125,27 @@ def test_a_result_by_weighted_least_squares_is_its_own_free_one() -> None:
     assert real.free is not None
     np.testing.assert_allclose(real.free.estimates, values.estimates, rtol=1e-12)
     np.testing.assert_allclose(real.free.covariance, values.covariance, rtol=1e-9, atol=1e-18)
+
+
+def test_sums_known_only_together_are_tested_with_errors_grown_alike() -> None:
+    rng = np.random.default_rng(5)
+    textbook = np.array([[1.0, 0.9999, 0.0], [0.9999, 1.0, 0.0], [0.0, 0.0, 4.0]])
+    growth = np.array([1.5, 2.5, 2.0])
+    none = np.zeros(3, dtype=bool)
+    values = ComparedValues(
+        np.zeros(3), textbook * np.outer(growth, growth), growth * np.sqrt(np.diag(textbook)), np.sqrt(np.diag(textbook)), ~none, none
+    )
+    np.testing.assert_allclose(values.even_covariance, textbook * np.mean(growth**2), rtol=1e-12)
+    draws = rng.multivariate_normal(np.zeros(3), 2.0**2 * textbook, size=2000)
+    alarms = {
+        name: np.mean([chi_square(draw, covariance).probability < 1e-3 for draw in draws])
+        for name, covariance in (("each by its own", values.covariance), ("alike", values.even_covariance))
+    }
+    assert alarms["alike"] < 0.005
+    assert alarms["each by its own"] > 0.5
+
+
+def test_dropped_parameters_have_no_part_in_it() -> None:
+    none = np.array([False, True])
+    values = ComparedValues(np.zeros(2), np.diag([4.0, 0.0]), np.array([2.0, np.nan]), np.array([1.0, np.nan]), ~none, none)
+    np.testing.assert_array_equal(values.even_covariance, np.diag([4.0, 0.0]))

@@ -20,10 +20,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeValues:
-    """Hold the p base parameters by weighted least squares alone: `estimates` (p,), their block-robust `covariance` (p, p), and which are `determined` (p,)."""
+    """Hold the p base parameters by weighted least squares alone.
+
+    `estimates` (p,), their block-robust `covariance` (p, p), the `textbook_std_errors` (p,) that were widened for it, and which are `determined` (p,).
+    """
 
     estimates: Array
     covariance: Array
+    textbook_std_errors: Array
     determined: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
@@ -46,6 +50,7 @@ class FreeValues:
         return {
             "estimates": self.estimates.tolist(),
             "covariance": base64.b64encode(triangle.astype("<f8").tobytes()).decode("ascii"),
+            "textbook_std_errors": self.textbook_std_errors.tolist(),
             "determined": self.determined.tolist(),
         }
 
@@ -56,7 +61,8 @@ class FreeValues:
             estimates = np.array(fields["estimates"], dtype=np.float64)
             upper = np.zeros((len(estimates), len(estimates)))
             upper[np.triu_indices(len(estimates))] = np.frombuffer(base64.b64decode(fields["covariance"]), dtype="<f8")
-            return cls(estimates, upper + np.triu(upper, 1).T, np.array(fields["determined"], dtype=np.bool_))
+            textbook = np.array(fields["textbook_std_errors"], dtype=np.float64)
+            return cls(estimates, upper + np.triu(upper, 1).T, textbook, np.array(fields["determined"], dtype=np.bool_))
         except (KeyError, TypeError, ValueError) as problem:
             if isinstance(problem, ResultError):
                 raise
@@ -67,4 +73,4 @@ def free_values(information: SquareRootInformation, toward: ArrayLike) -> FreeVa
     """Fit by `wls` with errors from time blocks; what the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined."""
     fitted = fit_least_squares(information, weights="joint", prior=toward)
     covariance = block_uncertainty(information, fitted).covariance
-    return FreeValues(fitted.beta, 0.5 * (covariance + covariance.T), fitted.determined)
+    return FreeValues(fitted.beta, 0.5 * (covariance + covariance.T), fitted.std_errors, fitted.determined)

@@ -213,6 +213,7 @@ def compare_results(
     first, second, terms = (ComparedValues.own(before), ComparedValues.own(after), ()) if of_models else on_equal_terms(before, after)
     difference = second.estimates[two] - first.estimates[one]
     covariance = first.covariance[np.ix_(one, one)] + second.covariance[np.ix_(two, two)]
+    together = first.even_covariance[np.ix_(one, one)] + second.even_covariance[np.ix_(two, two)]
     error = np.sqrt(np.diag(covariance))
     dropped = first.dropped[one] | second.dropped[two]
     determined = first.determined[one] & second.determined[two]
@@ -266,7 +267,7 @@ def compare_results(
         joint_names=after.joint_names,
         units=torque_units(after.model),
         parameters=changes,
-        chi_square=chi_square(difference[tested], covariance[np.ix_(tested, tested)]),
+        chi_square=chi_square(difference[tested], together[np.ix_(tested, tested)]),
         level=level,
         sentences=(
             *torque_sentence(joints, level, of_models=of_models),

@@ -19,11 +19,12 @@ FREE_METHOD = "wls"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedValues:
-    """Hold p parameters of a result as they are compared: `estimates`, `covariance` (p, p), `std_errors`, and which are `determined` and `dropped`."""
+    """Hold p parameters of a result as they are compared: `estimates`, `covariance` (p, p), `std_errors` and the textbook's, and which are `determined` and `dropped`."""
 
     estimates: Array
     covariance: Array
     std_errors: Array
+    textbook_std_errors: Array
     determined: NDArray[np.bool_]
     dropped: NDArray[np.bool_]
 
@@ -31,7 +32,8 @@ class ComparedValues:
     def own(cls, result: IdentificationResult) -> ComparedValues:
         """Return the values as they were identified."""
         determined = np.array([parameter.determined for parameter in result.parameters])
-        return cls(result.estimates, result.covariance, result.std_errors, determined, result.dropped)
+        textbook = np.array([parameter.textbook_std_error for parameter in result.parameters])
+        return cls(result.estimates, result.covariance, result.std_errors, textbook, determined, result.dropped)
 
     @classmethod
     def free(cls, result: IdentificationResult) -> ComparedValues:
@@ -39,7 +41,21 @@ class ComparedValues:
         found = result.free
         if found is None:
             return cls.own(result)
-        return cls(found.estimates, found.covariance, found.std_errors, found.determined, np.zeros(len(found.estimates), dtype=np.bool_))
+        none = np.zeros(len(found.estimates), dtype=np.bool_)
+        return cls(found.estimates, found.covariance, found.std_errors, found.textbook_std_errors, found.determined, none)
+
+    @property
+    def even_covariance(self) -> Array:
+        """The textbook's covariance, all variances grown by the mean of how much each did, shape (p, p): for tests of many parameters at once.
+
+        Time blocks tell how each variance grew beyond the textbook's, but no correlation; sums of parameters that only together are known well would, each grown by its own, seem
+        known where they are not, and not where they are.
+        """
+        told = (self.std_errors > 0) & (self.textbook_std_errors > 0)
+        growth = np.divide(self.std_errors, self.textbook_std_errors, out=np.ones_like(self.std_errors), where=told)
+        even = float(np.sqrt(np.mean(growth[told] ** 2))) if told.any() else 1.0
+        shrink = even / growth
+        return np.asarray(self.covariance * np.outer(shrink, shrink))
 
 
 def on_equal_terms(before: IdentificationResult, after: IdentificationResult) -> tuple[ComparedValues, ComparedValues, tuple[str, ...]]:
