@@ -87,3 +87,19 @@ def test_robust_standard_errors_are_those_of_repeated_experiments(robot):
         stated.append(estimate.std_errors)
     ratio = np.std(found, axis=0, ddof=1) / np.mean(stated, axis=0)
     assert 0.85 < np.median(ratio) < 1.15
+
+
+def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
+    model, base, beta = robot
+    found, stated = [], []
+    clean = recording(model, base, beta, noise=0.0, seconds=16.0, seed=5)
+    turning = np.abs(clean.qd) < np.quantile(np.abs(clean.qd), 0.25, axis=0)
+    for seed in range(60):
+        noise = np.random.default_rng(seed).normal(size=clean.tau.shape) * np.where(turning, 4.0, 0.2)
+        spoilt = replace(clean, tau=clean.tau + noise, tau_raw=np.empty((0, 0)), parallel=None)
+        estimate = methods["huber"].estimate(Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt]))
+        found.append(estimate.beta)
+        stated.append(estimate.std_errors)
+    ratio = np.std(found, axis=0, ddof=1) / np.mean(stated, axis=0)
+    assert 0.9 < np.median(ratio) < 1.1
+    assert 0.8 < np.sqrt(np.mean(ratio**2)) < 1.2

@@ -23,6 +23,10 @@ SCALE_ITERATIONS = 25
 """Iterations after which the scales rest, so that the steps converge."""
 STEP = 1e-6
 """Length of the last step, in standard errors of all parameters together."""
+TOLD = 1e-12
+"""Eigenvalue of the information, relative to the largest, below which a direction is not looked at."""
+LEAST_SLOPE = 0.1
+"""Mean of rho'', of a joint or along a direction, below which it is taken no smaller."""
 OUTLYING = 4.0
 """Residual, in robust standard deviations, that is called an outlier in the notes."""
 
@@ -56,7 +60,8 @@ def estimate_huber(evidence: Evidence, threshold: float = 1.345) -> Estimate:
     """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss, by iteratively reweighted least squares.
 
     sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least squares on pseudo-values
-    `W beta + sigma rho'(r) / mean(rho'')` with weights `sqrt(mean(rho'')) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7.
+    `W beta + sigma rho'(r) / s` with weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7, with s = mean(rho''); here s is
+    less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints turn back.
     """
     return _robust(evidence, "huber", huber_loss(threshold), estimate_wls(evidence))
 
@@ -93,7 +98,8 @@ def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: A
             iterations += 1
         residuals = _residuals(rows, beta)
         standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
-        slope = [max(float(np.mean(loss.slope(r))), 0.1) for r in standard]
+        slope = np.array([max(float(np.mean(loss.slope(r))), LEAST_SLOPE) for r in standard])
+        slope = slope * _slope_where_it_counts(rows, residuals, sigma, slope, loss, root)
 
         def pseudo() -> Iterator[RowBlock]:
             for b, block in enumerate(rows):
@@ -116,6 +122,26 @@ def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: A
     return fitted.renewed(
         name, solved, fitted.solution, sigma=sigma, iterations=iterations, converged=converged, own_information=solved, notes=(note,)
     )
+
+
+def _slope_where_it_counts(rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array) -> float:
+    """Return the part of the mean slopes (n,) that the information really has, 1 where outliers are strewn evenly over the motion.
+
+    The covariance of an M-estimate is `A^-1 B A^-1` with `A = sum rho''(r) w w^T`. Pseudo-values take `A0 = sum mean(rho'') w w^T` instead: the variance is then too small by the mean of
+    `m^-2` over the eigenvalues m of A in coordinates where A0 is 1, and one factor for all rows makes up for it.
+    """
+    p = root.shape[1]
+    assumed, found = np.zeros((p, p)), np.zeros((p, p))
+    for b, block in enumerate(rows):
+        for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+            seen = root[support].T @ columns[:-1] / sigma[k]
+            assumed += slope[k] * seen @ seen.T
+            found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
+    eigenvalues, vectors = np.linalg.eigh(assumed)
+    told = eigenvalues > TOLD * eigenvalues[-1]
+    turned = vectors[:, told] / np.sqrt(eigenvalues[told])
+    parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), LEAST_SLOPE)
+    return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
 def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
