@@ -47,8 +47,8 @@ def estimate_auto(evidence: Evidence) -> Estimate:
     1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust standard deviations, or a joint's residual variance is more than
        30 times the robust one;
     2. `ridge` where directions are not excited or the scaled condition number is above 200;
-    3. where no real bodies have the values found so far, `consistent`, or `entropic` where that predicts better, if it predicts as well as the values found;
-       else these stay, with a warning. Judged on time blocks of this recording held out in turn: as well is within one standard error of the difference,
+    3. where no real bodies have the values found so far, `consistent`, or `entropic` where that predicts better (after `ridge` the other way round, for the
+       design must be leant on there), if it predicts as well as the values found; else these stay, with a warning. Judged on time blocks of this recording held out in turn: as well is within one standard error of the difference,
        group by group, better is beyond it (the rule by which the weight of CAD is chosen). That bodies are real is certain, that they are near CAD is not,
        so the one is asked not to do harm, the other to do good.
 
@@ -121,8 +121,8 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
         why = f"consistent, since no real bodies have the values of {free.method}; time blocks are too few to hold any out"
         return _strained(information, _joined(consistent, free), free, sigma), why
     errors = {estimate.method: _held_out(information, again, sigma) for estimate, again in candidates}
-    preferred = [estimate for estimate, _ in candidates]
-    if _better(errors["entropic"], errors["consistent"]):
+    preferred = [estimate for estimate, _ in (candidates[::-1] if free.method == "ridge" else candidates)]
+    if _better(errors[preferred[1].method], errors[preferred[0].method]):
         preferred.reverse()
     told = [_compared(each.method, errors[each.method], free.method, before) for each in preferred]
     on = f"on {len(before)} groups of time blocks held out in turn"
