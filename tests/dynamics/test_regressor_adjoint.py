@@ -13,6 +13,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.dynamics.regressor_adjoint import regressor_adjoint
+from asbuilt.errors import UsageError
 
 
 def weighted(model, parameters):
@@ -97,3 +98,19 @@ def test_samples_do_not_depend_on_their_neighbours() -> None:
     part = regressor_adjoint(plan, q[33:50], qd[33:50], qdd[33:50], np.ascontiguousarray(weights[:, 33:50]))
     for complete, cut in zip(whole, part, strict=True):
         np.testing.assert_array_equal(complete[33:50], cut)
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    """The kernel does not check its indices: what is too small would be read beyond its end."""
+    rng = np.random.default_rng(5)
+    model = random_robot(rng, 3)
+    plan = RegressorPlan.of(model)
+    state, weights = rng.normal(size=(3, 40, 3)), plan.buffer(40)
+    with pytest.raises(UsageError, match=rf"at least {plan.n_rows} rows and 40 columns, got \({plan.n_rows - 1}, "):
+        regressor_adjoint(plan, *state, weights[:-1])
+    with pytest.raises(UsageError, match=r"at least \d+ rows and 40 columns"):
+        regressor_adjoint(plan, *state, weights[:, :39])
+    with pytest.raises(UsageError, match=r"loads must have shape \(40, 3\).* got \(39, 3\)"):
+        regressor_adjoint(plan, *state, weights, np.zeros((39, 3)), model.parameters)
+    with pytest.raises(UsageError, match=r"got \(40, 3\), \(39, 3\)"):
+        regressor_adjoint(plan, state[0], state[1][:39], state[2], weights)

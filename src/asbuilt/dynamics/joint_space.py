@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from asbuilt.dynamics.compilation import compiled
 from asbuilt.dynamics.lanes import LANES, load, splat, store
-from asbuilt.dynamics.recursion import BLOCK, DEPTH, READ, REVOLUTE, STATE, WRITE, cross, gather, move_screws, scratch, trigonometry
+from asbuilt.dynamics.recursion import BLOCK, DEPTH, READ, REVOLUTE, STATE, WRITE, cross, gather, move_screws, scratch, trigonometry, vector
 
 
 @compiled
 def _screw(rows, at):
     """Return the six rows of a screw: z, then m."""
-    z = load(rows, at), load(rows, at + BLOCK), load(rows, at + 2 * BLOCK)
-    m = load(rows, at + 3 * BLOCK), load(rows, at + 4 * BLOCK), load(rows, at + 5 * BLOCK)
-    return z[0], z[1], z[2], m[0], m[1], m[2]
+    zx, zy, zz = vector(rows, at)
+    mx, my, mz = vector(rows, at + 3 * BLOCK)
+    return zx, zy, zz, mx, my, mz
 
 
 @compiled

@@ -21,14 +21,17 @@ from asbuilt.dynamics.recursion import (
     STATE,
     WRITE,
     accelerated,
+    add,
     cross,
     gather_states,
     move_link,
     move_screws,
     out_of,
+    put,
     rest,
     scratch,
     trigonometry,
+    vector,
 )
 
 TERMS = 21
@@ -40,29 +43,17 @@ def _link_terms(rows, state, terms):
     """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
     for at in range(0, BLOCK, LANES):
         r, t = state + at, terms + at
-        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
         xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
-        store(rows, t, dx)
-        store(rows, t + BLOCK, dy)
-        store(rows, t + 2 * BLOCK, dz)
-        store(rows, t + 3 * BLOCK, yz)
-        store(rows, t + 4 * BLOCK, xz)
-        store(rows, t + 5 * BLOCK, xy)
-        store(rows, t + 6 * BLOCK, dx + yz)
-        store(rows, t + 7 * BLOCK, dx - yz)
-        store(rows, t + 8 * BLOCK, dy + xz)
-        store(rows, t + 9 * BLOCK, dy - xz)
-        store(rows, t + 10 * BLOCK, dz + xy)
-        store(rows, t + 11 * BLOCK, dz - xy)
-        store(rows, t + 12 * BLOCK, yy - zz)
-        store(rows, t + 13 * BLOCK, zz - xx)
-        store(rows, t + 14 * BLOCK, xx - yy)
-        store(rows, t + 15 * BLOCK, yy + zz)
-        store(rows, t + 16 * BLOCK, xx + zz)
-        store(rows, t + 17 * BLOCK, xx + yy)
-        for j in range(3):
-            store(rows, t + (18 + j) * BLOCK, load(rows, r + (6 + j) * BLOCK))
+        put(rows, t, dx, dy, dz)
+        put(rows, t + 3 * BLOCK, yz, xz, xy)
+        put(rows, t + 6 * BLOCK, dx + yz, dx - yz, dy + xz)
+        put(rows, t + 9 * BLOCK, dy - xz, dz + xy, dz - xy)
+        put(rows, t + 12 * BLOCK, yy - zz, zz - xx, xx - yy)
+        put(rows, t + 15 * BLOCK, yy + zz, xx + zz, xx + yy)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        put(rows, t + 18 * BLOCK, ax, ay, az)
 
 
 @compiled
@@ -82,8 +73,8 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
     o9 = _position(places[9], stride, start)
     for at in range(0, BLOCK, LANES):
         r, t = screw + at, terms + at
-        zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-        mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+        zx, zy, zz = vector(rows, r)
+        mx, my, mz = vector(rows, r + 3 * BLOCK)
         if o0 >= 0:
             xx = zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
             store(out, o0 + at, xx)
@@ -102,7 +93,7 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
         if o5 >= 0:
             izz = zx * load(rows, t + 3 * BLOCK) - zy * load(rows, t + 4 * BLOCK) + zz * load(rows, t + 2 * BLOCK)
             store(out, o5 + at, izz)
-        ax, ay, az = load(rows, t + 18 * BLOCK), load(rows, t + 19 * BLOCK), load(rows, t + 20 * BLOCK)
+        ax, ay, az = vector(rows, t + 18 * BLOCK)
         if o6 >= 0:
             hx = my * load(rows, t + 10 * BLOCK) - mx * load(rows, t + 15 * BLOCK) - mz * load(rows, t + 9 * BLOCK)
             store(out, o6 + at, hx + zz * ay - zy * az)
@@ -196,9 +187,9 @@ def _wrench(rows, state, force, chi):
     """Write the force and the moment about its origin that link motion needs (Newton and Euler), in link axes."""
     for at in range(0, BLOCK, LANES):
         r, f = state + at, force + at
-        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-        ax, ay, az = load(rows, r + 6 * BLOCK), load(rows, r + 7 * BLOCK), load(rows, r + 8 * BLOCK)
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
         hx, hy, hz, m = splat(chi[6]), splat(chi[7]), splat(chi[8]), chi[9]
         fx, fy, fz = accelerated(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
         lx = wx * chi[0] + wy * chi[1] + wz * chi[2]
@@ -206,12 +197,11 @@ def _wrench(rows, state, force, chi):
         lz = wx * chi[2] + wy * chi[4] + wz * chi[5]
         gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
         ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
-        store(rows, f, fx)
-        store(rows, f + BLOCK, fy)
-        store(rows, f + 2 * BLOCK, fz)
-        store(rows, f + 3 * BLOCK, dx * chi[0] + dy * chi[1] + dz * chi[2] + gx + ex)
-        store(rows, f + 4 * BLOCK, dx * chi[1] + dy * chi[3] + dz * chi[4] + gy + ey)
-        store(rows, f + 5 * BLOCK, dx * chi[2] + dy * chi[4] + dz * chi[5] + gz + ez)
+        put(rows, f, fx, fy, fz)
+        nx = dx * chi[0] + dy * chi[1] + dz * chi[2] + gx + ex
+        ny = dx * chi[1] + dy * chi[3] + dz * chi[4] + gy + ey
+        nz = dx * chi[2] + dy * chi[4] + dz * chi[5] + gz + ez
+        put(rows, f + 3 * BLOCK, nx, ny, nz)
 
 
 @compiled
@@ -219,8 +209,8 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
     """Write the joint torque of a link's wrench and add the wrench to that of the parent link."""
     for at in range(0, BLOCK, LANES):
         f = force + at
-        fx, fy, fz = load(rows, f), load(rows, f + BLOCK), load(rows, f + 2 * BLOCK)
-        nx, ny, nz = load(rows, f + 3 * BLOCK), load(rows, f + 4 * BLOCK), load(rows, f + 5 * BLOCK)
+        fx, fy, fz = vector(rows, f)
+        nx, ny, nz = vector(rows, f + 3 * BLOCK)
         if code[AFTER] != NOTHING:
             fx, fy, fz = out_of(code[AFTER], p, 12, fx, fy, fz)
             nx, ny, nz = out_of(code[AFTER], p, 12, nx, ny, nz)
@@ -241,12 +231,8 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
                 cx, cy, cz = cross(splat(p[9]), splat(p[10]), splat(p[11]), fx, fy, fz)
                 nx, ny, nz = nx + cx, ny + cy, nz + cz
             f = parent_force + at
-            store(rows, f, load(rows, f) + fx)
-            store(rows, f + BLOCK, load(rows, f + BLOCK) + fy)
-            store(rows, f + 2 * BLOCK, load(rows, f + 2 * BLOCK) + fz)
-            store(rows, f + 3 * BLOCK, load(rows, f + 3 * BLOCK) + nx)
-            store(rows, f + 4 * BLOCK, load(rows, f + 4 * BLOCK) + ny)
-            store(rows, f + 5 * BLOCK, load(rows, f + 5 * BLOCK) + nz)
+            add(rows, f, fx, fy, fz)
+            add(rows, f + 3 * BLOCK, nx, ny, nz)
 
 
 @compiled

@@ -47,6 +47,10 @@ class Layout:
     gravity: Array
     n_slots: int
 
+    def __post_init__(self) -> None:
+        for array in (self.codes, self.chain, self.placements, self.gravity):
+            array.setflags(write=False)
+
     @classmethod
     def of(cls, geometry: Geometry) -> Layout:
         """Lay out the arrays of a robot."""
@@ -76,10 +80,6 @@ class Layout:
     def arrays(self) -> tuple[Indices, Indices, Array, Array, int]:
         """All fields, in the order in which the kernels take them."""
         return self.codes, self.chain, self.placements, self.gravity, self.n_slots
-
-    def __post_init__(self) -> None:
-        for array in (self.codes, self.chain, self.placements, self.gravity):
-            array.setflags(write=False)
 
 
 @lru_cache(maxsize=16)
@@ -139,6 +139,26 @@ def trigonometry(rows, angle, cosine, sine):
 
 
 @compiled
+def vector(rows, at):
+    """Return the x, y and z of a vector whose three rows start at `at`."""
+    return load(rows, at), load(rows, at + BLOCK), load(rows, at + 2 * BLOCK)
+
+
+@compiled
+def put(rows, at, x, y, z):
+    """Write a vector into three rows; the reverse of `vector`."""
+    store(rows, at, x)
+    store(rows, at + BLOCK, y)
+    store(rows, at + 2 * BLOCK, z)
+
+
+@compiled
+def add(rows, at, x, y, z):
+    """Add a vector to the one in three rows."""
+    put(rows, at, load(rows, at) + x, load(rows, at + BLOCK) + y, load(rows, at + 2 * BLOCK) + z)
+
+
+@compiled
 def cross(ax, ay, az, bx, by, bz):
     """Return a x b."""
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -192,9 +212,9 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
     """Carry w, dw, a from the parent's slot to the link's; all positions in `rows` are of doubles."""
     for at in range(0, BLOCK, LANES):
         r = read + at
-        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-        ax, ay, az = load(rows, r + 6 * BLOCK), load(rows, r + 7 * BLOCK), load(rows, r + 8 * BLOCK)
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
         v, dv = load(rows, rate + at), load(rows, change + at)
         kind = code[BEFORE]
         if kind != NOTHING:
@@ -221,15 +241,9 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
             dx, dy, dz = into(kind, p, 12, dx, dy, dz)
             ax, ay, az = into(kind, p, 12, ax, ay, az)
         w = write + at
-        store(rows, w, wx)
-        store(rows, w + BLOCK, wy)
-        store(rows, w + 2 * BLOCK, wz)
-        store(rows, w + 3 * BLOCK, dx)
-        store(rows, w + 4 * BLOCK, dy)
-        store(rows, w + 5 * BLOCK, dz)
-        store(rows, w + 6 * BLOCK, ax)
-        store(rows, w + 7 * BLOCK, ay)
-        store(rows, w + 8 * BLOCK, az)
+        put(rows, w, wx, wy, wz)
+        put(rows, w + 3 * BLOCK, dx, dy, dz)
+        put(rows, w + 6 * BLOCK, ax, ay, az)
 
 
 @compiled
@@ -241,8 +255,8 @@ def move_screws(code, p, rows, read, write, angle, cosine, sine):
         for at in range(0, BLOCK, LANES):
             if d < depth:
                 r = read + o + at
-                zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-                mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
+                zx, zy, zz = vector(rows, r)
+                mx, my, mz = vector(rows, r + 3 * BLOCK)
                 if before != NOTHING:
                     cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
                     mx, my, mz = into(before, p, 0, mx + cx, my + cy, mz + cz)
@@ -262,9 +276,5 @@ def move_screws(code, p, rows, read, write, angle, cosine, sine):
                 mx, my, mz = into(after, p, 12, mx + cx, my + cy, mz + cz)
                 zx, zy, zz = into(after, p, 12, zx, zy, zz)
             w = write + o + at
-            store(rows, w, zx)
-            store(rows, w + BLOCK, zy)
-            store(rows, w + 2 * BLOCK, zz)
-            store(rows, w + 3 * BLOCK, mx)
-            store(rows, w + 4 * BLOCK, my)
-            store(rows, w + 5 * BLOCK, mz)
+            put(rows, w, zx, zy, zz)
+            put(rows, w + 3 * BLOCK, mx, my, mz)

@@ -127,7 +127,7 @@ class RegressorPlan:
         `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows, at least n_samples), best from `buffer`;
         the views are good until the next call with it. The numbers depend neither on `threads` nor on how a recording is cut into calls.
         """
-        inputs = self._checked_inputs(q, qd, qdd)
+        inputs = self.checked_inputs(q, qd, qdd)
         n_samples = inputs[0].shape[0]
         target = self.buffer(n_samples) if out is None else out
         if target.shape[0] != self.n_rows or target.shape[1] < n_samples or not target.flags.c_contiguous or target.dtype != np.float64:
@@ -147,7 +147,7 @@ class RegressorPlan:
 
     def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = 1) -> Array:
         """Return the observation matrix, sample-major, shape (n_samples n_joints, n_columns); inputs as in `evaluate`."""
-        inputs = self._checked_inputs(q, qd, qdd)
+        inputs = self.checked_inputs(q, qd, qdd)
         n_samples, n = inputs[0].shape
         order = np.zeros(self.n_rows, dtype=np.int64)
         for (first, stop), positions in zip(self.bounds.tolist(), self.support, strict=True):
@@ -163,7 +163,8 @@ class RegressorPlan:
             matrix.reshape(n_samples, n, width)[:, k, order[rows_of_drive]] = columns.T
         return matrix
 
-    def _checked_inputs(self, *arrays: Array) -> tuple[Array, ...]:
+    def checked_inputs(self, *arrays: Array) -> tuple[Array, ...]:
+        """Return q, qd and qdd as contiguous doubles; raises UsageError where they are not all (n_samples, n_joints)."""
         shapes = [array.shape for array in arrays]
         if len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][1] != self.model.n_joints:
             raise UsageError(f"q, qd and qdd must all have shape (n_samples, {self.model.n_joints}), got {', '.join(map(str, shapes))}")

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.dynamics.batches import flat
+from asbuilt.dynamics.batches import flat, inertial_parameters
 from asbuilt.dynamics.compilation import compiled
 from asbuilt.dynamics.lanes import LANES, load, splat, store
 from asbuilt.dynamics.recursion import (
@@ -23,6 +23,7 @@ from asbuilt.dynamics.recursion import (
     PARENT,
     REVOLUTE,
     STATE,
+    add,
     cross,
     gather,
     gather_states,
@@ -30,11 +31,14 @@ from asbuilt.dynamics.recursion import (
     move_link,
     move_screws,
     out_of,
+    put,
     rest,
     scratch,
     trigonometry,
+    vector,
 )
 from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import UsageError
 
 Array = NDArray[np.float64]
 
@@ -46,13 +50,20 @@ def regressor_adjoint(
 
     `weights` holds G in the layout that `plan.evaluate` writes Y in: one row per joint and chosen column, samples innermost, contiguous
     (plan.n_rows, at least N); rows of drive columns and spare rows are not looked at. `loads` (N, n) are the weights l of the torques
-    tau of rigid bodies with the standard `parameters` (10 n,).
+    tau of rigid bodies with the standard `parameters` (10 n,). Raises UsageError for shapes that do not fit.
     """
     n, layout = plan.model.n_joints, layout_of(plan.model)
-    inputs = [flat(np.ascontiguousarray(array, dtype=np.float64)) for array in (q, qd, qdd)]
+    states = plan.checked_inputs(q, qd, qdd)
+    n_samples = states[0].shape[0]
+    if weights.ndim != 2 or weights.shape[0] < plan.n_rows or weights.shape[1] < n_samples:
+        raise UsageError(
+            f"weights must have at least {plan.n_rows} rows and {n_samples} columns, got {weights.shape}; use plan.buffer(n_samples)"
+        )
     lam = np.zeros((0, n)) if loads is None else np.ascontiguousarray(loads, dtype=np.float64)
-    chi = np.zeros((n, 10)) if parameters is None else np.ascontiguousarray(parameters, dtype=np.float64).reshape(n, 10)
-    out = tuple(np.empty(np.shape(q)) for _ in range(3))
+    if loads is not None and lam.shape != (n_samples, n):
+        raise UsageError(f"loads must have shape ({n_samples}, {n}), one per sample and joint, got {lam.shape}")
+    chi = np.zeros((n, 10)) if parameters is None else inertial_parameters(plan.model, parameters)
+    out = tuple(np.empty((n_samples, n)) for _ in range(3))
     _adjoint(
         layout.codes,
         layout.chain,
@@ -63,8 +74,8 @@ def regressor_adjoint(
         weights.shape[1],
         flat(lam),
         chi,
-        *inputs,
-        np.shape(q)[0],
+        *(flat(array) for array in states),
+        n_samples,
         *(array.reshape(-1) for array in out),
     )
     return out[0], out[1], out[2]
@@ -82,30 +93,34 @@ def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
     """Add what `z . moment + m . force` of a link with the parameters in ten rows gives to the adjoints of its state and of one screw."""
     for at in range(0, BLOCK, LANES):
         r = state + at
-        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-        ax, ay, az = load(rows, r + 6 * BLOCK), load(rows, r + 7 * BLOCK), load(rows, r + 8 * BLOCK)
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
         p = parameters + at
-        ixx, ixy, ixz = load(rows, p), load(rows, p + BLOCK), load(rows, p + 2 * BLOCK)
-        iyy, iyz, izz = load(rows, p + 3 * BLOCK), load(rows, p + 4 * BLOCK), load(rows, p + 5 * BLOCK)
-        hx, hy, hz = load(rows, p + 6 * BLOCK), load(rows, p + 7 * BLOCK), load(rows, p + 8 * BLOCK)
+        ixx, ixy, ixz = vector(rows, p)
+        iyy, iyz, izz = vector(rows, p + 3 * BLOCK)
+        hx, hy, hz = vector(rows, p + 6 * BLOCK)
         mass = load(rows, p + 9 * BLOCK)
         s = screw + at
-        zx, zy, zz = load(rows, s), load(rows, s + BLOCK), load(rows, s + 2 * BLOCK)
-        mx, my, mz = load(rows, s + 3 * BLOCK), load(rows, s + 4 * BLOCK), load(rows, s + 5 * BLOCK)
+        zx, zy, zz = vector(rows, s)
+        mx, my, mz = vector(rows, s + 3 * BLOCK)
 
         lx, ly, lz = wx * ixx + wy * ixy + wz * ixz, wx * ixy + wy * iyy + wz * iyz, wx * ixz + wy * iyz + wz * izz
         wh, ww, mh, mw = wx * hx + wy * hy + wz * hz, wx * wx + wy * wy + wz * wz, mx * hx + my * hy + mz * hz, mx * wx + my * wy + mz * wz
         gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
         ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
         b = screw_bar + at
-        store(rows, b, load(rows, b) + dx * ixx + dy * ixy + dz * ixz + gx + ex)
-        store(rows, b + BLOCK, load(rows, b + BLOCK) + dx * ixy + dy * iyy + dz * iyz + gy + ey)
-        store(rows, b + 2 * BLOCK, load(rows, b + 2 * BLOCK) + dx * ixz + dy * iyz + dz * izz + gz + ez)
+        vx, vy, vz = vector(rows, b)
+        vx = vx + dx * ixx + dy * ixy + dz * ixz + gx + ex
+        vy = vy + dx * ixy + dy * iyy + dz * iyz + gy + ey
+        vz = vz + dx * ixz + dy * iyz + dz * izz + gz + ez
+        put(rows, b, vx, vy, vz)
         cx, cy, cz = cross(dx, dy, dz, hx, hy, hz)
-        store(rows, b + 3 * BLOCK, load(rows, b + 3 * BLOCK) + mass * ax + cx + wx * wh - hx * ww)
-        store(rows, b + 4 * BLOCK, load(rows, b + 4 * BLOCK) + mass * ay + cy + wy * wh - hy * ww)
-        store(rows, b + 5 * BLOCK, load(rows, b + 5 * BLOCK) + mass * az + cz + wz * wh - hz * ww)
+        vx, vy, vz = vector(rows, b + 3 * BLOCK)
+        vx = vx + mass * ax + cx + wx * wh - hx * ww
+        vy = vy + mass * ay + cy + wy * wh - hy * ww
+        vz = vz + mass * az + cz + wz * wh - hz * ww
+        put(rows, b + 3 * BLOCK, vx, vy, vz)
 
         b = state_bar + at
         cx, cy, cz = cross(lx, ly, lz, zx, zy, zz)
@@ -114,17 +129,16 @@ def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         vx = cx + ux * ixx + uy * ixy + uz * ixz + mx * wh + hx * mw - wx * two
         vy = cy + ux * ixy + uy * iyy + uz * iyz + my * wh + hy * mw - wy * two
         vz = cz + ux * ixz + uy * iyz + uz * izz + mz * wh + hz * mw - wz * two
-        store(rows, b, load(rows, b) + vx)
-        store(rows, b + BLOCK, load(rows, b + BLOCK) + vy)
-        store(rows, b + 2 * BLOCK, load(rows, b + 2 * BLOCK) + vz)
+        add(rows, b, vx, vy, vz)
         cx, cy, cz = cross(hx, hy, hz, mx, my, mz)
-        store(rows, b + 3 * BLOCK, load(rows, b + 3 * BLOCK) + zx * ixx + zy * ixy + zz * ixz + cx)
-        store(rows, b + 4 * BLOCK, load(rows, b + 4 * BLOCK) + zx * ixy + zy * iyy + zz * iyz + cy)
-        store(rows, b + 5 * BLOCK, load(rows, b + 5 * BLOCK) + zx * ixz + zy * iyz + zz * izz + cz)
+        vx, vy, vz = vector(rows, b + 3 * BLOCK)
+        vx = vx + zx * ixx + zy * ixy + zz * ixz + cx
+        vy = vy + zx * ixy + zy * iyy + zz * iyz + cy
+        vz = vz + zx * ixz + zy * iyz + zz * izz + cz
+        put(rows, b + 3 * BLOCK, vx, vy, vz)
         cx, cy, cz = cross(zx, zy, zz, hx, hy, hz)
-        store(rows, b + 6 * BLOCK, load(rows, b + 6 * BLOCK) + mass * mx + cx)
-        store(rows, b + 7 * BLOCK, load(rows, b + 7 * BLOCK) + mass * my + cy)
-        store(rows, b + 8 * BLOCK, load(rows, b + 8 * BLOCK) + mass * mz + cz)
+        vx, vy, vz = vector(rows, b + 6 * BLOCK)
+        put(rows, b + 6 * BLOCK, vx + mass * mx + cx, vy + mass * my + cy, vz + mass * mz + cz)
 
 
 @compiled
@@ -140,13 +154,13 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
     after, before = code[AFTER], code[BEFORE]
     for at in range(0, BLOCK, LANES):
         r = state + at
-        wx, wy, wz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-        dx, dy, dz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-        ax, ay, az = load(rows, r + 6 * BLOCK), load(rows, r + 7 * BLOCK), load(rows, r + 8 * BLOCK)
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
         b = state_bar + at
-        ox, oy, oz = load(rows, b), load(rows, b + BLOCK), load(rows, b + 2 * BLOCK)
-        ex, ey, ez = load(rows, b + 3 * BLOCK), load(rows, b + 4 * BLOCK), load(rows, b + 5 * BLOCK)
-        fx, fy, fz = load(rows, b + 6 * BLOCK), load(rows, b + 7 * BLOCK), load(rows, b + 8 * BLOCK)
+        ox, oy, oz = vector(rows, b)
+        ex, ey, ez = vector(rows, b + 3 * BLOCK)
+        fx, fy, fz = vector(rows, b + 6 * BLOCK)
         if after != NOTHING:
             tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
             wx, wy, wz = out_of(after, p, 12, wx, wy, wz)
@@ -193,19 +207,13 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
                 fx, fy, fz = out_of(before, p, 0, fx, fy, fz)
                 cx, cy, cz = cross(tx, ty, tz, fx, fy, fz)
                 ex, ey, ez = ex + cx, ey + cy, ez + cz
-                r = above + at
-                cx, cy, cz = _spun(fx, fy, fz, load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK), tx, ty, tz)
+                wx, wy, wz = vector(rows, above + at)
+                cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, tx, ty, tz)
                 ox, oy, oz = ox + cx, oy + cy, oz + cz
             b = above_bar + at
-            store(rows, b, load(rows, b) + ox)
-            store(rows, b + BLOCK, load(rows, b + BLOCK) + oy)
-            store(rows, b + 2 * BLOCK, load(rows, b + 2 * BLOCK) + oz)
-            store(rows, b + 3 * BLOCK, load(rows, b + 3 * BLOCK) + ex)
-            store(rows, b + 4 * BLOCK, load(rows, b + 4 * BLOCK) + ey)
-            store(rows, b + 5 * BLOCK, load(rows, b + 5 * BLOCK) + ez)
-            store(rows, b + 6 * BLOCK, load(rows, b + 6 * BLOCK) + fx)
-            store(rows, b + 7 * BLOCK, load(rows, b + 7 * BLOCK) + fy)
-            store(rows, b + 8 * BLOCK, load(rows, b + 8 * BLOCK) + fz)
+            add(rows, b, ox, oy, oz)
+            add(rows, b + 3 * BLOCK, ex, ey, ez)
+            add(rows, b + 6 * BLOCK, fx, fy, fz)
 
 
 @compiled
@@ -216,10 +224,10 @@ def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine
         o = (STATE + 6 * d) * BLOCK
         for at in range(0, BLOCK, LANES):
             r, b = state + o + at, state_bar + o + at
-            zx, zy, zz = load(rows, r), load(rows, r + BLOCK), load(rows, r + 2 * BLOCK)
-            mx, my, mz = load(rows, r + 3 * BLOCK), load(rows, r + 4 * BLOCK), load(rows, r + 5 * BLOCK)
-            ux, uy, uz = load(rows, b), load(rows, b + BLOCK), load(rows, b + 2 * BLOCK)
-            nx, ny, nz = load(rows, b + 3 * BLOCK), load(rows, b + 4 * BLOCK), load(rows, b + 5 * BLOCK)
+            zx, zy, zz = vector(rows, r)
+            mx, my, mz = vector(rows, r + 3 * BLOCK)
+            ux, uy, uz = vector(rows, b)
+            nx, ny, nz = vector(rows, b + 3 * BLOCK)
             if after != NOTHING:
                 tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
                 zx, zy, zz = out_of(after, p, 12, zx, zy, zz)
@@ -246,12 +254,8 @@ def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine
                 cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
                 ux, uy, uz = ux + cx, uy + cy, uz + cz
             b = above_bar + o + at
-            store(rows, b, load(rows, b) + ux)
-            store(rows, b + BLOCK, load(rows, b + BLOCK) + uy)
-            store(rows, b + 2 * BLOCK, load(rows, b + 2 * BLOCK) + uz)
-            store(rows, b + 3 * BLOCK, load(rows, b + 3 * BLOCK) + nx)
-            store(rows, b + 4 * BLOCK, load(rows, b + 4 * BLOCK) + ny)
-            store(rows, b + 5 * BLOCK, load(rows, b + 5 * BLOCK) + nz)
+            add(rows, b, ux, uy, uz)
+            add(rows, b + 3 * BLOCK, nx, ny, nz)
 
 
 @compiled

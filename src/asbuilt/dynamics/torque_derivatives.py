@@ -23,8 +23,10 @@ from asbuilt.dynamics.recursion import (
     cross,
     gather_states,
     layout_of,
+    put,
     scratch,
     trigonometry,
+    vector,
 )
 from asbuilt.errors import UsageError
 
@@ -58,18 +60,6 @@ def torque_derivatives(model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: Arra
 
 
 @compiled
-def _vector(rows, at):
-    return load(rows, at), load(rows, at + BLOCK), load(rows, at + 2 * BLOCK)
-
-
-@compiled
-def _put(rows, at, x, y, z):
-    store(rows, at, x)
-    store(rows, at + BLOCK, y)
-    store(rows, at + 2 * BLOCK, z)
-
-
-@compiled
 def _dot(ax, ay, az, bx, by, bz):
     return ax * bx + ay * by + az * bz
 
@@ -78,7 +68,7 @@ def _dot(ax, ay, az, bx, by, bz):
 def _turned(rows, at, p, o, to):
     """Write R P for the rotation R in nine rows and the rotation P at p[o:o+9]."""
     for row in range(3):
-        x, y, z = load(rows, at + 3 * row * BLOCK), load(rows, at + (3 * row + 1) * BLOCK), load(rows, at + (3 * row + 2) * BLOCK)
+        x, y, z = vector(rows, at + 3 * row * BLOCK)
         for column in range(3):
             store(rows, to + (3 * row + column) * BLOCK, x * p[o + column] + y * p[o + 3 + column] + z * p[o + 6 + column])
 
@@ -110,7 +100,7 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
     for at in range(0, BLOCK, LANES):
         u, r = above + at, own + at
         x, y, z = _moved(rows, u + POSE * BLOCK, splat(p[9]), splat(p[10]), splat(p[11]))
-        px, py, pz = _vector(rows, u + PLACE * BLOCK)
+        px, py, pz = vector(rows, u + PLACE * BLOCK)
         px, py, pz = px + x, py + y, pz + z
         _turned(rows, u + POSE * BLOCK, p, 0, r + POSE * BLOCK)
         zx, zy, zz = load(rows, r + 2 * BLOCK), load(rows, r + 5 * BLOCK), load(rows, r + 8 * BLOCK)
@@ -129,36 +119,36 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
             d = load(rows, angle + at)
             px, py, pz = px + zx * d, py + zy * d, pz + zz * d
         x, y, z = _moved(rows, r + POSE * BLOCK, splat(p[21]), splat(p[22]), splat(p[23]))
-        _put(rows, r + PLACE * BLOCK, px + x, py + y, pz + z)
+        put(rows, r + PLACE * BLOCK, px + x, py + y, pz + z)
         _turned(rows, r + POSE * BLOCK, p, 12, r + POSE * BLOCK)
-        _put(rows, r + SCREW * BLOCK, sx, sy, sz)
-        _put(rows, r + (SCREW + 3) * BLOCK, tx, ty, tz)
+        put(rows, r + SCREW * BLOCK, sx, sy, sz)
+        put(rows, r + (SCREW + 3) * BLOCK, tx, ty, tz)
 
-        wx, wy, wz = _vector(rows, u + SPEED * BLOCK)
-        vx, vy, vz = _vector(rows, u + (SPEED + 3) * BLOCK)
-        dx, dy, dz = _vector(rows, u + CHANGE * BLOCK)
-        ax, ay, az = _vector(rows, u + (CHANGE + 3) * BLOCK)
+        wx, wy, wz = vector(rows, u + SPEED * BLOCK)
+        vx, vy, vz = vector(rows, u + (SPEED + 3) * BLOCK)
+        dx, dy, dz = vector(rows, u + CHANGE * BLOCK)
+        ax, ay, az = vector(rows, u + (CHANGE + 3) * BLOCK)
         ex, ey, ez = cross(wx, wy, wz, sx, sy, sz)
         fx, fy, fz = cross(wx, wy, wz, tx, ty, tz)
         gx, gy, gz = cross(vx, vy, vz, sx, sy, sz)
         fx, fy, fz = fx + gx, fy + gy, fz + gz
-        _put(rows, r + TURN * BLOCK, ex, ey, ez)
-        _put(rows, r + (TURN + 3) * BLOCK, fx, fy, fz)
+        put(rows, r + TURN * BLOCK, ex, ey, ez)
+        put(rows, r + (TURN + 3) * BLOCK, fx, fy, fz)
         gx, gy, gz = cross(dx, dy, dz, sx, sy, sz)
         hx, hy, hz = cross(wx, wy, wz, ex, ey, ez)
-        _put(rows, r + TURN_2 * BLOCK, gx + hx, gy + hy, gz + hz)
+        put(rows, r + TURN_2 * BLOCK, gx + hx, gy + hy, gz + hz)
         gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
         hx, hy, hz = cross(ax, ay, az, sx, sy, sz)
         gx, gy, gz = gx + hx, gy + hy, gz + hz
         hx, hy, hz = cross(wx, wy, wz, fx, fy, fz)
         gx, gy, gz = gx + hx, gy + hy, gz + hz
         hx, hy, hz = cross(vx, vy, vz, ex, ey, ez)
-        _put(rows, r + (TURN_2 + 3) * BLOCK, gx + hx, gy + hy, gz + hz)
+        put(rows, r + (TURN_2 + 3) * BLOCK, gx + hx, gy + hy, gz + hz)
         v, a = load(rows, rate + at), load(rows, change + at)
-        _put(rows, r + SPEED * BLOCK, wx + sx * v, wy + sy * v, wz + sz * v)
-        _put(rows, r + (SPEED + 3) * BLOCK, vx + tx * v, vy + ty * v, vz + tz * v)
-        _put(rows, r + CHANGE * BLOCK, dx + sx * a + ex * v, dy + sy * a + ey * v, dz + sz * a + ez * v)
-        _put(rows, r + (CHANGE + 3) * BLOCK, ax + tx * a + fx * v, ay + ty * a + fy * v, az + tz * a + fz * v)
+        put(rows, r + SPEED * BLOCK, wx + sx * v, wy + sy * v, wz + sz * v)
+        put(rows, r + (SPEED + 3) * BLOCK, vx + tx * v, vy + ty * v, vz + tz * v)
+        put(rows, r + CHANGE * BLOCK, dx + sx * a + ex * v, dy + sy * a + ey * v, dz + sz * a + ez * v)
+        put(rows, r + (CHANGE + 3) * BLOCK, ax + tx * a + fx * v, ay + ty * a + fy * v, az + tz * a + fz * v)
 
 
 @compiled
@@ -167,11 +157,11 @@ def _embody(rows, motion, body, chi):
     for at in range(0, BLOCK, LANES):
         r, b = motion + at, body + at
         m = chi[9]
-        px, py, pz = _vector(rows, r + PLACE * BLOCK)
+        px, py, pz = vector(rows, r + PLACE * BLOCK)
         cx, cy, cz = _moved(rows, r + POSE * BLOCK, splat(chi[6]), splat(chi[7]), splat(chi[8]))
-        xx, xy, xz = _vector(rows, r + POSE * BLOCK)
-        yx, yy, yz = _vector(rows, r + (POSE + 3) * BLOCK)
-        zx, zy, zz = _vector(rows, r + (POSE + 6) * BLOCK)
+        xx, xy, xz = vector(rows, r + POSE * BLOCK)
+        yx, yy, yz = vector(rows, r + (POSE + 3) * BLOCK)
+        zx, zy, zz = vector(rows, r + (POSE + 6) * BLOCK)
         ix, iy, iz = (
             xx * chi[0] + xy * chi[1] + xz * chi[2],
             xx * chi[1] + xy * chi[3] + xz * chi[4],
@@ -196,25 +186,25 @@ def _embody(rows, motion, body, chi):
         i_yz = _dot(jx, jy, jz, zx, zy, zz) - py * cz - gy * pz
         i_zz = _dot(kx, ky, kz, zx, zy, zz) + same - pz * cz - gz * pz
         store(rows, b + MASS * BLOCK, splat(m))
-        _put(rows, b + MOMENT * BLOCK, gx, gy, gz)
-        _put(rows, b + INERTIA * BLOCK, i_xx, i_xy, i_xz)
-        _put(rows, b + (INERTIA + 3) * BLOCK, i_yy, i_yz, i_zz)
+        put(rows, b + MOMENT * BLOCK, gx, gy, gz)
+        put(rows, b + INERTIA * BLOCK, i_xx, i_xy, i_xz)
+        put(rows, b + (INERTIA + 3) * BLOCK, i_yy, i_yz, i_zz)
 
-        wx, wy, wz = _vector(rows, r + SPEED * BLOCK)
-        vx, vy, vz = _vector(rows, r + (SPEED + 3) * BLOCK)
-        dx, dy, dz = _vector(rows, r + CHANGE * BLOCK)
-        ax, ay, az = _vector(rows, r + (CHANGE + 3) * BLOCK)
+        wx, wy, wz = vector(rows, r + SPEED * BLOCK)
+        vx, vy, vz = vector(rows, r + (SPEED + 3) * BLOCK)
+        dx, dy, dz = vector(rows, r + CHANGE * BLOCK)
+        ax, ay, az = vector(rows, r + (CHANGE + 3) * BLOCK)
         lx, ly, lz = cross(wx, wy, wz, gx, gy, gz)
         lx, ly, lz = lx + vx * m, ly + vy * m, lz + vz * m
-        _put(rows, b + MOMENTUM * BLOCK, lx, ly, lz)
+        put(rows, b + MOMENTUM * BLOCK, lx, ly, lz)
         half = (i_xx + i_yy + i_zz) * 0.5
         s_xx, s_yy, s_zz = half - i_xx, half - i_yy, half - i_zz
         ex, ey, ez = cross(wx, wy, wz, s_xx, -i_xy, -i_xz)
         fx, fy, fz = cross(wx, wy, wz, -i_xy, s_yy, -i_yz)
         hx, hy, hz = cross(wx, wy, wz, -i_xz, -i_yz, s_zz)
-        _put(rows, b + FLOW * BLOCK, vx * gx + ex, vx * gy + fx, vx * gz + hx)
-        _put(rows, b + (FLOW + 3) * BLOCK, vy * gx + ey, vy * gy + fy, vy * gz + hy)
-        _put(rows, b + (FLOW + 6) * BLOCK, vz * gx + ez, vz * gy + fz, vz * gz + hz)
+        put(rows, b + FLOW * BLOCK, vx * gx + ex, vx * gy + fx, vx * gz + hx)
+        put(rows, b + (FLOW + 3) * BLOCK, vy * gx + ey, vy * gy + fy, vy * gz + hy)
+        put(rows, b + (FLOW + 6) * BLOCK, vz * gx + ez, vz * gy + fz, vz * gz + hz)
 
         ex, ey, ez = cross(gx, gy, gz, vx, vy, vz)
         ex = ex + wx * i_xx + wy * i_xy + wz * i_xz
@@ -226,10 +216,10 @@ def _embody(rows, motion, body, chi):
         nx = ex + fx + hx + dx * i_xx + dy * i_xy + dz * i_xz
         ny = ey + fy + hy + dx * i_xy + dy * i_yy + dz * i_yz
         nz = ez + fz + hz + dx * i_xz + dy * i_yz + dz * i_zz
-        _put(rows, b + WRENCH * BLOCK, nx, ny, nz)
+        put(rows, b + WRENCH * BLOCK, nx, ny, nz)
         ex, ey, ez = cross(wx, wy, wz, lx, ly, lz)
         fx, fy, fz = cross(dx, dy, dz, gx, gy, gz)
-        _put(rows, b + (WRENCH + 3) * BLOCK, ex + fx + ax * m, ey + fy + ay * m, ez + fz + az * m)
+        put(rows, b + (WRENCH + 3) * BLOCK, ex + fx + ax * m, ey + fy + ay * m, ez + fz + az * m)
 
 
 @compiled
@@ -246,18 +236,18 @@ def _pairs(code, chain, rows, motions, body, i, n, tile):
     for at in range(0, BLOCK, LANES):
         r, b = own + at, body + at
         m = load(rows, b + MASS * BLOCK)
-        hx, hy, hz = _vector(rows, b + MOMENT * BLOCK)
-        i_xx, i_xy, i_xz = _vector(rows, b + INERTIA * BLOCK)
-        i_yy, i_yz, i_zz = _vector(rows, b + (INERTIA + 3) * BLOCK)
-        lx, ly, lz = _vector(rows, b + MOMENTUM * BLOCK)
-        xx, xy, xz = _vector(rows, b + FLOW * BLOCK)
-        yx, yy, yz = _vector(rows, b + (FLOW + 3) * BLOCK)
-        zx, zy, zz = _vector(rows, b + (FLOW + 6) * BLOCK)
+        hx, hy, hz = vector(rows, b + MOMENT * BLOCK)
+        i_xx, i_xy, i_xz = vector(rows, b + INERTIA * BLOCK)
+        i_yy, i_yz, i_zz = vector(rows, b + (INERTIA + 3) * BLOCK)
+        lx, ly, lz = vector(rows, b + MOMENTUM * BLOCK)
+        xx, xy, xz = vector(rows, b + FLOW * BLOCK)
+        yx, yy, yz = vector(rows, b + (FLOW + 3) * BLOCK)
+        zx, zy, zz = vector(rows, b + (FLOW + 6) * BLOCK)
         trace = xx + yy + zz
         lx, ly, lz = lx + lx, ly + ly, lz + lz
 
-        sx, sy, sz = _vector(rows, r + SCREW * BLOCK)
-        tx, ty, tz = _vector(rows, r + (SCREW + 3) * BLOCK)
+        sx, sy, sz = vector(rows, r + SCREW * BLOCK)
+        tx, ty, tz = vector(rows, r + (SCREW + 3) * BLOCK)
         gx, gy, gz = cross(hx, hy, hz, tx, ty, tz)
         fx, fy, fz = cross(sx, sy, sz, hx, hy, hz)
         a0 = gx + sx * i_xx + sy * i_xy + sz * i_xz
@@ -273,8 +263,8 @@ def _pairs(code, chain, rows, motions, body, i, n, tile):
         )
         b0, b1, b2 = gx + ex + ex, gy + ey + ey, gz + ez + ez
 
-        ux, uy, uz = _vector(rows, r + TURN * BLOCK)
-        vx, vy, vz = _vector(rows, r + (TURN + 3) * BLOCK)
+        ux, uy, uz = vector(rows, r + TURN * BLOCK)
+        vx, vy, vz = vector(rows, r + (TURN + 3) * BLOCK)
         gx, gy, gz = cross(hx, hy, hz, vx, vy, vz)
         fx, fy, fz = cross(ux, uy, uz, hx, hy, hz)
         ex = sx * trace - _dot(sx, sy, sz, xx, xy, xz) + gx + ux * i_xx + uy * i_xy + uz * i_xz
@@ -289,15 +279,15 @@ def _pairs(code, chain, rows, motions, body, i, n, tile):
         ex = ux * trace - _dot(ux, uy, uz, xx, xy, xz)
         ey = uy * trace - _dot(ux, uy, uz, yx, yy, yz)
         ez = uz * trace - _dot(ux, uy, uz, zx, zy, zz)
-        nx, ny, nz = _vector(rows, b + WRENCH * BLOCK)
-        fx, fy, fz = _vector(rows, b + (WRENCH + 3) * BLOCK)
+        nx, ny, nz = vector(rows, b + WRENCH * BLOCK)
+        fx, fy, fz = vector(rows, b + (WRENCH + 3) * BLOCK)
         gx, gy, gz = cross(sx, sy, sz, fx, fy, fz)
         d3, d4, d5 = dx + gx, dy + gy, dz + gz
         gx, gy, gz = cross(sx, sy, sz, nx, ny, nz)
         d0, d1, d2 = ex + ex + gx, ey + ey + gy, ez + ez + gz
         gx, gy, gz = cross(tx, ty, tz, fx, fy, fz)
-        ux, uy, uz = _vector(rows, r + TURN_2 * BLOCK)
-        vx, vy, vz = _vector(rows, r + (TURN_2 + 3) * BLOCK)
+        ux, uy, uz = vector(rows, r + TURN_2 * BLOCK)
+        vx, vy, vz = vector(rows, r + (TURN_2 + 3) * BLOCK)
         ex, ey, ez = cross(hx, hy, hz, vx, vy, vz)
         fx, fy, fz = cross(ux, uy, uz, hx, hy, hz)
         d0 = d0 + gx + ex + ux * i_xx + uy * i_xy + uz * i_xz
@@ -308,22 +298,22 @@ def _pairs(code, chain, rows, motions, body, i, n, tile):
         for depth in range(code[DEPTH] + 1):
             j = chain[depth]
             o = motions + j * MOTION * BLOCK + at
-            sx, sy, sz = _vector(rows, o + SCREW * BLOCK)
-            tx, ty, tz = _vector(rows, o + (SCREW + 3) * BLOCK)
+            sx, sy, sz = vector(rows, o + SCREW * BLOCK)
+            tx, ty, tz = vector(rows, o + (SCREW + 3) * BLOCK)
             up, down = tile + 3 * (j * n + i) * BLOCK + at, tile + 3 * (i * n + j) * BLOCK + at
             inertia = _dot(sx, sy, sz, a0, a1, a2) + _dot(tx, ty, tz, a3, a4, a5)
             if depth < code[DEPTH]:
-                ux, uy, uz = _vector(rows, o + TURN * BLOCK)
-                vx, vy, vz = _vector(rows, o + (TURN + 3) * BLOCK)
+                ux, uy, uz = vector(rows, o + TURN * BLOCK)
+                vx, vy, vz = vector(rows, o + (TURN + 3) * BLOCK)
                 twice = _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
                 by_position = _dot(ux, uy, uz, b0, b1, b2)
-                ux, uy, uz = _vector(rows, o + TURN_2 * BLOCK)
-                vx, vy, vz = _vector(rows, o + (TURN_2 + 3) * BLOCK)
+                ux, uy, uz = vector(rows, o + TURN_2 * BLOCK)
+                vx, vy, vz = vector(rows, o + (TURN_2 + 3) * BLOCK)
                 by_position = by_position + _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
-                _put(rows, down, by_position, _dot(sx, sy, sz, b0, b1, b2) + twice + twice, inertia)
+                put(rows, down, by_position, _dot(sx, sy, sz, b0, b1, b2) + twice + twice, inertia)
             by_position = _dot(sx, sy, sz, d0, d1, d2) + _dot(tx, ty, tz, d3, d4, d5)
             by_velocity = _dot(sx, sy, sz, c0, c1, c2) + _dot(tx, ty, tz, c3, c4, c5)
-            _put(rows, up, by_position, by_velocity, inertia)
+            put(rows, up, by_position, by_velocity, inertia)
 
 
 @compiled
