@@ -124,6 +124,14 @@ def test_identify_writes_everything_and_validates(
     assert {Path(path).name for path in drifted["files"].values()} == {"drift.csv", "drift.txt", "drift.html"}
     assert call(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"], "--cad", "scara")[0] == 2
     assert call(capsys, "compare", found["files"]["result"], "--cad-tolerance", "much")[0] == 2
+    for options, idle in (
+        (("--holdout", "last:0.3"), "--holdout"),
+        (("--rate", 100, "--flip-torque"), "--rate, --flip-torque"),
+        (("--with", found["files"]["result"], "--cad-tolerance", "5%"), "--cad-tolerance"),
+    ):
+        status, out, err = call(capsys, "compare", found["files"]["result"], *options)
+        assert (status, out) == (2, "")
+        assert f"leave out {idle}" in err
     written = document(capsys, "compare", found["files"]["result"], "--cad-tolerance", "5%", "--out", log.parent / "compared")
     assert written["chi_square_tolerance"]["statistic"] < written["chi_square"]["statistic"]
     assert all(Path(path).stat().st_size > 0 for path in written["files"].values())
@@ -201,6 +209,10 @@ def test_flipped_torque_is_refused_with_its_cure(capsys: pytest.CaptureFixture[s
         (["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--cutoff", "auto"], 2, "--cutoff"),
         (["validate", "{log}", "{other}"], 1, "name the robot before it"),
         (["compare", "{log}"], 1, "result"),
+        (["identify", "scara", "{log}", "--cutoff", "auto", "--holdout", "sometimes"], 2, "blocks:5s:3"),
+        (["validate", "scara", "{log}", "{log}"], 2, "is given twice"),
+        (["check", "scara", "{log}", "{log}"], 2, "is given twice"),
+        (["view", "scara", "--save", "{log}/robot.png"], 2, "is a file"),
     ],
 )
 def test_wrong_calls_name_the_place_and_the_cure(
@@ -212,6 +224,15 @@ def test_wrong_calls_name_the_place_and_the_cure(
     assert says in err
     assert "Traceback" not in err
     assert "should not have happened" not in err
+
+
+def test_what_is_missing_is_told_before_any_work(
+    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("asbuilt.validation.study.run_study", lambda *_, **__: pytest.fail("the study ran"))
+    status, _, err = call(capsys, "identify", "scara", recorded["scara train"], "--payload", "missing.csv")
+    assert status == 1
+    assert "missing.csv" in err
 
 
 def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

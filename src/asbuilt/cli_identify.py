@@ -26,6 +26,7 @@ from asbuilt.cli_options import (
     distinct_logs,
     one_of,
     read_result,
+    refuse_idle,
 )
 from asbuilt.errors import UsageError
 from asbuilt.identification.methods import methods
@@ -89,10 +90,8 @@ def identify(
     )
     with progress_bar() as report:
         report("read", 0.0)
-        recordings = reading.open(model, log)
-        others = reading.open(model, validate)
+        recordings, others, loaded = (reading.open(model, logs) for logs in (log, validate, payload))
         study = run_study(model, recordings, validation=others, options=options, progress=report)
-        loaded = reading.open(model, payload)
         carried = run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout) if loaded else None
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
     answer(
@@ -122,6 +121,7 @@ def validate(
     from asbuilt.writers.study_files import write_validations
     from asbuilt.writers.tabular import described_document, described_torque_table, validate_document
 
+    distinct_logs(log)
     if Path(result).suffix.lower() != ".json":
         if out is not None:
             raise UsageError("validate --out writes the predictions of a result; of a robot as described there is only the table")
@@ -155,7 +155,9 @@ def compare(
     controller: Annotated[
         Path | None, typer.Option("--controller", metavar="LOG", help="a recording with tau_ext: compare with the controller's own model")
     ] = None,
-    holdout: Annotated[str, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by")] = "blocks:5s:3",
+    holdout: Annotated[
+        str | None, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by (default: blocks:5s:3)")
+    ] = None,
     reading: Reading,
     out: Out = None,
     as_json: AsJson = False,
@@ -172,6 +174,15 @@ def compare(
     identified, files = read_result(result), {}
     if sum(choice is not None for choice in (cad, other, controller)) > 1:
         raise UsageError("--cad, --with and --controller are three different comparisons; give one of them")
+    if controller is None:
+        refuse_idle(
+            "how a log is read, and what of it is held out, goes with --controller LOG", {"--holdout": holdout is not None} | reading.given
+        )
+    if other is not None or controller is not None:
+        refuse_idle(
+            "tolerances are those of CAD, with which --with and --controller compare nothing",
+            {"--cad-tolerance": cad_tolerance is not None},
+        )
     if other is not None:
         drift = compare_results(identified, read_result(other), labels=(str(result), str(other)))
         files = write_drift(out, drift) if out is not None else {}
@@ -179,7 +190,7 @@ def compare(
         return
     if controller is not None:
         recording = reading.read(identified.model, [controller])[0]
-        beside = compare_with_controller(identified, recording, holdout=holdout)
+        beside = compare_with_controller(identified, recording, holdout=holdout or "blocks:5s:3")
         files = write_drift(out, beside) if out is not None else {}
         answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
         return

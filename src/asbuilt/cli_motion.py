@@ -19,6 +19,7 @@ from asbuilt.cli_options import (
     number_list,
     positive_number,
     read_result,
+    refuse_idle,
     writable_file,
     writable_folder,
 )
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 def excite(
     robot: Robot,
-    drive: Drive = "viscous,coulomb,offset",
+    drive: Drive = None,
     duration: Annotated[str, typer.Option("--duration", metavar="S", help="length of the motion, or auto (see --precision)")] = "20",
     parametrisation: Annotated[
         str, typer.Option("--parametrisation", metavar="KIND", help="fourier, bspline, quintic or point-to-point")
@@ -52,8 +53,11 @@ def excite(
         int | None, typer.Option("--static", metavar="K", help="no motion: the best K poses to stand still in, for gravity alone")
     ] = None,
     precision: Annotated[
-        float, typer.Option("--precision", metavar="SHARE", help="with --duration auto: torque error per parameter, as share of the torque")
-    ] = 0.002,
+        float | None,
+        typer.Option(
+            "--precision", metavar="SHARE", help="with --duration auto: torque error per parameter, as share of the torque (default: 0.002)"
+        ),
+    ] = None,
     periods: Annotated[
         int | None,
         typer.Option("--periods", metavar="N", help="repeat a Fourier series so often within the duration (default: by duration)"),
@@ -90,9 +94,9 @@ def excite(
     """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.excitation.collision import watched
-    from asbuilt.excitation.design import design_motion
+    from asbuilt.excitation.design import USUAL_DRIVE, design_motion
     from asbuilt.excitation.design_options import DesignOptions
-    from asbuilt.excitation.precision import design_for_precision
+    from asbuilt.excitation.precision import USUAL_PRECISION, design_for_precision
     from asbuilt.excitation.programs.registry import program_format
     from asbuilt.excitation.static_poses import design_static_poses
     from asbuilt.identification.known_information import known_information
@@ -108,11 +112,17 @@ def excite(
         "--periods": periods is not None,
         "--power": power is not None,
         "--perturbed": perturbed != 0,
+        "--drive": drive is not None,
     }
-    if static is not None and any(of_motions.values()):
-        idle = next(name for name, asked in of_motions.items() if asked)
-        raise UsageError(f"--static chooses poses for what gravity tells, all of it; {idle} is for motions, leave it out")
-    model, drives, prior = described_robot(robot), DriveSet.parse(drive or "none"), None
+    if static is not None:
+        refuse_idle("--static chooses poses for what gravity tells, all of it, and these options are for motions", of_motions)
+    if duration != "auto":
+        refuse_idle("--precision is what --duration auto aims at", {"--precision": precision is not None})
+    if given is not None:
+        refuse_idle("--given brings the drive terms of the earlier result", {"--drive": drive is not None})
+    if tool_box is None:
+        refuse_idle("--tool-frame says what stays in --tool-box", {"--tool-frame": tool_frame is not None})
+    model, drives, prior = described_robot(robot), USUAL_DRIVE if drive is None else DriveSet.parse(drive or "none"), None
     sigma = number_list("--noise", noise) or (1.0,)
     if given is not None:
         known = read_result(given)
@@ -159,7 +169,13 @@ def excite(
 
         if duration == "auto":
             design, trials = design_for_precision(
-                model, drives, options, precision, prior=prior, constraints=constraints, progress=progress
+                model,
+                drives,
+                options,
+                USUAL_PRECISION if precision is None else precision,
+                prior=prior,
+                constraints=constraints,
+                progress=progress,
             )
         else:
             design, trials = design_motion(model, drives, options, prior=prior, constraints=constraints, progress=progress), ()

@@ -95,6 +95,11 @@ class Reading:
 
         return open_recordings(logs or [], **self._options(model))
 
+    @property
+    def given(self) -> dict[str, bool]:
+        """Which of these options were given, by name."""
+        return {f"--{field.name.replace('_', '-')}": getattr(self, field.name) != field.default for field in fields(self)}
+
     def _options(self, model: RobotModel) -> ReadingOptions:
         from asbuilt.experiment.recording import TORQUE_SOURCES
 
@@ -221,6 +226,13 @@ def distinct_logs(*groups: Sequence[Path] | None) -> None:
     repeated = next((path for path in given if given.count(path) > 1), None)
     if repeated is not None:
         raise UsageError(f"{repeated} is given twice; give every log once")
+
+
+def refuse_idle(why: str, given: Mapping[str, bool]) -> None:
+    """Raise `UsageError`, saying why, where options were `given` that the command would not look at."""
+    idle = [option for option, present in given.items() if present]
+    if idle:
+        raise UsageError(f"{why}; leave out {', '.join(idle)}")
 
 
 def positive_number(option: str, text: str) -> float:

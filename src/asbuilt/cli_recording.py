@@ -24,6 +24,7 @@ from asbuilt.cli_options import (
     number_list,
     one_of,
     positive_number,
+    refuse_idle,
     robot_as_built,
     writable_file,
 )
@@ -45,6 +46,7 @@ def check(
     from asbuilt.experiment.checks import check_recording
     from asbuilt.writers.tabular import check_document
 
+    distinct_logs(log)
     model = described_robot(robot)
     recordings = reading.open(model, log)
     checks = [check_recording(model, recording) for recording in recordings]
@@ -214,9 +216,10 @@ def simulate(
         from asbuilt.writers.free_motion_files import free_motion_document, free_motion_text, write_free_motion
 
         given = {"MOTION": motion, "--preset": preset, "--set": settings, "--rate": rate, "--engine inverse-dynamics": engine != "mujoco"}
-        idle = [name for name, value in given.items() if value]
-        if idle:
-            raise UsageError(f"--free lets the robot go as it is described, without controller and sensors; leave out {', '.join(idle)}")
+        refuse_idle(
+            "--free lets the robot go as it is described, without controller and sensors",
+            {name: bool(value) for name, value in given.items()},
+        )
         let_go = model if carried is None else with_body(model, carried, place)
         freed = run_free(
             let_go,

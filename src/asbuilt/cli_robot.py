@@ -19,6 +19,7 @@ from asbuilt.cli_options import (
     one_of,
     read_result,
     robot_as_built,
+    writable_file,
 )
 
 
@@ -66,7 +67,10 @@ def view(
     save: Annotated[
         Path | None,
         typer.Option(
-            "--save", metavar="FILE", help="write a page of its own (.html), a picture (.png) or an animation (.gif .webp) instead"
+            "--save",
+            metavar="FILE",
+            help="write a page of its own (.html), a picture (.png) or an animation (.gif .webp) instead",
+            callback=writable_file,
         ),
     ] = None,
     style: Annotated[

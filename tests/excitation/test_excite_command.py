@@ -135,7 +135,20 @@ def test_options_of_motions_are_refused_for_standing_poses(capsys, tmp_path: Pat
     for option in (("--focus", "m3"), ("--power", 50), ("--perturbed", 2), ("--criterion", "a"), ("--parametrisation", "bspline")):
         status, _, err = call(capsys, "excite", "ur10e", "--static", 8, *option, "--out", tmp_path / "motion.csv")
         assert status == 2
-        assert f"{option[0]} is for motions, leave it out" in err
+        assert f"these options are for motions; leave out {option[0]}" in err
+
+
+def test_options_that_would_do_nothing_are_refused(capsys, tmp_path: Path) -> None:
+    for options, idle in (
+        (("--precision", 0.01), "--precision"),
+        (("--tool-frame", "flange"), "--tool-frame"),
+        (("--given", tmp_path / "result.json", "--drive", "viscous"), "--drive"),
+        (("--static", 8, "--drive", "viscous"), "--drive"),
+    ):
+        status, out, err = call(capsys, "excite", "ur10e", *options, "--out", tmp_path / "motion.csv")
+        assert (status, out) == (2, "")
+        assert f"leave out {idle}" in err
+    assert not list(tmp_path.iterdir())
 
 
 def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(capsys, tmp_path: Path) -> None:

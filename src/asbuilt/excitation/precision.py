@@ -20,10 +20,16 @@ from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.motion import Array
 from asbuilt.excitation.multistart import SearchProgress
 
+USUAL_PRECISION = 0.002
+"""Share of the torque that the standard error of a parameter may change, where no other is asked for."""
 SHORTEST, LONGEST_PERIOD, LONGEST = 10.0, 40.0, 1800.0
+"""The first duration that is tried, the longest in one period, and the longest at all [s]."""
 STEP = 5.0
+"""Durations are multiples of this [s]."""
 TRIALS = 8
+"""Durations that are tried at most; each comes from the last by the square root of time, so a few are enough."""
 TRIAL_STARTS, TRIAL_LIMIT = 6, 5.0
+"""Random starts and time [s] of a design that only judges a duration."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,12 +13,12 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, RecordingError
-from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.hold_out import hold_out, parse_rule
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.identify import identify
 from asbuilt.tables import Column, Table, significant
-from asbuilt.validation.prediction import validate
+from asbuilt.validation.prediction import Validation, validate
 from asbuilt.validation.residuals import whiteness_in_band
 
 Array = NDArray[np.float64]
@@ -129,34 +129,37 @@ def sweep_cutoffs(
     """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as recorded, is within 2 % of the smallest.
 
     Weighted least squares each time. The error in the filter's band falls with the cutoff whatever the model is worth and must not choose it. Raises RecordingError where
-    no cutoff leaves enough samples.
+    no cutoff leaves enough samples, UsageError where the rule cannot be read.
     """
     start = (chain or SignalChain()).resolved(*recordings)
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
-    tried = sorted(cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates)))
+    tried = sorted(map(float, cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates))))
     rule = holdout or HOLDOUT
+    parse_rule(rule)
     base = find_base_parameters(model, drive)
     found: list[tuple[float, Array, Array, float, float]] = []
+    last: AsbuiltError | None = None
     for k, cutoff in enumerate(tried):
         if progress is not None:
             progress("cutoff", k / len(tried))
-        at = replace(start, cutoff=float(cutoff), parallel_cutoff=None)
+        at = replace(start, cutoff=cutoff, parallel_cutoff=None)
         try:
             parts = [hold_out(prepare_samples(recording, at), rule) for recording in recordings]
             result = identify(model, [train for train, _ in parts], base=base)
             judged = [validate(result, held) for _, held in parts]
-        except AsbuiltError:
+        except AsbuiltError as problem:
+            last = problem
             continue
         recorded, band = (
             np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0)) for name in ("rms_recorded", "rms")
         )
-        whiteness, share = np.mean(
-            [whiteness_in_band(item.t, item.error, at_most) for item in judged for at_most in [float(cutoff)]], axis=(0, 2)
-        )
-        found.append((float(cutoff), recorded, band, float(whiteness), float(share)))
+        whiteness, share = np.mean([_whiteness(item, cutoff) for item in judged], axis=(0, 2))
+        found.append((cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
-        raise RecordingError("no cutoff leaves enough samples to learn from and to judge by; record longer")
+        raise RecordingError(
+            f"no cutoff leaves enough samples to learn from and to judge by; record longer (at {tried[-1]:.3g} Hz: {last})"
+        )
     best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)
     scores = np.array([np.sqrt(np.mean((recorded / best) ** 2)) for _, recorded, _, _, _ in found])
     bands = np.array([np.sqrt(np.mean((band / best) ** 2)) for _, _, band, _, _ in found]) / scores.min()
@@ -172,6 +175,10 @@ def sweep_cutoffs(
     if chosen in (trials[0], trials[-1]) and len(trials) > 1:
         why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."
     return CutoffSweep(model.joint_names, trials, chosen.cutoff, why, rule)
+
+
+def _whiteness(judged: Validation, cutoff: float) -> tuple[Array, Array]:
+    return whiteness_in_band(judged.t, judged.error, cutoff)
 
 
 def _worth_trying(usual: float, highest: float) -> list[float]:

@@ -13,7 +13,7 @@ from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.checks import RecordingCheck, check_recording
-from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.hold_out import hold_out, parse_rule
 from asbuilt.experiment.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
@@ -58,6 +58,10 @@ class StudyOptions:
     errors: ErrorKind = "blocks"
     checked: bool = True
     threads: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.holdout is not None:
+            parse_rule(self.holdout)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
