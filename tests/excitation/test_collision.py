@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -165,6 +167,9 @@ def test_geometry_of_a_urdf_becomes_capsules_on_the_links_that_carry_it(tmp_path
         ("skeleton = 0.1\nwall = 3", "wall"),
         ('[[capsules]]\nlink = "link_9"\nstart = [0,0,0]\nstop = [0,0,1]\nradius = 0.1', "no link 'link_9'"),
         ("skeleton = ", "cannot be read"),
+        ("skeleton = 0.1\nclearance = -0.02", "clearance.*greater than or equal to 0"),
+        ("skeleton = 0.1\nfloor = nan", "floor.*finite"),
+        ("skeleton = 0.1\n[[obstacles]]\nsize = [1, 0, 1]\nposition = [0, 0, 0]", "size.*greater than 0"),
     ],
 )
 def test_files_that_make_no_sense_are_refused(tmp_path, text: str, said: str) -> None:
@@ -172,6 +177,22 @@ def test_files_that_make_no_sense_are_refused(tmp_path, text: str, said: str) ->
     path.write_text(text)
     with pytest.raises(DescriptionError, match=said):
         surroundings(load_robot("kuka-iiwa7-r800"), path)
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ('<cylinder length="1"/>', "link 'arm', collision.*radius"),
+        ('<sphere radius="big"/>', "link 'arm', collision.*'big'"),
+        ('<mesh filename="broken.stl"/>', "broken.stl.*skeleton:RADIUS"),
+    ],
+)
+def test_shapes_that_cannot_be_read_are_named(tmp_path, shape: str, said: str) -> None:
+    (tmp_path / "broken.stl").write_text("solid arm\nfacet nonsense")
+    path = tmp_path / "r.urdf"
+    path.write_text(re.sub(r"<(cylinder|sphere|box) [^>]*/>", shape, URDF))
+    with pytest.raises(DescriptionError, match=said):
+        urdf_capsules(load_robot(str(path)), path)
 
 
 def test_wrong_boxes_and_frames_are_refused() -> None:

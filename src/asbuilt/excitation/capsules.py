@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, ValidationError
 
 from asbuilt.description.appearance import link_solids
 from asbuilt.description.model import ROOT, RobotModel
@@ -25,6 +24,7 @@ CLEARANCE = 0.02
 
 FLOOR_SIZE = 20.0
 FLOOR_DEPTH = 1.0
+"""Sides and thickness of the box that stands for a floor [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Surroundings:
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class _CapsuleTable(_Table):
@@ -96,13 +96,13 @@ class _CapsuleTable(_Table):
 
 class _ObstacleTable(_Table):
     name: str = "obstacle"
-    size: tuple[float, float, float]
+    size: tuple[PositiveFloat, PositiveFloat, PositiveFloat]
     position: tuple[float, float, float]
     rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class _SurroundingsFile(_Table):
-    clearance: float = CLEARANCE
+    clearance: NonNegativeFloat = CLEARANCE
     floor: float | None = None
     skeleton: float | None = None
     capsules: list[_CapsuleTable] = []
@@ -209,11 +209,11 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
         half = np.array(numbers(shape, "size", 3, place)) / 2
         return np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
     if shape.tag == "cylinder":
-        radius, length = float(shape.get("radius")), float(shape.get("length"))
+        (radius,), (length,) = numbers(shape, "radius", 1, place), numbers(shape, "length", 1, place)
         ring = radius * np.column_stack([np.cos(around), np.sin(around)])
         return np.vstack([np.column_stack([ring, np.full(24, z)]) for z in (-length / 2, length / 2)])
     if shape.tag == "sphere":
-        return float(shape.get("radius")) * np.vstack([np.eye(3), -np.eye(3)])
+        return numbers(shape, "radius", 1, place)[0] * np.vstack([np.eye(3), -np.eye(3)])
     if shape.tag != "mesh":
         return None
     name = shape.get("filename", "")
@@ -226,8 +226,15 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
         import trimesh  # noqa: PLC0415
     except ImportError:
         raise MissingExtraError("trimesh", "cad", "fitting capsules to meshes") from None
-    mesh: Any = trimesh.load(file, force="mesh")
-    vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    try:
+        mesh: Any = trimesh.load(file, force="mesh")
+        vertices = np.asarray(mesh.vertices, dtype=np.float64)
+    except Exception as problem:  # trimesh raises whatever its parsers raise
+        raise DescriptionError(
+            f"{place}: the mesh {file} cannot be read ({problem}); give skeleton:RADIUS or a TOML file with capsules"
+        ) from None
+    if not vertices.size:
+        raise DescriptionError(f"{place}: the mesh {file} has no vertices; give skeleton:RADIUS or a TOML file with capsules")
     scale = np.array(numbers(shape, "scale", 3, place)) if shape.get("scale") else np.ones(3)
     return vertices * scale
 
@@ -246,5 +253,4 @@ def _carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
 
 def neighbours(model: RobotModel) -> frozenset[frozenset[int]]:
     """Return the pairs of links joined by a joint."""
-    joined = {frozenset((i, parent)) for i, parent in enumerate(model.parents)}
-    return frozenset(joined | {frozenset((i, j)) for i, j in combinations(range(ROOT, model.n_joints), 2) if i == j})
+    return frozenset(frozenset((i, parent)) for i, parent in enumerate(model.parents))

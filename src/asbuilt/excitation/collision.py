@@ -9,7 +9,7 @@ import numpy as np
 
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.errors import AsbuiltError, MotionError, UsageError
+from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import random_states
 from asbuilt.excitation.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.distances import nearest_on_segments, nearest_to_box
@@ -21,6 +21,7 @@ SOFTNESS = 0.1
 """Distance beyond the clearance over which a body matters to a design [m]."""
 
 SURVEYED = 200
+"""Random poses by which it is told which bodies always touch."""
 ALWAYS = 0.9
 """Pairs of links closer than the clearance in more than this share of random poses touch by construction and are left out."""
 
@@ -175,7 +176,7 @@ def skeleton_distance(model: RobotModel, q: Array) -> float | None:
     """Return the smallest distance between capsules along the robot's stick figure over poses (N, n) [m], None where it has none that could meet."""
     try:
         return CollisionGuard(model, surroundings(model, "skeleton")).smallest_distance(q)
-    except AsbuiltError:
+    except MotionError:
         return None
 
 
