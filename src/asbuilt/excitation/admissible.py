@@ -12,6 +12,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array
 
 SCALING_STATES = 500
+"""Random states over which the units of the parameters are means."""
 
 
 def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:

@@ -20,6 +20,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array, read_only
 
 MOST_SAMPLES = 20000
+"""Samples of a recording that are looked at; of longer ones every second, third, ..."""
 ROUNDS = 3
 """Rounds in which the bound is tightened: a recording is judged to a few per cent, a design more sharply."""
 

@@ -14,6 +14,7 @@ from asbuilt.excitation.motion import Array, BasisMotion, read_only, way_point_a
 from asbuilt.excitation.piecewise import PiecewisePolynomial
 
 DEGREE = 5
+"""Degree of the splines: their jerk has neither jumps nor corners."""
 
 
 class BSplineMotion(BasisMotion):

@@ -14,6 +14,7 @@ LEAST_FREQUENCY = 0.25
 """Highest frequency of a Fourier series where nothing speaks for a higher one [Hz]."""
 
 LEAST_HARMONICS, MOST_HARMONICS = 4, 16
+"""Fewest and most harmonics in a period where none are asked for."""
 
 
 @dataclass(frozen=True)

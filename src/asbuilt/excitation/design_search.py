@@ -29,9 +29,13 @@ NODES_PER_WAVE = 40
 """Nodes per shortest wave of a motion during the search, twice as many in the end; with fewer, a search hides motion between the nodes."""
 
 LEAST_NODES = 128
+"""Nodes of the search at least, however few waves a motion has."""
 SEARCH_BARRIER = (20.0, 3e-3)
+"""Weights of the barrier at the beginning and the end of a search from a random start: strong at first, which takes it away from the limits that it began near."""
 FINAL_BARRIER = (3e-3, 3e-5)
+"""The same for the refinement, which goes on where the search ended."""
 HOP_BARRIER = (0.3, 3e-3)
+"""The same for a search from a disturbed good motion, which is not to be driven away from it."""
 SEARCH_SPARE, FINAL_SPARE = (3e-3, 3e-2), (1e-3, 1e-2)
 """What search and refinement leave of the limits of motion and of the other constraints, so that they hold between the nodes, too."""
 
@@ -42,14 +46,21 @@ GENERATION = 8
 """Disturbed motions searched from at a time: all of a generation have the same parents, whatever the number of cores."""
 
 PARENTS = 3
+"""Best motions of a population that are disturbed."""
 HOPS_PER_START = 8
+"""Disturbed motions searched from at most, for each random start."""
 IDLE_GENERATIONS = 8
 LEAST_GAIN = 0.02
+"""A population ends after so many generations in a row that raise the best value by less than this."""
 DISTURBANCE = (0.1, 0.5)
+"""How far, in parts of the way to a random motion, a good one is disturbed."""
 
 REPAIRS = 12
+"""Attempts to make a motion hold at 1 kHz,"""
 SLOWING = 0.93
+"""in each of which moves between poses slow down to this part of their speed,"""
 MOST_SHRINKING = 0.3
+"""while others shrink towards a point, by this part at most; beyond it a motion is given up."""
 SHORTEST_MOVE = 0.1
 """Least time that the design grants to a move between two poses [s]."""
 

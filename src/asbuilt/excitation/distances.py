@@ -12,8 +12,11 @@ from asbuilt.dynamics.compilation import compiled
 from asbuilt.excitation.motion import Array
 
 PARALLEL = 1e-12
+"""Squared sine of the angle below which segments count as parallel, and squared length [m^2] below which one is a point."""
 GOLDEN = 0.6180339887498949
+"""The golden section."""
 SECTIONS = 44
+"""Golden sections, after which the place on a segment is known to 1e-9 of its length."""
 
 
 def nearest_on_segments(start: Array, along: Array, other_start: Array, other_along: Array) -> tuple[Array, Array]:

@@ -29,7 +29,9 @@ STEP = 1e-6
 """Step of the central differences through drive columns."""
 
 SMALLEST_SPEED = 1e-12
+"""Stands in for standstill where a column is taken just before and just behind it [rad/s or m/s]."""
 LEAST_JUMP = 1e-3
+"""A drive column that changes by more than this from one side of standstill to the other jumps there."""
 
 
 @dataclass(frozen=True, eq=False)

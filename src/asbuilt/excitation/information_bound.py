@@ -21,12 +21,17 @@ States = tuple[Array, Array, Array]
 POOL = 1500
 """States in the pool at the start."""
 RANDOM_TRIALS = 6000
+"""Random states looked at in a round."""
 ROUNDS = 14
+"""Rounds at most."""
 REFINED = 192
 """States per round that are climbed from."""
 CLIMBS = 12
+"""Steps of a climb."""
 WEIGHT_STEPS = 60
+"""Steps in which the weights of a pool settle, at most."""
 KEPT_WEIGHT = 1e-6
+"""States whose weight is below this part of the mean are dropped."""
 GAP = 0.02
 """Where the gap per parameter, log(d_max / p), falls below this, the search for better states ends."""
 

@@ -12,12 +12,19 @@ from scipy.linalg import cho_factor, cho_solve
 from asbuilt.excitation.motion import Array
 
 FRACTION_TO_BOUNDARY = 0.995
+"""The most of the way to a constraint that one step takes."""
 ARMIJO = 1e-4
+"""The least decrease of the barrier function that a step must bring, in parts of what its slope promises."""
 SHRINK_BARRIER = 0.2
+"""By what factor the weight of the barrier falls."""
 STEPS_PER_BARRIER = 40
+"""Steps at one weight of the barrier, at most."""
 DAMPING = 0.2
+"""The least curvature along a step that BFGS believes, in parts of what it believed before (Powell 1978)."""
 MOST_BACKTRACKS = 14
+"""Halvings of a step before another one is tried."""
 COMPLEMENTARITY_SPREAD = 1e8
+"""How far a multiplier times its slack may be from the weight of the barrier, as a factor."""
 
 
 class StateConstraint(ABC):

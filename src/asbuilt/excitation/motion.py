@@ -13,14 +13,13 @@ from asbuilt.errors import MotionError
 Array = NDArray[np.float64]
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
+"""Names of the time derivatives of a motion; the index is the order."""
 
 JUMPING = ("point-to-point",)
 """Parametrisations whose acceleration jumps."""
-"""Names of the time derivatives of a motion; the index is the order."""
 
 TIME_TOLERANCE = 1e-9
 """Times may leave the interval of a motion by this fraction of its duration (rounding); they are clipped to it."""
-
 
 STANDSTILL = 1e-12
 """Poses that differ by no more than this in every joint [rad or m] are the same pose."""

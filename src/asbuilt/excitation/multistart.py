@@ -20,6 +20,7 @@ from asbuilt.excitation.motion import Array
 Task = TypeVar("Task")
 
 POLL = 0.2
+"""Time after which progress is told and the deadline looked at, though no search has ended [s]."""
 
 
 @dataclass(frozen=True, eq=False)

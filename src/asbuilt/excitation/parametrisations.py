@@ -124,8 +124,7 @@ class Quintic(Parametrisation):
 
     def basis(self, t: Array, order: int) -> Array:
         """Return the derivative of this order of the basis functions."""
-        places = np.eye(3 * self.size - 4)
-        return QuinticMotion.through(self._parts(places)[0], self._times(), *self._parts(places)[1:]).derivative(t, order)
+        return self.motion(np.eye(3 * self.size - 4)).derivative(t, order)
 
     def motion(self, coefficients: Array) -> Motion:
         """Return the motion through the way points."""

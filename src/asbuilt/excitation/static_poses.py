@@ -25,7 +25,9 @@ from asbuilt.excitation.torque_limit import TorqueLimit
 from asbuilt.excitation.travel import CHECK_RATE, Roadmap, travel_through, ways_clear
 
 CANDIDATES = 2000
+"""Random poses to choose among."""
 EXCHANGES = 12
+"""Rounds of exchange at most."""
 SMALLEST_EIGENVALUE = 1e-9
 """Directions of the parameters whose information over random poses is below this fraction of the largest are not told by gravity."""
 
@@ -33,7 +35,9 @@ BARRED = 0.2
 """Angles [rad] of a joint without any admissible pose among the candidates count as barred from this width on."""
 
 REFINEMENT_STEPS = 60
+"""Steps of the climb of all poses together."""
 DWELL = 1.0
+"""Rest at each pose [s]."""
 
 
 @dataclass(frozen=True, eq=False)

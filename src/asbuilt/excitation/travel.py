@@ -24,8 +24,11 @@ STATIONS, NEIGHBOURS = 1000, 12
 """Poses of a roadmap at most, and to how many others the way from each is looked at."""
 
 AT_ONCE = 4096
+"""Poses that are looked at together, for memory."""
 CHECK_RATE = 1000.0
+"""Rate at which a way must hold [Hz]."""
 SLOWING, REPAIRS = 0.93, 12
+"""By what factor a way is slowed down where its torque is too much, and how often."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,10 +11,15 @@ from asbuilt.experiment.smoothed_motion import GAP_STEPS
 from asbuilt.experiment.survey import Missing, Survey
 
 _IRREGULAR = 0.05
+"""Standard deviation of the steps, in steps, from which a clock is uneven."""
 _SHORT_RUN = 20
+"""Repeats of a sample beyond which the robot stands still, and the log is not to blame."""
 _STALE = 0.2
+"""Share of repeated samples from which it is said so."""
 _SLOWEST, _FASTEST = 5.0, 1e5
+"""No controller logs at a rate below the first or above the second [Hz]."""
 _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units that clocks count in, in seconds."""
 
 
 def clock_findings(recording: Survey) -> Iterator[Finding]:

@@ -13,7 +13,9 @@ from asbuilt.experiment.survey import Survey, as_modelled, believable
 from asbuilt.experiment.tallies import Indices
 
 _FEW = 20
+"""Fewer fresh samples than this have no extremes to stay at."""
 _NEAR = 0.05
+"""What is near an extreme, in parts of the span between both."""
 
 
 @dataclass(frozen=True, eq=False)

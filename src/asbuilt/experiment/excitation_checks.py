@@ -15,8 +15,11 @@ from asbuilt.experiment.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.survey import Survey
 
 _WEAK_CONDITION = 100.0
+"""Scaled condition number from which a motion excites poorly; designed ones have 10 to 50."""
 _RANK_TOLERANCE = 1e-7
+"""Singular value, or length of a column, in parts of the largest, below which it counts as zero."""
 _MOST_SAMPLES = 800
+"""Samples that are enough for it."""
 
 
 def excitation_findings(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> Iterator[Finding]:

@@ -25,6 +25,7 @@ STEP_CONTROLLER = PositionController(bandwidth=3.0, feedforward="gravity")
 SPEED = 0.3
 """Speed at which a free motion starts, as a fraction of each joint's velocity limit."""
 TIMESTEP = 5e-4
+"""Step of the integrator [s]."""
 LOGGED = 2
 """Every how many steps of the integrator the motion is kept."""
 RUNAWAY = 1e4

@@ -14,11 +14,16 @@ from asbuilt.experiment.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.survey import Survey
 
 DEGREE = np.pi / 180
+"""A degree in radians."""
 _STILL_ANGLE = 0.05
 _STILL_LENGTH = 0.005
+"""Travel below which a joint hardly moves [rad], and a sliding one [m]."""
 _ALIKE = 0.995
+"""Correlation of positions from which joints move in step."""
 _LAG = 0.3
+"""Lag of logged velocities, in sampling periods, from which it is told."""
 _END = 0.4
+"""How long the ends are that a filter may have disturbed [s]."""
 
 
 def in_degrees(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> str | None:

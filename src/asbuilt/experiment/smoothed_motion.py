@@ -16,8 +16,10 @@ Array = NDArray[np.float64]
 GAP_STEPS = 5.0
 """A time step this many times the median is a gap."""
 _WINDOW = 0.15
+"""Width of the smoothing [s]."""
 _STRETCH_SAMPLES = 4000
 _MOST_STRETCHES = 12
+"""Samples of a piece, and pieces at most, which is enough to judge by however long the recording."""
 
 
 @dataclass(frozen=True, eq=False)

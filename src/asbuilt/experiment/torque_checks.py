@@ -17,14 +17,23 @@ from asbuilt.experiment.tallies import Indices
 from asbuilt.experiment.torque_fit import TorqueFit, best_assignment
 
 _CLEAR = 0.9
+"""Correlation with the model's torque from which a joint's torque speaks clearly,"""
 _FAINT = 0.3
+"""and from which the loudest one, where none is clear, is what the model says beneath noise or friction of its own size,"""
 _ALIKE = (0.8, 1.25)
+"""if its size is within these factors of the model's."""
 _SPEAKING_SHARE = 0.02
+"""Torques that the model has vary by less than this part of the largest say nothing."""
 _PLAUSIBLE = (0.3, 3.0)
+"""Factors by which the masses of CAD may be off; beyond them the unit of the torque is."""
 _BRAKING = 0.5
+"""Correlation against the direction of motion from which a torque does not act as friction does."""
 _QUIET_FLOOR = 1e-9
+"""Power at high frequency, in parts of the peak, below which no sensor was at work."""
 _PLATEAU_RUN = 5
+"""Samples in a row at an extreme from which a torque may be cut off."""
 _SHORTEST = 256
+"""Samples that a spectrum takes."""
 
 
 def torque_findings(

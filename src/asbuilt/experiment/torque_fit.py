@@ -17,10 +17,15 @@ from asbuilt.experiment.recording import Array
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
 
 _BREAKAWAY = 0.02
+"""Width of the sign of velocity [rad/s or m/s]."""
 _FLOOR = 0.02
+"""Misfit below which a better fit counts no more."""
 _DECISIVE = 2.0
+"""Fall of the cost from which an exchange of joints is believed: a misfit of one joint that falls to an eighth."""
 _MOST_SAMPLES = 400
+"""Samples that are enough for it."""
 _MOST_JOINTS = 10
+"""On robots of more joints exchanged torques alone are looked for, which takes long enough."""
 
 
 @dataclass(frozen=True, eq=False)

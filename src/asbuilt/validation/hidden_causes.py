@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import AsbuiltError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.samples import Samples
 from asbuilt.identification.mounting import Mounting, find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
@@ -44,9 +44,10 @@ def with_hidden_causes(
 
 
 def _mounting(result: IdentificationResult, learning: Sequence[Samples], drive: DriveSet, block_seconds: float | None) -> Mounting | None:
+    """Find how the robot stands; None where the samples do not tell, or there is no gravity to point anywhere."""
     try:
         return find_mounting(result.model, learning, drive=drive, block_seconds=block_seconds)
-    except AsbuiltError:
+    except (IdentifiabilityError, UsageError):
         return None
 
 

@@ -22,6 +22,7 @@ QUIETEST = 1e-6
 INFORMATION_TOLERANCE = 1e-13
 """Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
 CHECKED_STATES = 100
+"""Random motions on which torques are compared."""
 SAME_TORQUE = 1e-9
 """Torques [N m or N] that differ by less are the same."""
 

@@ -25,7 +25,9 @@ LISTED = 12
 """How many of the worst determined parameters the text names."""
 
 SAME_POSE = 1e-6
+"""Poses that differ by less in every joint [rad or m] are told to be the same."""
 UNWATCHED_RATE = 100.0
+"""Rate at which the stick figure of a motion that nobody watched is looked at [Hz]."""
 
 
 def write_design(path: str | os.PathLike[str], design: Design, rate: float) -> dict[str, Path]:

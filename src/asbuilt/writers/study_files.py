@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from asbuilt.errors import AsbuiltError
+from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
@@ -45,7 +45,8 @@ def study_document(study: Study, files: Mapping[str, Path]) -> dict[str, Any]:
 def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> dict[str, Path]:
     """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as built, robot.toml.
 
-    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built. Returns the path of each, by kind; `command` is the command line that repeats the study.
+    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built; a robot that cannot be made whole, or whose URDF has changed since, has
+    neither. Returns the path of each, by kind; `command` is the command line that repeats the study.
     """
     result = study.result
     files = {
@@ -65,7 +66,7 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
         original, _ = urdf_to_edit(result.model)
         if original is not None and not impossibilities(robot):
             files["urdf"], _ = write_urdf(folder / "robot.urdf", keeping_described_drives(robot, result.model), original=original)
-    except AsbuiltError:
+    except (IdentifiabilityError, DescriptionError):
         return files
     return files
 

@@ -15,6 +15,7 @@ from asbuilt.excitation.motion import Motion
 CHECK_RATE = 1000.0
 """Rate of the grid on which distances are taken [Hz]."""
 POSES_AT_ONCE = 4000
+"""Poses that are looked at together, for memory."""
 
 
 @dataclass(frozen=True)
