@@ -164,6 +164,8 @@ def test_the_wrong_convention_is_noticed(tmp_path):
         (UNITS.replace("Lyz", "Qyz") + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"column Iyz is missing"),
         (UNITS.replace("Lyz", "Lxy") + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"gives Ixy a second time"),
         (UNITS + "\na,b,1,0,0\n", r"line 2: 5 cells"),
+        (UNITS + "\na,b,1,5,0,0,0,1,1,1,0,0,0\n", r"line 2: 13 cells, but the header has 12 columns; where numbers have decimal commas"),
+        (UNITS + "\na,b," + "1" * 200_000 + ",0,0,0,1,1,1,0,0,0\n", r"cannot be read as CSV text"),
         (UNITS + "\na,b,one,0,0,0,1,1,1,0,0,0\n", r"line 2: mass is 'one'"),
         (UNITS + "\na,b,inf,0,0,0,1,1,1,0,0,0\n", r"line 2: mass is inf"),
         (UNITS, r"no rows"),
@@ -175,11 +177,18 @@ def test_broken_cad_tables(tmp_path, text, message):
         read_cad_table(tmp_path / "t.csv", about="com", products="tensor")
 
 
+def test_empty_cells_behind_the_last_column_say_nothing(tmp_path):
+    (tmp_path / "t.csv").write_text(UNITS + "\na,b,1000,0,0,0,1,1,1,0,0,0,, \n")
+    assert read_cad_table(tmp_path / "t.csv", about="com", products="tensor")["a"].link.inertia.mass == 1.0
+
+
 def test_conventions_must_be_said(tmp_path):
     with pytest.raises(DescriptionError, match="say about='com'"):
         read_cad_table(tmp_path / "t.csv", about="middle", products="tensor")
 
 
-@pytest.mark.parametrize(("text", "value"), [("kg m^2", 1.0), ("g*cm²", 1e-7), ("lb in2", 0.45359237 * 0.0254**2), ("kg·m^2", 1.0)])
+@pytest.mark.parametrize(
+    ("text", "value"), [("kg m^2", 1.0), ("g*cm²", 1e-7), ("lb in2", 0.45359237 * 0.0254**2), ("g µm²", 1e-15), ("kg·m^2", 1.0)]
+)
 def test_units(text, value):
     assert np.isclose(unit_factor(text, mass=1, length=2), value, rtol=1e-14)

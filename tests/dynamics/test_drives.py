@@ -63,6 +63,9 @@ def test_none_is_no_term(text):
         ("viscous,none", "stands alone"),
         ("viscous,viscous", "'viscous' is given 2 times"),
         ("wzrgl", "unknown drive term 'wzrgl'; available"),
+        ("spring:joints=inf", r"joints of drive term 'spring' are numbers from 1, such as joints=2/5, got 'inf'"),
+        ("spring:joints=2/nan", r"are numbers from 1, such as joints=2/5, got '2/nan'"),
+        ("spring:joints=1.5", r"are numbers from 1, such as joints=2/5, got '1\.5'"),
     ],
 )
 def test_wrong_selections_say_what_exists(text, said):

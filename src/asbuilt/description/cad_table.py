@@ -67,8 +67,10 @@ def read_cad_table(
     warnings: dict[str, list[str]] = {}
     for number, cells in lines[1:]:
         place = f"{path}, line {number}"
-        if len(cells) < len(lines[0][1]):
-            raise DescriptionError(f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns")
+        if len(cells) < len(lines[0][1]) or any(cell.strip() for cell in cells[len(lines[0][1]) :]):
+            raise DescriptionError(
+                f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns; where numbers have decimal commas, separate cells by semicolons"
+            )
         values = {
             name: finite_number(cells[columns[name]].strip().replace(",", decimal_point), f"{place}: {name}") * factors[name]
             for name in DIMENSION
@@ -105,12 +107,12 @@ def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
     """Return the numbered lines, and what a comma in a number stands for: a decimal point, unless commas separate the cells."""
     try:
         text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(f"{path}: the table cannot be read as text: {error}") from None
-    header = text.partition("\n")[0]
-    separator = max(";\t,", key=header.count)
-    reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
-    lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+        header = text.partition("\n")[0]
+        separator = max(";\t,", key=header.count)
+        reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
+        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
     if len(lines) < 2:
         raise DescriptionError(f"{path}: the table has no rows; expected a header and one row per part")
     return lines, "," if separator == "," else "."

@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import NO_LETTERS, added_letters, named, rotated_letters
-from asbuilt.description.model import ROOT, DriveValues, Frame, Joint, JointKind, JointLimits, Letters, Link, RobotModel
+from asbuilt.description.model import ROOT, USUAL_GRAVITY, DriveValues, Frame, Joint, JointKind, JointLimits, Letters, Link, RobotModel
 from asbuilt.description.rotation import Array, composed, placement, rotation_x, rotation_z, straightened
 from asbuilt.errors import DescriptionError
 
 Convention = Literal["standard", "modified"]
-
-DOWNWARD = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -48,7 +46,7 @@ def robot_from_dh(
     *,
     convention: Convention = "standard",
     name: str = "robot",
-    gravity: ArrayLike = DOWNWARD,
+    gravity: ArrayLike = USUAL_GRAVITY,
     root_link: str = "root",
     frames: Sequence[Frame] = (),
     source: str = "",

@@ -78,8 +78,6 @@ def _joint(document: Mapping[str, Any]) -> Joint:
     limits = {name: getattr(unlimited, name) if value is None else float(value) for name, value in document["limits"].items()}
     drive = {name: None if value is None else float(value) for name, value in document["drive"].items()}
     terms = {str(key): {str(name): float(number) for name, number in term.items()} for key, term in document.get("drive_terms", {}).items()}
-    if document["kind"] not in ("revolute", "continuous", "prismatic"):
-        raise DescriptionError(f"joint {document['name']!r} is {document['kind']!r}; known kinds: revolute, continuous, prismatic")
     return Joint(
         name=str(document["name"]),
         kind=document["kind"],

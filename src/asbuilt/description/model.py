@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.rotation import checked_placement
 from asbuilt.errors import DescriptionError
 
 Array = NDArray[np.float64]
@@ -17,7 +18,8 @@ JointKind = Literal["revolute", "continuous", "prismatic"]
 Letters = tuple[tuple[tuple[float, str], ...], ...]
 """A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g. `(((1.0, "a2"),), (), ((1.0, "b2"),))`."""
 
-STANDARD_GRAVITY = 9.81
+USUAL_GRAVITY = (0.0, 0.0, -9.81)
+"""Acceleration of free fall [m/s^2] where a description does not say: what other programs take, z pointing up."""
 PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that a description states by themselves; all others are further terms."""
 ROOT = -1
@@ -56,7 +58,8 @@ class DriveValues:
 class Joint:
     """Connect a parent link to the link of the same index.
 
-    The pose of the link in its parent link is `before @ motion(q) @ after`; the motion is a rotation about z or a translation along z.
+    The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the motion is a rotation about z or a translation along z.
+    Raises `DescriptionError` for another kind, and for matrices that are no placements.
     """
 
     name: str
@@ -68,6 +71,13 @@ class Joint:
     drive: DriveValues = DriveValues()
     before_letters: Letters | None = None
     after_letters: Letters | None = None
+
+    def __post_init__(self) -> None:
+        kinds = get_args(JointKind)
+        if self.kind not in kinds:
+            raise DescriptionError(f"joint {self.name!r} is {self.kind!r}; known kinds: {', '.join(kinds)}")
+        object.__setattr__(self, "before", checked_placement(self.before, f"the placement before joint {self.name!r}"))
+        object.__setattr__(self, "after", checked_placement(self.after, f"the placement after joint {self.name!r}"))
 
     @property
     def is_revolute(self) -> bool:
@@ -90,11 +100,14 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A named frame fixed to a link (`link` = ROOT for the root link), such as a flange or a merged link; `placement` is 4 x 4."""
+    """A named frame fixed to a link (`link` = ROOT for the root link), such as a flange or a merged link; `placement` is 4 x 4 [m]."""
 
     name: str
     link: int
     placement: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "placement", checked_placement(self.placement, f"the placement of frame {self.name!r}"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +141,7 @@ class RobotModel:
     name: str
     joints: tuple[Joint, ...]
     links: tuple[Link, ...]
-    gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -STANDARD_GRAVITY]))
+    gravity: Array = field(default_factory=lambda: np.array(USUAL_GRAVITY))
     root_link: str = "root"
     frames: tuple[Frame, ...] = ()
     lengths: Mapping[str, float] = field(default_factory=dict)
@@ -157,11 +170,11 @@ class RobotModel:
                 raise DescriptionError(
                     f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link (index {joint.parent})"
                 )
-            for side, placement in (("before", joint.before), ("after", joint.after)):
-                if placement.shape != (4, 4) or not np.all(np.isfinite(placement)):
-                    raise DescriptionError(f"{self.name}: placement {side} joint {joint.name!r} must be a finite 4 x 4 matrix")
-                placement.setflags(write=False)
-
+        for frame in self.frames:
+            if not ROOT <= frame.link < len(self.links):
+                raise DescriptionError(
+                    f"{self.name}: frame {frame.name!r} is fixed to link index {frame.link}; the links are 0 to {len(self.links) - 1}, and {ROOT} for the root"
+                )
         if self.motor_coupling is not None:
             coupling = np.array(self.motor_coupling, dtype=np.float64)
             if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(np.isfinite(coupling)):

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from asbuilt.errors import DescriptionError
+
 Array = NDArray[np.float64]
 
 QUARTER = math.pi / 2.0
@@ -20,12 +22,15 @@ READING_TOLERANCE = 1e-5
 NOTED_CHANGE = 1e-9
 """A change of an angle [rad] beyond this is worth a note."""
 
+ORTHOGONALITY = 1e-6
+"""A matrix counts as a rotation where `R R^T` differs from 1 by no more: files write six digits."""
+
 _STRAIGHTENED = "and taken as the right angle"
 _QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
 
 
-def right_angle(angle: float, tolerance: float = READING_TOLERANCE) -> float:
-    """Return the multiple of pi/2 that `angle` [rad] stands for, or `angle` itself where none is within `tolerance`.
+def right_angle(angle: float) -> float:
+    """Return the multiple of pi/2 that `angle` [rad] stands for, or `angle` itself where none is within `READING_TOLERANCE`.
 
     >>> right_angle(1.5708) == math.pi / 2
     True
@@ -33,7 +38,7 @@ def right_angle(angle: float, tolerance: float = READING_TOLERANCE) -> float:
     1.57
     """
     nearest = round(angle / QUARTER) * QUARTER
-    return nearest if abs(angle - nearest) <= tolerance else angle
+    return nearest if abs(angle - nearest) <= READING_TOLERANCE else angle
 
 
 def straightened(angle: float, what: str, notes: list[str]) -> float:
@@ -137,13 +142,46 @@ def rotation_onto(axis: ArrayLike) -> Array:
     return snapped(rotation_z(math.atan2(y, x)) @ rotation_y(math.atan2(math.hypot(x, y), z)))
 
 
-def snapped(matrix: ArrayLike, tolerance: float = EXACT_TOLERANCE) -> Array:
-    """Return `matrix` with every entry within `tolerance` of 0, 1 or -1 replaced by that number."""
+def snapped(matrix: ArrayLike) -> Array:
+    """Return `matrix` with every entry within `EXACT_TOLERANCE` of 0, 1 or -1 replaced by that number."""
     result = np.array(matrix, dtype=np.float64)
     nearest = np.rint(result)
-    near = (np.abs(result - nearest) <= tolerance) & (np.abs(nearest) <= 1.0)
+    near = (np.abs(result - nearest) <= EXACT_TOLERANCE) & (np.abs(nearest) <= 1.0)
     result[near] = nearest[near] + 0.0
     return result
+
+
+def rotation_fault(matrix: ArrayLike) -> str | None:
+    """Return why a finite 3 x 3 matrix is no rotation, in numbers, or None where it is one."""
+    R = np.asarray(matrix, dtype=np.float64)
+    error, determinant = float(np.abs(R @ R.T - np.eye(3)).max()), float(np.linalg.det(R))
+    if error <= ORTHOGONALITY and determinant > 0.0:
+        return None
+    return f"R R^T differs from 1 by {error:.2g} and det R = {determinant:.6g}"
+
+
+def axes_across(vector: ArrayLike) -> Array:
+    """Return two unit axes across a vector and each other, as rows (2, 3), as near as may be to two coordinate axes: x and y across z, and across zero."""
+    v = np.asarray(vector, dtype=np.float64)
+    along = v / (np.linalg.norm(v) or 1.0)
+    first, second = (axis - (axis @ along) * along for axis in np.eye(3)[np.sort(np.argsort(np.abs(along), kind="stable")[:2])])
+    first = first / np.linalg.norm(first)
+    second = second - (second @ first) * first
+    return np.array([first, second / np.linalg.norm(second)])
+
+
+def checked_placement(values: ArrayLike, what: str) -> Array:
+    """Return a placement as a read-only 4 x 4 matrix of its own; raises `DescriptionError`, naming `what` it is, where it is none."""
+    T = np.array(values, dtype=np.float64)
+    if T.shape != (4, 4) or not np.all(np.isfinite(T)):
+        raise DescriptionError(f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}")
+    fault = rotation_fault(T[:3, :3])
+    if fault is not None:
+        raise DescriptionError(f"{what} does not hold a rotation in its first three rows and columns: {fault}")
+    if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        raise DescriptionError(f"{what} must have the last row 0 0 0 1, got {T[3].tolist()}; translations stand in the last column")
+    T.setflags(write=False)
+    return T
 
 
 def placement(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import AliasChoices, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import DriveValues, JointKind
-from asbuilt.description.rotation import Array
+from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind
+from asbuilt.description.rotation import Array, rotation_fault
 from asbuilt.errors import DescriptionError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -49,12 +49,9 @@ class PlacementTable(_Table):
         if any(isinstance(value, float) and not math.isfinite(value) for value in self.xyz):
             raise ValueError(f"xyz must be finite, got {list(self.xyz)}")
         if self.rotation is not None:
-            R = np.array(self.rotation)
-            error = float(np.abs(R @ R.T - np.eye(3)).max())
-            if error > 1e-6 or np.linalg.det(R) < 0.0:
-                raise ValueError(
-                    f"rotation is not a rotation matrix: R R^T differs from 1 by {error:.2g} and det R = {np.linalg.det(R):.6g}"
-                )
+            fault = rotation_fault(self.rotation)
+            if fault is not None:
+                raise ValueError(f"rotation is not a rotation matrix: {fault}")
         return self
 
 
@@ -217,7 +214,7 @@ class RobotFile(_Table):
     name: str
     citation: str = ""
     notes: tuple[str, ...] = ()
-    gravity: Vector = (0.0, 0.0, -9.81)
+    gravity: Vector = USUAL_GRAVITY
     root_link: str = "root"
     convention: Literal["standard", "modified"] | None = None
     angle_unit: AngleUnit = "rad"

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import USUAL_GRAVITY, RobotModel
 from asbuilt.description.urdf import read_urdf
 from asbuilt.description.xml import described_text
 from asbuilt.dynamics.newton_euler import inverse_dynamics
@@ -102,7 +102,7 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
             notes.append(f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}]: {said})")
     notes += left_out_drives(model, (), "URDF")
-    if not np.array_equal(model.gravity, [0.0, 0.0, -9.81]):
+    if not np.array_equal(model.gravity, USUAL_GRAVITY):
         notes.append(
             f"URDF has no place for gravity; the model has ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame, set it where the file is loaded"
         )

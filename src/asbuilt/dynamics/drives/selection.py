@@ -212,7 +212,7 @@ def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
                 f"option {option!r} of drive term {term.key!r} must read name=number, or name=number/number/... with one per joint"
             )
         if name == "joints":
-            if any(number != int(number) or number < 1 for number in numbers):
+            if any(not number.is_integer() or number < 1 for number in numbers):
                 raise UsageError(f"joints of drive term {term.key!r} are numbers from 1, such as joints=2/5, got {values!r}")
             term = replace(term, joints=tuple(sorted({int(number) for number in numbers})))
         else:
