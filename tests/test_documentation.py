@@ -5,13 +5,21 @@ from __future__ import annotations
 import ast
 import re
 import shlex
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import polars as pl
 import pytest
 import typer
 
+import asbuilt
 from asbuilt.cli import app
+from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.writers.recording_files import write_recording
+from asbuilt.writers.urdf import write_urdf
 
 HOUSE = Path(__file__).resolve().parents[1]
 PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]
@@ -54,6 +62,47 @@ def test_python_blocks_name_what_there_is(page: str, block: str) -> None:
                 assert hasattr(module, alias.name), f"{page}: {node.module} has no {alias.name}"
         elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "asbuilt":
             assert hasattr(import_module("asbuilt"), node.attr), f"{page}: asbuilt has no {node.attr}"
+
+
+@pytest.fixture(scope="module")
+def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the pages speak of without making it: a robot and its file, recordings and their files, results."""
+    folder = tmp_path_factory.mktemp("pages")
+    model = asbuilt.load_robot("kuka-iiwa7-r800")
+    write_urdf(folder / "arm.urdf", model)
+    robot = InstalledRobot.typical(model, rng=1)
+    recordings = [robot.record(random_fourier(model, rng=seed, duration=12.0), 100.0, rng=seed).recording for seed in (2, 3)]
+    recordings = [replace(each, extra={"tau_ext": 0.1 * each.tau}) for each in recordings]
+    write_recording(folder / "hour.parquet", recordings[0])
+    write_recording(folder / "timed.csv", recordings[0])
+    pl.read_csv(folder / "timed.csv").drop("t").write_csv(folder / "log.csv")
+    samples, other = (asbuilt.prepare_samples(each) for each in recordings)
+    options = asbuilt.StudyOptions(drive=asbuilt.DriveSet.parse("viscous,coulomb,offset"))
+    studies = [asbuilt.run_study(model, [each], options=options) for each in recordings]
+    return {
+        "folder": folder,
+        "model": model,
+        "recording": recordings[0],
+        "samples": samples,
+        "other": other,
+        "result": studies[0].result,
+        "in_january": studies[0].result,
+        "in_july": studies[1].result,
+        "training": studies[0].training[0],
+        "held_out": studies[1].training[0],
+    }
+
+
+LONG = ("design_motion(", "MeshPart(")
+"""Blocks that take minutes, or meshes; what they call is tested in its own room."""
+
+
+@pytest.mark.parametrize(("page", "block"), [(page, block) for page, block in python_blocks() if not any(call in block for call in LONG)])
+def test_python_blocks_run(page: str, block: str, at_hand: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    block = block.replace("rate=1000)", "rate=100)") if "log.csv" in block else block
+    monkeypatch.chdir(at_hand["folder"])
+    names = {name: value for name, value in at_hand.items() if name != "folder"}
+    exec(compile(block, page, "exec"), names)
 
 
 def test_every_command_and_option_is_told() -> None:

@@ -99,7 +99,7 @@ class IdentificationResult:
     | `warnings`, `provenance` | what to know, and how the samples were made |
     | `notes` | what the estimator decided, in sentences |
     | `evidence` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |
-    | `free` | the parameters by weighted least squares alone, by which two results are compared; None where `method` is that, or in files of earlier versions |
+    | `free` | the parameters by weighted least squares alone, by which two results are compared; None where `method` is that |
     """
 
     model: RobotModel

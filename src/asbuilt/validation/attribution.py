@@ -192,7 +192,7 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     """
     if result.evidence is None:
         raise ResultError(
-            f"this result of {result.robot} carries no evidence of causes (streamed, or written by an earlier version); identify again from recordings"
+            f"this result of {result.robot} carries no evidence of causes, which `asbuilt identify` and `run_study` gather from the recordings; identify again with either"
         )
     with one_blas_thread():
         return _attributed(CauseFits(result, result.evidence, cad), result)
