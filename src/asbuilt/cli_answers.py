@@ -16,7 +16,7 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
 
         sys.stdout.write(json_text(document()))
     else:
-        sys.stdout.write(text().rstrip("\n") + "\n")
+        sys.stdout.write(text().strip("\n") + "\n")
     sys.stdout.flush()
 
 

@@ -14,6 +14,9 @@ from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.tables import Cell, Column, Table
 
+ROUNDING = 1e-12
+"""Products of inertia below this part of the largest moment are rounding, and shown as zero."""
+
 
 def robots_table(models: Sequence[RobotModel]) -> Table:
     """List robots: name, joints, total mass, whose facts they are."""
@@ -106,7 +109,7 @@ def links_table(model: RobotModel) -> Table:
         reason = inertia.inconsistency()
         about_com = inertia.inertia_about_com if inertia.mass > 0 else np.zeros((3, 3))
         com = _vector(inertia.com) if inertia.mass > 0 else "-"
-        products = _vector([about_com[0, 1], about_com[0, 2], about_com[1, 2]])
+        products = _vector(_rounded([about_com[0, 1], about_com[0, 2], about_com[1, 2]], float(np.abs(about_com).max())))
         rows.append(
             (link.name, inertia.mass, com, _vector(np.diag(about_com)), products, "OK" if reason is None else f"IMPOSSIBLE: {reason}")
         )
@@ -162,6 +165,11 @@ def standard_table(base: BaseParameters) -> Table:
     )
     columns = (Column("id", align="right"), Column("parameter"), Column("status"), Column("in base ids"), Column("why"))
     return Table(columns, rows, title="Standard parameters")
+
+
+def _rounded(values: Iterable[float], size: float) -> list[float]:
+    """Return values with zero in place of those that are rounding beside others of this size."""
+    return [value if abs(value) > ROUNDING * size else 0.0 for value in values]
 
 
 def _vector(values: Iterable[float]) -> str:
