@@ -13,9 +13,9 @@ from asbuilt.excitation.collision import watched
 from asbuilt.excitation.design import design_motion
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.information import Information, mean_information
-from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.excitation.static_poses import design_static_poses
+from asbuilt.writers.motion_files import write_motion
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 

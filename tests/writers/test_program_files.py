@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.sheet import read_sheet
+from asbuilt.writers.motion_files import write_motion
 from command_line import call
 
 

@@ -1,9 +1,8 @@
-"""Motions as CSV files: `t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units."""
+"""Motions from CSV files: `t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units; `asbuilt.writers.motion_files` writes them."""
 
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,8 +11,8 @@ import polars as pl
 from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
-from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.motion import Array, Motion, Trajectory
+from asbuilt.errors import MotionError
+from asbuilt.excitation.motion import Array, Motion
 from asbuilt.excitation.quintic import QuinticMotion
 from asbuilt.excitation.spline import SplineMotion
 
@@ -39,30 +38,6 @@ class SampledMotion(QuinticMotion):
         motion = cls.through(q, t, qd, qdd)
         motion.joint_names = tuple(joint_names) or tuple(f"joint_{j}" for j in range(1, motion.n_joints + 1))
         return motion
-
-
-def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, joint_names: Sequence[str], rate: float = 1000.0) -> Path:
-    """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV; numbers have the digits that read back to the same double.
-
-    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does so in the file. The file appears whole or not at all. Raises MotionError if names and joints do not go together, UsageError if the place is not writable.
-    """
-    trajectory = _sampled_to_end(motion, rate) if isinstance(motion, Motion) else motion
-    names = tuple(joint_names)
-    if len(names) != trajectory.n_joints or len(set(names)) != len(names):
-        raise MotionError(f"a motion of {trajectory.n_joints} joints needs as many different names, got {', '.join(names) or 'none'}")
-    columns = {"t": trajectory.t}
-    for prefix, values in zip(PREFIXES, (trajectory.q, trajectory.qd, trajectory.qdd), strict=True):
-        columns |= {prefix + name: values[:, j] for j, name in enumerate(names)}
-    target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
-            partial = Path(folder) / target.name
-            pl.DataFrame(columns).write_csv(partial)
-            partial.replace(target)
-    except OSError as error:
-        raise UsageError(f"cannot write the motion to {target}: {error.strerror or error}; choose a folder you may write to") from error
-    return target
 
 
 def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -> SampledMotion:
@@ -115,11 +90,6 @@ def times_to_end(motion: Motion, rate: float) -> Array:
     """Return the times 0, 1/rate, ... and the end of the motion, which is left out if it comes within a hundredth of a period or 1 us after these."""
     t = motion.sample_times(rate)
     return np.append(t, motion.duration) if motion.duration - t[-1] > max(SMALLEST_STEP / rate, 1e-6) else t
-
-
-def _sampled_to_end(motion: Motion, rate: float) -> Trajectory:
-    t = times_to_end(motion, rate)
-    return Trajectory(t, *motion.at(t))
 
 
 def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:

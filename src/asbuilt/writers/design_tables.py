@@ -16,10 +16,10 @@ from asbuilt.excitation.collision import skeleton_distance
 from asbuilt.excitation.design import Design
 from asbuilt.excitation.limits import LimitReport
 from asbuilt.excitation.motion import JUMPING, Motion
-from asbuilt.excitation.motion_csv import write_motion
 from asbuilt.excitation.precision import DurationTrial, torque_effects
 from asbuilt.excitation.static_poses import StaticDesign
 from asbuilt.tables import Cell, Column, Table, share, significant
+from asbuilt.writers.motion_files import write_motion
 
 LISTED = 12
 """How many of the worst determined parameters the text names."""
