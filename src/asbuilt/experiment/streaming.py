@@ -29,10 +29,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.sheet import RecordingSheet
 
 
-def stream_recording(
-    path: PathLike, *, chunk_samples: int = 200_000, overlap: int = 0, **options: Unpack[ReadingOptions]
-) -> Iterator[Recording]:
-    """Read a recording in stretches of `chunk_samples`, each led in by the last `overlap` samples of the one before.
+def stream_recording(path: PathLike, *, chunk_samples: int = 200_000, **options: Unpack[ReadingOptions]) -> Iterator[Recording]:
+    """Read a recording in consecutive stretches of `chunk_samples`, the last of which may be shorter.
 
     Parquet is read in slices and delimited text lazily, so memory depends on the stretch, not on the length; other formats are read whole first.
     Extra quantities are left out. Options are those of `read_recording`.
@@ -42,15 +40,16 @@ def stream_recording(
     RecordingError
         As `read_recording`; a bad cell is reported when its stretch is reached.
     """
-    if chunk_samples < 1 or overlap < 0:
-        raise RecordingError(f"chunk_samples must be at least 1 and overlap at least 0, got {chunk_samples} and {overlap}")
+    if chunk_samples < 1:
+        raise RecordingError(f"chunk_samples must be at least 1, got {chunk_samples}")
     path = Path(path)
     check_readable(path)
     described, notes = find_sheet(path, options.get("sheet"))
     suffix = path.suffix.lower()
     blank = described.separator == " " or (suffix in TEXT_SUFFIXES and find_dialect(path).separator == "")
     if described.files.position is not None or blank or (suffix != ".parquet" and suffix not in TEXT_SUFFIXES):
-        yield from _cut(read_recording(path, **(options | {"sheet": described})), chunk_samples, overlap)
+        whole = read_recording(path, **(options | {"sheet": described}))
+        yield from (whole.taken(slice(begin, begin + chunk_samples)) for begin in range(0, whole.n_samples, chunk_samples))
         return
     source = str(path)
     layout = find_layout(source, _column_names(path, described), model=options.get("model"), sheet=described)
@@ -63,7 +62,7 @@ def stream_recording(
     windowless = described.model_copy(update={"windows": []})
     origin: float | None = None
     start = 0.0
-    for first, frame in _frames(path, described, layout.columns, chunk_samples, overlap):
+    for first, frame in _frames(path, described, layout.columns, chunk_samples):
         table = Table(source=source, columns={name: _numbers(frame[name]) for name in layout.columns})
         if origin is None and layout.time is not None:
             t = table.columns[layout.time] * layout.scales[layout.time]
@@ -96,26 +95,22 @@ def _column_names(path: Path, sheet: RecordingSheet) -> tuple[str, ...]:
     return tuple(name for name in dialect.names if name not in dialect.text_columns)
 
 
-def _frames(path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples: int, overlap: int) -> Iterator[tuple[int, pl.DataFrame]]:
+def _frames(path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples: int) -> Iterator[tuple[int, pl.DataFrame]]:
     """Yield the index of the first row, and the frame of the needed columns."""
     if path.suffix.lower() == ".parquet":
         scanned = scan_parquet(path)[0]
         total = int(scanned.select(pl.len()).collect().item())
         for begin in range(0, total, chunk_samples):
-            first = max(0, begin - overlap)
-            yield first, scanned.select(columns).slice(first, begin + chunk_samples - first).collect()
+            yield begin, scanned.select(columns).slice(begin, chunk_samples).collect()
         return
     dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
-    tail: pl.DataFrame | None = None
     done = 0
     try:
         for frame in without_blank_lines(scan_delimited(path, dialect).select(columns)).collect_batches(
             chunk_size=chunk_samples, maintain_order=True
         ):
-            led = frame if tail is None else pl.concat([tail, frame])
-            yield done - (0 if tail is None else tail.height), led
+            yield done, frame
             done += frame.height
-            tail = led.tail(overlap) if overlap else None
     except pl.exceptions.PolarsError as error:
         raise RecordingError(bad_cell(path, dialect, error)) from error
 
@@ -126,8 +121,3 @@ def _numbers(series: pl.Series) -> Array:
     if series.dtype != pl.Float64:
         series = series.cast(pl.Float64)
     return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()
-
-
-def _cut(recording: Recording, chunk_samples: int, overlap: int) -> Iterator[Recording]:
-    for begin in range(0, recording.n_samples, chunk_samples):
-        yield recording.taken(slice(max(0, begin - overlap), begin + chunk_samples))

@@ -31,6 +31,8 @@ MeasuredTorque = Literal["sensor", "motor", "current"]
 FULL_DRIVE = "armature,viscous,coulomb,offset"
 LINK_DRIVE = "viscous,coulomb,offset"
 PRESETS = ("ideal", "lab", "factory")
+LONGEST_STEP = 1e-3
+"""Longest step of the integrator [s]."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -78,7 +80,7 @@ class VirtualRobot:
     def preset(
         cls, name: str, model: RobotModel, rng: Seed = None, *, tool: LinkInertia | None = None, at: str | None = None
     ) -> VirtualRobot:
-        """Return a robot of the description as one meets it in theory, in a laboratory, or in a factory; see `PRESETS`.
+        """Return a robot of the description as one meets it in theory, in a laboratory, or in a factory.
 
         `ideal`: the description and nothing else, perfect sensors that also log accelerations, a controller that knows all.
         `lab`: mass distributions 3 % off; joint torque sensors (noise 0.1 %, bias 0.1 %, ripple 0.1 % of the torque range), 2^19 counts per turn, 30 %
@@ -179,7 +181,7 @@ class VirtualRobot:
         n = model.n_joints
         ticks = self.logger.rate * np.ceil(controller.rate / self.logger.rate - 1e-9)
         command = motion.sample(ticks)
-        substeps = max(1, int(np.ceil(LONGEST_STEP**-1 / ticks - 1e-9)))
+        substeps = max(1, int(np.ceil(1.0 / (LONGEST_STEP * ticks) - 1e-9)))
         physics = Physics(
             model,
             armature=train.of("armature", n),
@@ -204,10 +206,6 @@ class VirtualRobot:
             "sensors": asdict(self.sensors),
             "logger": asdict(self.logger),
         }
-
-
-LONGEST_STEP = 1e-3
-"""Longest step of the integrator [s]."""
 
 
 def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:

@@ -98,8 +98,10 @@ class CauseFits:
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
         self.non_negative: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self.names = (*evidence.names, *(f"gain {k + 1}" for k in range(n)), *(f"payload {i}" for i in range(10)))
-        self.fitted, self.judged = ([self._widened(factor, x, K, k) for k, factor in enumerate(evidence.whole(factors))] for factors in (
-            evidence.fitted, evidence.judged))  # fmt: skip
+        self.fitted, self.judged = (
+            [self._widened(factor, x, K, k) for k, factor in enumerate(evidence.whole(factors))]
+            for factors in (evidence.fitted, evidence.judged)
+        )
         floor = NOISE_FLOOR * np.sqrt([float(f[:, -1] @ f[:, -1]) / evidence.n_fitted for f in evidence.fitted])
         self.floor = np.maximum(floor, np.finfo(float).tiny)
         self.weights = 1.0 / np.maximum(result.sigma, self.floor)
