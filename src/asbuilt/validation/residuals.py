@@ -13,6 +13,10 @@ from scipy.special import chdtrc
 Array = NDArray[np.float64]
 Runs = tuple[tuple[int, int], ...]
 
+LONGEST_LAG = 2.0
+"""Lag up to which autocorrelation is looked at [s]."""
+LJUNG_BOX_LAGS = 20
+"""Lags that the test of Ljung and Box takes together, where there are as many."""
 GAP = 1.5
 """A step in time of this many median steps, or one that does not advance, starts a new run."""
 
@@ -121,8 +125,8 @@ class ResidualAnalysis:
     spectrum: Array
 
 
-def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...], *, max_lag: float = 2.0) -> ResidualAnalysis:
-    """Analyse the torque error `residual` (N, n) at times `t` (N,) [s] up to a lag of `max_lag` seconds.
+def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) -> ResidualAnalysis:
+    """Analyse the torque error `residual` (N, n) at times `t` (N,) [s] up to a lag of two seconds.
 
     Ljung-Box uses at most 20 lags; the spectrum is Welch's, averaged over runs by their length.
     """
@@ -130,9 +134,9 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...], *,
     longest = max(stop - start for start, stop in runs)
     forward = np.diff(t)[np.diff(t) > 0]
     step = float(np.median(forward)) if len(forward) else 1.0
-    n_lags = max(1, min(round(max_lag / step), longest - 1))
+    n_lags = max(1, min(round(LONGEST_LAG / step), longest - 1))
     rho = np.column_stack([autocorrelation(column, runs, n_lags) for column in residual.T])
-    tests = [ljung_box(column, len(t), 20) for column in rho.T]
+    tests = [ljung_box(column, len(t), LJUNG_BOX_LAGS) for column in rho.T]
     frequencies, spectrum = _spectrum(residual, runs, 1.0 / step)
     return ResidualAnalysis(
         joint_names=joint_names,

@@ -15,6 +15,12 @@ from asbuilt.excitation.motion import Array, Motion
 GRID_RATE = 1000.0
 """Rate at which points are compared with the motion [Hz]."""
 
+KNOT_STEPS = (0.2, 0.004)
+"""Longest and shortest time between knots of cubics [s]."""
+
+SPLINE_STEPS = (0.5, 0.02)
+"""Longest and shortest time between the points of a spline [s]."""
+
 STRAIGHT = 1e-3
 """A stretch is straight in joint space when no joint leaves the line between its ends by more than this [rad or m]."""
 
@@ -28,23 +34,23 @@ class Stretch:
     dwell: float
 
 
-def hermite_knots(motion: Motion, tolerance: float, *, longest: float = 0.2, shortest: float = 0.004) -> Array:
+def hermite_knots(motion: Motion, tolerance: float) -> Array:
     """Return equally spaced times between which the cubics that match position and velocity stay within `tolerance` [rad or m] of the motion."""
 
     def error(knots: Array) -> float:
         cubic = CubicHermiteSpline(knots, motion.derivative(knots), motion.derivative(knots, 1))
         return _largest_deviation(motion, cubic)
 
-    return _equal_times(motion, error, tolerance, longest, shortest, "cubics")
+    return _equal_times(motion, error, tolerance, KNOT_STEPS, "cubics")
 
 
-def spline_times(motion: Motion, tolerance: float, *, longest: float = 0.5, shortest: float = 0.02) -> Array:
+def spline_times(motion: Motion, tolerance: float) -> Array:
     """Return equally spaced times such that a cubic spline at rest at both ends through the poses then stays within `tolerance` of the motion."""
 
     def error(times: Array) -> float:
         return _largest_deviation(motion, CubicSpline(times, motion.derivative(times), bc_type="clamped"))
 
-    return _equal_times(motion, error, tolerance, longest, shortest, "a spline")
+    return _equal_times(motion, error, tolerance, SPLINE_STEPS, "a spline")
 
 
 def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
@@ -72,7 +78,8 @@ def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
     return tuple(stretches)
 
 
-def _equal_times(motion: Motion, error: Callable[[Array], float], tolerance: float, longest: float, shortest: float, what: str) -> Array:
+def _equal_times(motion: Motion, error: Callable[[Array], float], tolerance: float, steps: tuple[float, float], what: str) -> Array:
+    longest, shortest = steps
     pieces = max(2, int(np.ceil(motion.duration / longest)))
     while True:
         times = np.linspace(0.0, motion.duration, pieces + 1)
