@@ -11,9 +11,9 @@ from scipy.optimize import minimize
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.batches import available_cores
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.excitation.admissible import parameter_scale
-from asbuilt.excitation.crew import available_cores
 from asbuilt.excitation.criteria import DOptimality
 from asbuilt.excitation.design import USUAL_DRIVE, design_motion
 from asbuilt.excitation.design_options import DesignOptions

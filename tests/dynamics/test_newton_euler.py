@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from pinocchio_oracle import pinocchio_model, random_robot
+from pinocchio_oracle import pinocchio_model, random_inertia, random_robot
 from scipy.integrate import solve_ivp
 
 from asbuilt.description.model import RobotModel
@@ -179,6 +179,26 @@ def test_wrong_inputs_are_named_at_the_door(spoil, said):
     model, q, qd, qdd = drawn(0, 3)
     with pytest.raises(UsageError, match=said):
         inverse_dynamics(model, spoil(q), qd, qdd)
+
+
+def test_other_parameters_are_those_of_another_robot():
+    model, q, qd, qdd = drawn(1, 4)
+    chi = np.concatenate([random_inertia(np.random.default_rng(2)).parameters for _ in range(4)])
+    other = model.with_parameters(chi)
+    states = {
+        inverse_dynamics: (q, qd, qdd),
+        gravity_torque: (q,),
+        coriolis_torque: (q, qd),
+        mass_matrix: (q,),
+        coriolis_matrix: (q, qd),
+        forward_dynamics: (q, qd, qdd),
+        kinetic_energy: (q, qd),
+        potential_energy: (q,),
+    }
+    for function, state in states.items():
+        np.testing.assert_array_equal(function(model, *state, parameters=chi), function(other, *state), err_msg=function.__name__)
+        with pytest.raises(UsageError, match=r"has 40 inertial parameters, got shape \(39,\)"):
+            function(model, *state, parameters=chi[:39])
 
 
 def test_threads_must_be_positive():

@@ -17,7 +17,6 @@ Array = NDArray[np.float64]
 NUMBER = ""
 """The letter that stands for 1, so that a plain length is a sum of letters, too."""
 
-
 LENGTH_TOLERANCE = 1e-12
 """Letters must stand for the lengths of a placement to this [m]."""
 

@@ -16,6 +16,19 @@ from asbuilt.errors import UsageError
 Array = NDArray[np.float64]
 
 _WORTH_A_THREAD = 8192
+"""Samples that take longer than a thread takes to start."""
+
+
+def available_cores() -> int:
+    """Return the number of cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def chosen_threads(asked: int | None, usual: int) -> int:
+    """Return the number of threads asked for, `usual` where it is None; raises UsageError below 1."""
+    if asked is not None and asked < 1:
+        raise UsageError(f"threads must be at least 1, got {asked}; leave it out to use all cores for long recordings")
+    return usual if asked is None else asked
 
 
 def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
@@ -57,10 +70,7 @@ def flat(array: Array) -> Array:
 
 def over_samples(work: Callable[[int, int], object], n_samples: int, threads: int | None = 1) -> None:
     """Call `work(start, stop)` on ranges of whole blocks that together cover all samples, in parallel threads; None chooses their number."""
-    if threads is not None and threads < 1:
-        raise UsageError(f"threads must be at least 1, got {threads}; leave it out to use all cores for long recordings")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    wanted = min(cores, n_samples // _WORTH_A_THREAD) if threads is None else threads
+    wanted = chosen_threads(threads, min(available_cores(), n_samples // _WORTH_A_THREAD))
     blocks = -(-n_samples // BLOCK)
     parts = max(1, min(wanted, blocks))
     edges = [min(n_samples, BLOCK * (blocks * part // parts)) for part in range(parts + 1)]

@@ -22,7 +22,8 @@ class DriveStructure:
     """Hold, for a robot of n joints with drives of m columns each, all columns scaled.
 
     `ways[k, f]` (m,) are the columns of joint k that make up the elementary function f of `IMITABLE`, zero where `able[k, f]` is False; `redundant`
-    (r, n m) are sums of drive columns that are zero at all times; `motor_columns` (n, m) says which columns are armatures of motors that several joints turn.
+    (r, n m) are sums of drive columns that are zero at all times; `motor_columns` (n, m) says which columns are armatures of motors that several joints turn;
+    `shares` (n, n) are the robot's `motor_shares`, scaled.
     """
 
     ways: Array

@@ -35,7 +35,9 @@ from asbuilt.dynamics.recursion import (
 )
 
 TERMS = 21
+"""Rows that `_link_terms` writes."""
 FORCE = 6
+"""Rows of a force and a moment."""
 
 
 @compiled

@@ -99,7 +99,7 @@ def forward_dynamics(model: RobotModel, q: ArrayLike, qd: ArrayLike, tau: ArrayL
         worst = int(np.argmin(smallest))
         raise InertiaError(
             f"the mass matrix of {model.name} is not positive definite: smallest eigenvalue {smallest[worst]:.3g} at sample {worst}; "
-            "check the inertias of the links, or add armature for a joint that moves no mass"
+            "check the inertias of the links; every joint must move some, for armatures of drives are not part of the rigid bodies (run_free has them)"
         ) from None
     return np.reshape(np.linalg.solve(masses, (taus - bias)[:, :, None]), np.shape(q))
 

@@ -20,6 +20,9 @@ RANK_TOLERANCE = 1e-11
 """Singular values of the column-scaled matrix below this, relative to the largest, count as zero."""
 
 ROWS_PER_COLUMN = 2.0
+"""Rows of the matrix for each of its columns: with one for each, chance could make it look singular."""
+FEWEST_STATES = 12
+"""Random states for a robot of few joints and columns."""
 SEED = 20151
 
 
@@ -39,7 +42,7 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     """
     n = model.n_joints
     n_columns = (10 + drive.columns_per_joint) * n
-    samples = max(12, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
+    samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
     rng = np.random.default_rng(SEED)
     q = rng.uniform(-np.pi, np.pi, (samples, n))
     qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
@@ -95,7 +98,6 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
         R = R @ joint.after[:3, :3]
         p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
         states[i] = (R, p, w, dw, a)
-
         body = _inertia_forces(*(np.einsum("sij,si->sj", R, vector) for vector in (w, dw, a)))
         chain = np.array(model.ancestors(i))
         turns = revolute[chain, None, None]

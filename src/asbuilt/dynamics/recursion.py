@@ -28,8 +28,11 @@ BLOCK = 32
 """Samples per block; a multiple of LANES."""
 
 NOTHING, ABOUT_X, GENERAL = 0, 1, 2
+"""Kinds of placement: none at all; a turn about x, if any, with any translation; any other."""
 PARENT, READ, WRITE, DEPTH, REVOLUTE, BEFORE, AFTER = range(7)
+"""Columns of `Layout.codes`."""
 STATE = 9
+"""Rows of w, dw and a."""
 
 
 @dataclass(frozen=True, eq=False)

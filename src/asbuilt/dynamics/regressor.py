@@ -25,6 +25,7 @@ Indices = NDArray[np.int64]
 Some = slice | Indices
 
 _LINE = 8
+"""Doubles in a cache line."""
 _PER_LINK = len(PARAMETER_NAMES)
 
 

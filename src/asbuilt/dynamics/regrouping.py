@@ -63,8 +63,8 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     structure = drive_structure(model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints]))
     directions, motions = transferable_directions(model, structure.imitable)
     to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
-    blocks = _null_blocks(model, drive, directions, to_link, structure)
     scales = _scales(model, drive)
+    blocks = _null_blocks(model, drive, directions, to_link, structure, scales)
     redundant = np.hstack([np.zeros((len(structure.redundant), 10 * model.n_joints)), structure.redundant]) / scales
     echelon, dependent = reversed_echelon(np.vstack([*_realised(model, drive, directions, blocks, structure), redundant]))
     columns = np.setdiff1d(np.arange(len(scales)), dependent)
@@ -94,9 +94,7 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
     """
     n_standard = found.matrix.shape[1]
     numbers: list[Row] = [{int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)} for row in found.matrix]
-    if not model.lengths:
-        return numbers
-    if found.structure.motor_columns.any():
+    if not model.lengths or found.structure.motor_columns.any():
         return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
     combined = dependent_columns(_lettered_null_rows(model, found), [int(pivot) for pivot in pivots])
@@ -168,9 +166,14 @@ def _scales(model: RobotModel, drive: DriveSet) -> Array:
 
 
 def _null_blocks(
-    model: RobotModel, drive: DriveSet, directions: Sequence[TransferableDirections], to_link: Sequence[Array], structure: DriveStructure
+    model: RobotModel,
+    drive: DriveSet,
+    directions: Sequence[TransferableDirections],
+    to_link: Sequence[Array],
+    structure: DriveStructure,
+    scales: Array,
 ) -> list[Array]:
-    """Return the directions of each link over scaled standard parameters, shapes (k, n_standard), mutual armatures left out."""
+    """Return the directions of each link over standard parameters in units of `scales`, shapes (k, n_standard), mutual armatures left out."""
     size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_joints
     blocks = []
     for found, shift in zip(directions, to_link, strict=True):
@@ -180,10 +183,9 @@ def _null_blocks(
         if joint.parent >= 0:
             block[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
         own = slice(first + per * found.link, first + per * (found.link + 1))
-        scales = _scales(model, drive)[own]
         units = np.array(_function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity))))
         changes = np.stack([found.armature, found.offset, found.sine, found.cosine], axis=1)
-        block[:, own] = (changes * units @ structure.ways[found.link]) / scales
+        block[:, own] = (changes * units @ structure.ways[found.link]) / scales[own]
         blocks.append(block)
     return blocks
 

@@ -52,19 +52,9 @@ def _shift_of_translation(t: Array) -> Array:
 
 
 def _translation_tensors() -> tuple[Array, Array]:
-    unit = np.eye(3)
-    plus = np.array([_shift_of_translation(unit[a]) for a in range(3)])
-    minus = np.array([_shift_of_translation(-unit[a]) for a in range(3)])
-    linear = (plus - minus) / 2.0
-    square = np.zeros((3, 3, 10, 10))
-    for a in range(3):
-        for b in range(3):
-            both = _shift_of_translation(unit[a] + unit[b])
-            square[a, b] = (both - linear[a] - linear[b] - np.eye(10)) / 2.0
-    diagonal = np.array([(plus[a] + minus[a]) / 2.0 - np.eye(10) for a in range(3)])
-    for a in range(3):
-        for b in range(3):
-            square[a, b] = diagonal[a] if a == b else square[a, b] - (diagonal[a] + diagonal[b]) / 2.0
+    S, unit = _shift_of_translation, np.eye(3)
+    linear = np.array([(S(a) - S(-a)) / 2.0 for a in unit])
+    square = np.array([[(S(a + b) - S(a) - S(b) + np.eye(10)) / 2.0 for b in unit] for a in unit])
     return linear, square
 
 

@@ -11,13 +11,14 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.batches import available_cores
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model, parameter_scale
-from asbuilt.excitation.crew import Crew, available_cores
+from asbuilt.excitation.crew import Crew
 from asbuilt.excitation.criteria import criterion_of
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.design_program import Objective
