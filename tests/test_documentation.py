@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import shlex
 from dataclasses import replace
@@ -131,3 +132,19 @@ def test_no_option_is_told_that_there_is_not() -> None:
 
 def test_formulas_are_written_as_the_pages_render_them() -> None:
     assert [page.name for page in PAGES if re.search(r"\\[(\[]", page.read_text(encoding="utf-8"))] == []
+
+
+def test_no_bar_stands_escaped_in_code() -> None:
+    """In code of tables GitHub wants bars escaped, and the pages show the escape: there are other words."""
+    shown = {page.name: re.findall(r"`[^`\n]*\\\|[^`\n]*`", page.read_text(encoding="utf-8")) for page in PAGES}
+    assert {name: code for name, code in shown.items() if code} == {}
+
+
+def test_examples_of_the_python_interface_stand_under_a_heading() -> None:
+    """Without one the page shows `>>>` as three quotations within each other."""
+    for name in re.findall(r"^::: ([\w.]+)$", (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE):
+        module, _, thing = name.rpartition(".")
+        found = getattr(import_module(module), thing)
+        own = [found, *vars(found).values()] if isinstance(found, type) else [found]
+        for text in (inspect.getdoc(each) or "" for each in own if callable(each) or isinstance(each, property | classmethod)):
+            assert ">>>" not in text.partition("\nExamples\n--------\n")[0], name

@@ -20,6 +20,8 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
 
     Raises `DescriptionError` where there is neither such a robot nor such a file, or the file makes no sense.
 
+    Examples
+    --------
     >>> load_robot("two-link").joint_names
     ('joint_1', 'joint_2')
     """

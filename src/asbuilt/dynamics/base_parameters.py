@@ -87,6 +87,8 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     Raises `IdentifiabilityError` where the two disagree. Sources: Mayeda, Yoshida & Osuka (1990); Gautier & Khalil (1990); Wensing,
     Niemeyer & Slotine (2024); derivation in docs/derivations/base-parameters.md.
 
+    Examples
+    --------
     >>> from asbuilt.description.dh import DHRow, robot_from_dh
     >>> base = find_base_parameters(robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar"))
     >>> base.ids

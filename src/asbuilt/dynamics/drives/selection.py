@@ -37,6 +37,8 @@ def available_terms() -> dict[str, DriveTerm]:
 class DriveSet:
     """Choose drive terms; every joint gets all of them, in canonical order whatever the order given.
 
+    Examples
+    --------
     >>> drive = DriveSet.parse("coulomb,viscous")
     >>> drive.keys, drive.names(2)
     (('viscous', 'coulomb'), ('Fv2', 'Fc2'))
