@@ -11,7 +11,10 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.identify import identify
+from asbuilt.identification.result import IdentificationWarning
 from asbuilt.identification.spring_search import suspected_springs
+from asbuilt.validation.hidden_causes import with_hidden_causes
 from asbuilt.validation.study import StudyOptions, run_study
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -48,6 +51,26 @@ def test_a_described_spring_and_too_short_a_recording_say_nothing(trial) -> None
     samples = sprung(case, springs)
     assert suspected_springs(case.model, [samples], DRIVE.with_term(*DriveSet.parse("spring:joints=4").terms)) == ()
     assert suspected_springs(case.model, [samples], DRIVE, block_seconds=20.0) == ()
+
+
+def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
+    """A spring that the robot is known to have changes nothing about another: what it adds to the torque is in the terms of both fits."""
+    case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
+    springs = np.zeros(6)
+    springs[4] = 1.0
+    (alone,) = suspected_springs(case.model, [sprung(case, springs)], DRIVE)
+    springs[3] = 2.0
+    described = DRIVE.with_term(*DriveSet.parse("spring:joints=4").terms)
+    samples = sprung(case, springs)
+    (beside,) = suspected_springs(case.model, [samples], described)
+    assert beside.joint == alone.joint == 4
+    assert beside.stiffness == pytest.approx(alone.stiffness, rel=1e-2)
+    assert beside.error_with == pytest.approx(alone.error_with, rel=0.05)
+
+    refused = replace(identify(case.model, samples, drive=described), warnings=(IdentificationWarning("bodies_refused", "no real bodies"),))
+    (_, said) = with_hidden_causes(refused, [samples], described).warnings
+    advised = said.message.rpartition("--drive ")[2].rstrip(".")
+    assert DriveSet.parse(advised) == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
 
 
 def test_two_recordings_of_a_real_arm_tell_of_the_same_spring(shared) -> None:

@@ -48,11 +48,11 @@ def suspected_springs(
 ) -> tuple[SuspectedSpring, ...]:
     """Return the joints, the most helped first, at which a spring beside real bodies lowers the torque error on time blocks held out.
 
-    Each joint is tried alone: the error must fall by a fifth at the joint, by two standard errors from fold to fold there, by one over all joints, and the stiffness be
+    `drive` are the terms of the robot, springs that are described among them. Each other joint is tried alone: the error must fall by a fifth at the joint, by two standard errors from fold to fold there, by one over all joints, and the stiffness be
     positive by two in a jackknife over the folds. Real bodies are imposed because free ones imitate a spring along one motion, by an inertia below zero. Nothing is found where time
     blocks are too few.
     """
-    plain = _HeldOut.of(model, samples, drive.without(Spring.key), None, block_seconds)
+    plain = _HeldOut.of(model, samples, drive, None, block_seconds)
     if len(plain.errors) < FEWEST_BLOCKS:
         return ()
     described = next((term for term in drive.terms if term.key == Spring.key), None)
@@ -60,8 +60,8 @@ def suspected_springs(
     for joint, place in enumerate(model.joints):
         if described is not None and described.is_at(joint):
             continue
-        term = Spring(joints=(joint + 1,))
-        tried = _HeldOut.of(model, samples, drive.without(Spring.key).with_term(term), plain.weights, block_seconds)
+        sprung = {joint + 1} if described is None else {joint + 1, *(described.joints or ())}
+        tried = _HeldOut.of(model, samples, drive.with_term(Spring(joints=tuple(sorted(sprung)))), plain.weights, block_seconds)
         own = Gain.between(plain.errors[:, joint], tried.errors[:, joint])
         together = Gain.between(plain.errors * plain.weights**2, tried.errors * plain.weights**2)
         stiffness = tried.parameters[:, [tried.names.index(f"{Spring.letters[0]}{joint + 1}")]]

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.spring import Spring
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.samples import Samples
 from asbuilt.identification.mounting import Mounting, find_mounting
@@ -76,9 +77,11 @@ def _springs_suspected(
     springs = suspected_springs(model, learning, drive, block_seconds=block_seconds)
     if not springs:
         return result
-    joints = "/".join(str(joint) for joint in sorted(spring.joint + 1 for spring in springs))
+    described = [number for term in drive.terms if term.key == Spring.key for number in term.joints or ()]
+    joints = "/".join(map(str, sorted([*described, *(spring.joint + 1 for spring in springs)])))
+    terms = ",".join((*drive.without(Spring.key).specifications, f"{Spring.key}:joints={joints}"))
     message = (
         f"A spring would explain what real bodies cannot follow at {', '.join(map(str, springs))}: cables or hoses that wind up there, or a sensor that drifts with position. "
-        f"Where that can be, identify with {'--mounting estimate ' if askew else ''}--drive {drive},spring:joints={joints}."
+        f"Where that can be, identify with {'--mounting estimate ' if askew else ''}--drive {terms}."
     )
     return replace(result, warnings=(*result.warnings, IdentificationWarning("spring_suspected", message)))
