@@ -125,6 +125,8 @@ def test_a_pose_held_still_tells_no_payload() -> None:
     still = Samples(np.arange(400) / 100.0, q, 0 * q, 0 * q, robot.torque(q, 0 * q, 0 * q), rate=100.0, joint_names=robot.model.joint_names)
     with pytest.raises(IdentifiabilityError, match="different poses"):
         identify_payload(result, still, arm="frozen")
+    with pytest.raises(UsageError, match="no samples are given of ur10e under load"):
+        identify_payload(result, [])
 
 
 def scaled(samples: Samples, factors: np.ndarray) -> Samples:

@@ -89,7 +89,8 @@ def test_first_sample_leans_on_the_prior(robot):
         ({"forgetting": 1.1}, "forgetting factor"),
         ({"weights": [1.0, 2.0]}, "weights must be 3"),
         ({"prior": [1.0]}, "base parameters"),
-        ({"prior_strength": -1.0}, "negative"),
+        ({"prior_strength": -1.0}, "not negative, got -1"),
+        ({"prior_strength": float("nan")}, "not negative, got nan"),
     ],
 )
 def test_options_are_checked(robot, options, message):

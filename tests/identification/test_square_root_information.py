@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -11,11 +13,12 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
 from asbuilt.experiment.parallel_filter import design_parallel_filter
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples, stream_samples
+from asbuilt.identification import square_root_information
 from asbuilt.identification.least_squares import fit_least_squares, solve_factor
 from asbuilt.identification.square_root_information import MOST_BLOCKS, accumulate, accumulate_stream
 from asbuilt.identification.triangular import GrowingFactor, triangular_factor
@@ -142,6 +145,25 @@ def test_blocks_and_threads_change_nothing_in_the_sum(robot):
         assert_same_gram(a, b)
     for k, factors in enumerate(accumulate(model, base, samples, block_seconds=0.7, threads=3).factors):
         assert np.array_equal(factors, many.factors[k])
+
+
+def test_no_more_threads_than_cores_that_may_be_used(robot, monkeypatch):
+    """A container may use few of a machine's cores; as many threads as the machine has would only hold memory."""
+    model, base = robot
+    asked = []
+
+    class Counted(ThreadPoolExecutor):
+        def __init__(self, max_workers):
+            asked.append(max_workers)
+            super().__init__(max_workers)
+
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 5, 7}, raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: 64)
+    monkeypatch.setattr(square_root_information, "ThreadPoolExecutor", Counted)
+    accumulate(model, base, recording(model))
+    assert asked == [3]
+    with pytest.raises(UsageError, match="threads must be at least 1, got 0"):
+        accumulate(model, base, recording(model), threads=0)
 
 
 def test_select_and_merge_take_information_apart_and_together(robot):

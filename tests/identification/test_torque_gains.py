@@ -83,6 +83,10 @@ def test_gains_stand_in_place_of_those_in_use(pair):
 def test_wrong_calls_are_refused(pair):
     with pytest.raises(UsageError, match="positive"):
         identify_gains(ROBOT, *pair, mass=0.0)
+    with pytest.raises(UsageError, match="without and with the payload, got 1 and 0; pass at least one of each"):
+        identify_gains(ROBOT, pair[0], [], mass=3.0, drive=DRIVE)
+    with pytest.raises(UsageError, match="without and with the payload, got 0 and 1"):
+        identify_gains(ROBOT, [], pair[1], mass=3.0, drive=DRIVE)
     with pytest.raises(UsageError, match="com"):
         identify_gains(ROBOT, *pair, mass=1.0, inertia_about_com=np.eye(3))
 

@@ -83,7 +83,7 @@ def test_no_error_is_smaller_than_the_textbook_one_and_correlations_are_kept(exp
     information = accumulate(model, base, Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names))
     estimate = fit_least_squares(information, weights="joint")
     uncertainty = block_uncertainty(information, estimate)
-    assert uncertainty.method == "blocks"
+    assert uncertainty.basis.kind == "blocks"
     assert np.all(uncertainty.std_errors >= estimate.std_errors * (1 - 1e-12))
     one = estimate.covariance / np.outer(estimate.std_errors, estimate.std_errors)
     other = uncertainty.covariance / np.outer(uncertainty.std_errors, uncertainty.std_errors)
@@ -96,7 +96,7 @@ def test_too_few_blocks_fall_back_to_the_textbook(experiment):
     samples = Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names)
     information = accumulate(model, base, samples, block_seconds=80.0 / (FEWEST_BLOCKS - 1))
     uncertainty = block_uncertainty(information, fit_least_squares(information))
-    assert uncertainty.method == "textbook"
+    assert uncertainty.basis.kind == "textbook"
     assert uncertainty.effective_samples == len(t)
     assert (uncertainty.basis.asked, uncertainty.basis.n_blocks, uncertainty.basis.growth) == ("blocks", FEWEST_BLOCKS - 1, None)
     assert "7 time blocks are too few to do better" in uncertainty.basis.sentence(uncertainty.effective_samples, len(t))

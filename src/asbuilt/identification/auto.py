@@ -12,7 +12,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.identification.cad_prior import cad_prior
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
-from asbuilt.identification.consistent_fit import estimate_consistent, estimate_entropic, fit_consistent, fit_toward_cad
+from asbuilt.identification.consistent_fit import estimate_consistent, estimate_entropic, fit_consistent, fit_toward_cad, quietest_noise
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.least_squares import Estimate, estimate_wls
 from asbuilt.identification.ridge import estimate_ridge, folds
@@ -33,8 +33,6 @@ FEWEST_FOLDS = 3
 """Groups of time blocks below which held-out errors say nothing of their own spread."""
 STRAINED = 0.05
 """Rise of the torque error on the data used from which real bodies are said to fit with strain: more than the parameters they give up account for."""
-QUIETEST = 1e-5
-"""Noise of a joint, as a fraction of its torque RMS, below which errors are not measured in it."""
 CURE = (
     "Something acts that links and drives as described cannot be: find how the robot stands (--mounting estimate), choose richer friction (--drive auto), "
     "or describe the tool that the flange carries."
@@ -108,8 +106,7 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
     """Return the fit of real bodies, or the free one where that predicts held-out blocks better by more than one standard error, and why."""
     information, prior = seen.information, cad_prior(seen.model, seen.base.drive)
     energy, n = information.residual_energy(free.beta), information.n_samples
-    quietest = np.maximum(QUIETEST * np.sqrt(information.torque_energy / n), np.finfo(np.float64).tiny)
-    sigma = np.maximum(np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)), quietest)
+    sigma = np.maximum(np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)), quietest_noise(information))
     consistent, entropic = estimate_consistent(seen), estimate_entropic(seen)
     candidates: list[tuple[Estimate, Callable[[SquareRootInformation], Estimate]]] = [
         (consistent, lambda part: fit_consistent(part, prior, weights=consistent.weights)),

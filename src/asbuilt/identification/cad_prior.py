@@ -18,6 +18,8 @@ NO_THICKNESS = 1e-5
 """A body whose smallest principal second moment about the centre of mass is below this fraction of their sum is no solid: a plate 0.3 % thick;"""
 USUAL_THICKNESS = 1e-3
 """every moment is then brought to at least this fraction."""
+POINT_MASS = 1e-9
+"""A body whose second moments add up to less than this, in mass times squared reach, is a point: it gets those of a body a quarter as wide as its reach."""
 SMALLEST_REACH = 0.05
 """Size [m] of a body whose joints leave it none."""
 GUESSED_STRENGTH = 0.1
@@ -30,6 +32,23 @@ PSEUDO_INERTIA_BASIS.setflags(write=False)
 SVEC_ROW, SVEC_COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
 SVEC_LENGTH: Array = np.where(SVEC_ROW == SVEC_COLUMN, 1.0, np.sqrt(2.0))
 """The entry of a symmetric 4 x 4 matrix that each entry of its `svec` holds, and the factor it holds it by."""
+
+
+def svec(matrix: Array) -> Array:
+    """Return symmetric 4 x 4 matrices as vectors of the same norm, (..., 4, 4) -> (..., 10): upper triangle by columns, off-diagonal entries times sqrt(2)."""
+    return np.asarray(matrix[..., SVEC_ROW, SVEC_COLUMN] * SVEC_LENGTH)
+
+
+def smat(vector: Array) -> Array:
+    """Return the symmetric matrices of vectors, (..., 10) -> (..., 4, 4); the inverse of `svec`."""
+    matrix = np.zeros((*vector.shape[:-1], 4, 4))
+    matrix[..., SVEC_ROW, SVEC_COLUMN] = matrix[..., SVEC_COLUMN, SVEC_ROW] = vector / SVEC_LENGTH
+    return matrix
+
+
+PSEUDO_INERTIA_SVEC: Array = svec(PSEUDO_INERTIA_BASIS).T
+"""`svec(P) = PSEUDO_INERTIA_SVEC @ chi`, shape (10, 10)."""
+IDENTITY_SVEC: Array = svec(np.eye(4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,18 +111,6 @@ class CadPrior:
         return np.asarray(np.linalg.eigvalsh(inverse @ P @ inverse.transpose(0, 2, 1)))
 
 
-def svec(matrix: Array) -> Array:
-    """Return symmetric 4 x 4 matrices as vectors of the same norm, (..., 4, 4) -> (..., 10): upper triangle by columns, off-diagonal entries times sqrt(2)."""
-    return np.asarray(matrix[..., SVEC_ROW, SVEC_COLUMN] * SVEC_LENGTH)
-
-
-def smat(vector: Array) -> Array:
-    """Return the symmetric matrices of vectors, (..., 10) -> (..., 4, 4); the inverse of `svec`."""
-    matrix = np.zeros((*vector.shape[:-1], 4, 4))
-    matrix[..., SVEC_ROW, SVEC_COLUMN] = matrix[..., SVEC_COLUMN, SVEC_ROW] = vector / SVEC_LENGTH
-    return matrix
-
-
 def body_metric(parameters: Array, strength: Array) -> Array:
     """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10): the Hessian of -log det, a metric without frames or units.
 
@@ -123,8 +130,8 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
 def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
     """Return what the description of a robot says of its bodies, mended where it is impossible and guessed where it is silent.
 
-    A body without thickness, or less, gets some. A link without mass gets that of its
-    neighbours, its centre between its joints, and the size of its reach; guesses count a tenth.
+    A body without thickness, or less, gets some. A link without mass gets that of its neighbours, its centre between its joints, and the size of
+    its reach; guesses count a tenth.
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
     if not model.drives_by_design:
@@ -145,7 +152,7 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             strength[i] = GUESSED_STRENGTH
         eigenvalues, axes = np.linalg.eigh(spread)
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
-        if total <= 1e-9 * mass * reach[i] ** 2:
+        if total <= POINT_MASS * mass * reach[i] ** 2:
             mended = np.full(3, mass * (reach[i] / 4.0) ** 2)
         elif eigenvalues[0] < NO_THICKNESS * total:
             mended = np.maximum(eigenvalues, USUAL_THICKNESS * total)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.description.model import PLAIN_TERMS, RobotModel
+from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
@@ -18,7 +18,7 @@ from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.identification.rows import Stretch, stretches
-from asbuilt.identification.triangular import ROWS_AT_ONCE, GrowingFactor
+from asbuilt.identification.triangular import ROWS_AT_ONCE, GrowingFactor, packed_triangle, unpacked_triangle
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
@@ -97,8 +97,8 @@ class CauseEvidence:
             "joints": list(self.joint_names),
             "columns": list(self.names),
             "support": [support.tolist() for support in self.support],
-            "fitted": [_packed(factor) for factor in self.fitted],
-            "judged": [_packed(factor) for factor in self.judged],
+            "fitted": [packed_triangle(factor) for factor in self.fitted],
+            "judged": [packed_triangle(factor) for factor in self.judged],
             "n_fitted": self.n_fitted,
             "n_judged": self.n_judged,
             "judged_by": self.judged_by,
@@ -116,8 +116,8 @@ class CauseEvidence:
                 joint_names=tuple(fields["joints"]),
                 names=tuple(fields["columns"]),
                 support=support,
-                fitted=tuple(_unpacked(text, size) for text, size in zip(fields["fitted"], sizes, strict=True)),
-                judged=tuple(_unpacked(text, size) for text, size in zip(fields["judged"], sizes, strict=True)),
+                fitted=tuple(unpacked_triangle(text, size) for text, size in zip(fields["fitted"], sizes, strict=True)),
+                judged=tuple(unpacked_triangle(text, size) for text, size in zip(fields["judged"], sizes, strict=True)),
                 n_fitted=int(fields["n_fitted"]),
                 n_judged=int(fields["n_judged"]),
                 judged_by=str(fields["judged_by"]),
@@ -152,7 +152,7 @@ def gather_evidence(
     names = [base.standard_names[j] for j in base.columns if j < links]
     names += [name for k in range(model.n_joints) for name in drive.names(k + 1)]
     plan = RegressorPlan.of(model, drive, columns, spare_rows=len(TILTS) + 1)
-    axes = _tilt_axes(model.gravity)
+    axes = axes_across(model.gravity)
     tilted = [model.with_gravity(np.cross(model.gravity, axis)) for axis in axes]
     two = _Reduction(plan), _Reduction(plan)
     sources: dict[str, None] = {}
@@ -199,22 +199,3 @@ class _Reduction:
 
     def factors(self) -> tuple[Array, ...]:
         return tuple(growing.factor() for growing in self._growing)
-
-
-def _tilt_axes(gravity: Array) -> Array:
-    """Two axes across gravity, as near as may be to two of the root frame's: x and y where gravity is along z."""
-    down = gravity / (np.linalg.norm(gravity) or 1.0)
-    across = [axis - (axis @ down) * down for axis in np.eye(3)[np.sort(np.argsort(np.abs(down), kind="stable")[:2])]]
-    first = across[0] / np.linalg.norm(across[0])
-    second = across[1] - (across[1] @ first) * first
-    return np.array([first, second / np.linalg.norm(second)])
-
-
-def _packed(factor: Array) -> str:
-    return base64.b64encode(factor[np.triu_indices(len(factor))].astype("<f8").tobytes()).decode("ascii")
-
-
-def _unpacked(text: str, size: int) -> Array:
-    factor = np.zeros((size, size))
-    factor[np.triu_indices(size)] = np.frombuffer(base64.b64decode(text), dtype="<f8")
-    return factor

@@ -13,7 +13,8 @@ from scipy.optimize import nnls
 
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.body_bounds import BodyBounds
-from asbuilt.identification.cad_prior import PSEUDO_INERTIA_BASIS, CadPrior, smat, svec
+from asbuilt.identification.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC, CadPrior, smat, svec
+from asbuilt.identification.cone_program import solve_cone_program
 
 Array = NDArray[np.float64]
 
@@ -30,6 +31,13 @@ CERTAIN = 1e-13
 """How precise a proof must be that bounds contradict one another: large residuals look like proofs at the solver's usual tolerance."""
 ROUGH = 1e-6
 """Relative gap and infeasibility of a rough fit, 1e-8 being the solver's usual ones."""
+EXACTLY: dict[str, float | bool] = {"tol_infeas_abs": CERTAIN, "tol_infeas_rel": CERTAIN}
+ROUGHLY: dict[str, float | bool] = EXACTLY | {
+    "tol_gap_abs": ROUGH,
+    "tol_gap_rel": ROUGH,
+    "tol_feas": ROUGH,
+    "iterative_refinement_enable": False,
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +102,7 @@ class RealBodies:
             size = np.linalg.norm(rows, axis=1)
             rows, room = rows / size[:, None], room / size
         below = np.vstack([rows, -np.eye(inertial, n)])
-        right = np.concatenate([room, -smallest_part * np.tile(svec(np.eye(4)), prior.n_links)])
+        right = np.concatenate([room, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)])
         torque = regrouping @ bodies
         told = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
         pattern = sparse.csc_matrix(np.vstack([np.hstack([told, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]))
@@ -119,16 +127,15 @@ class RealBodies:
             constraints.data[self.places] = torque.T[self.told]
             quadratic = sparse.csc_matrix((np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)), (n + p, n + p))
             linear = np.concatenate([-pull * self.q0, np.zeros(p)])
-            solution = clarabel.DefaultSolver(quadratic, linear, constraints, limits, list(self.cones), _settings(rough)).solve()
-            status = str(solution.status)
-            if "PrimalInfeasible" in status and len(self.bounds):
+            solution = solve_cone_program(quadratic, linear, constraints, limits, list(self.cones), **(ROUGHLY if rough else EXACTLY))
+            if "PrimalInfeasible" in solution.status and len(self.bounds):
                 raise IdentifiabilityError(
                     f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them"
                 )
-            if status in ("Solved", "AlmostSolved"):
-                return self._fit(np.array(solution.x[:n]), int(solution.iterations))
+            if solution.is_solved:
+                return self._fit(solution.x[:n], solution.iterations)
         raise IdentifiabilityError(
-            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {status}; "
+            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {solution.status}; "
             "the data may hold values of extreme size"
         )
 
@@ -170,17 +177,6 @@ class RealBodies:
         return np.asarray(q) if self._smallest(q) >= self.smallest_part else None
 
 
-def _settings(rough: bool) -> clarabel.DefaultSettings:
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    settings.tol_infeas_abs = settings.tol_infeas_rel = CERTAIN
-    if rough:
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = ROUGH
-        settings.iterative_refinement_enable = False
-    return settings
-
-
 def near_one(prior: CadPrior) -> tuple[Array, Array]:
     """Return M and q0 with `chi = M q`: q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD."""
     n, inertial = len(prior.parameters), 10 * prior.n_links
@@ -188,7 +184,7 @@ def near_one(prior: CadPrior) -> tuple[Array, Array]:
     images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)
     M = np.zeros((n, n))
     places = np.arange(inertial).reshape(-1, 10)
-    M[places[:, :, None], places[:, None, :]] = np.linalg.solve(svec(PSEUDO_INERTIA_BASIS).T, images)
+    M[places[:, :, None], places[:, None, :]] = np.linalg.solve(PSEUDO_INERTIA_SVEC, images)
     M[range(inertial, n), range(inertial, n)] = prior.drive_scale
-    q0 = np.concatenate([np.tile(svec(np.eye(4)), prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
+    q0 = np.concatenate([np.tile(IDENTITY_SVEC, prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
     return M, q0

@@ -9,24 +9,13 @@ from scipy import sparse
 
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
+from asbuilt.identification.cone_program import solve_cone_program
 
 Array = NDArray[np.float64]
 
 MARGIN_TOLERANCE = 1e-8
 """How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be rounding of the solver."""
-
-_HALF = np.sqrt(0.5)
-PSEUDO_INERTIA = np.zeros((10, 10))
-"""svec of the 4 x 4 pseudo-inertia, upper triangle column by column with off-diagonal entries times sqrt(2), from `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`."""
-PSEUDO_INERTIA[0, [0, 3, 5]] = -0.5, 0.5, 0.5
-PSEUDO_INERTIA[1, 1] = -2.0 * _HALF
-PSEUDO_INERTIA[2, [0, 3, 5]] = 0.5, -0.5, 0.5
-PSEUDO_INERTIA[3, 2] = -2.0 * _HALF
-PSEUDO_INERTIA[4, 4] = -2.0 * _HALF
-PSEUDO_INERTIA[5, [0, 3, 5]] = 0.5, 0.5, -0.5
-PSEUDO_INERTIA[[6, 7, 8], [6, 7, 8]] = 2.0 * _HALF
-PSEUDO_INERTIA[9, 9] = 1.0
-_IDENTITY = np.array([1.0, 0, 1.0, 0, 0, 1.0, 0, 0, 0, 1.0])
 
 
 def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
@@ -50,25 +39,21 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     positive = sparse.hstack([-sparse.eye_array(len(armatures), n, k=10 * n_links), sparse.csc_matrix(np.ones((len(armatures), 1)))])
     bodies = sparse.hstack(
         [
-            sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-PSEUDO_INERTIA)),
+            sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-PSEUDO_INERTIA_SVEC)),
             sparse.csc_matrix((10 * n_links, len(armatures))),
-            sparse.csc_matrix(np.tile(_IDENTITY, n_links)[:, None]),
+            sparse.csc_matrix(np.tile(IDENTITY_SVEC, n_links)[:, None]),
         ]
     )
     constraints = sparse.csc_matrix(sparse.vstack([fixed, positive, bodies]))
     bounds = np.concatenate([values[rows], np.zeros(len(armatures) + 10 * n_links)])
     cones = [clarabel.ZeroConeT(len(rows)), clarabel.NonnegativeConeT(len(armatures)), *[clarabel.PSDTriangleConeT(4)] * n_links]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
     goal = np.append(np.zeros(n), -1.0)
-    solution = clarabel.DefaultSolver(sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones, settings).solve()
-    status = str(solution.status)
-    if "DualInfeasible" in status:
+    solution = solve_cone_program(sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones)
+    if "DualInfeasible" in solution.status:
         return float("inf")
-    if status not in ("Solved", "AlmostSolved"):
+    if not solution.is_solved:
         raise IdentifiabilityError(
-            f"the consistency of {base.n_base} base parameters of {base.robot} could not be decided: the solver says {status}"
+            f"the consistency of {base.n_base} base parameters of {base.robot} could not be decided: the solver says {solution.status}"
         )
     return float(solution.x[-1])
 

@@ -13,7 +13,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.identification.body_bounds import BodyBounds, generous_bounds, non_negative_drives
 from asbuilt.identification.cad_prior import CadPrior, body_metric_root, cad_prior
-from asbuilt.identification.conic_fit import SMALLEST_PART, TINY_PULL, RealBodies, fit_real_bodies
+from asbuilt.identification.conic_fit import TINY_PULL, RealBodies, fit_real_bodies
 from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, EntropicFits, EntropicProblem
 from asbuilt.identification.least_squares import Estimate, FactorSolution, Refit, fit_least_squares
 from asbuilt.identification.prior_weight import WEIGHTS, choose_weight
@@ -78,15 +78,14 @@ def fit_consistent(
     *,
     bounds: BodyBounds | None = None,
     weights: Array | None = None,
-    smallest_part: float = SMALLEST_PART,
 ) -> ConsistentEstimate:
-    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2` over real bodies: `P_i >= smallest_part P0_i`, within `bounds` (`generous_bounds` by default).
+    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2` over real bodies: `P_i >= SMALLEST_PART P0_i`, within `bounds` (`generous_bounds` by default).
 
     Without `weights` they are 1 / sigma_k of a consistent fit, settled in two rounds. What the torques leave open lies next to CAD.
     """
     limits = generous_bounds(prior) if bounds is None else bounds
     with one_blas_thread():
-        problem = RealBodies.of(prior, information.base.regrouping, limits, smallest_part)
+        problem = RealBodies.of(prior, information.base.regrouping, limits)
         w, rounds = _joint_weights(information, problem, weights)
         fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
@@ -176,12 +175,16 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     return fit_real_bodies(prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2).chi
 
 
+def quietest_noise(information: SquareRootInformation) -> Array:
+    """Return the noise (n,) below which that of no joint is taken: `QUIETEST` of its torque RMS."""
+    return np.maximum(QUIETEST * np.sqrt(information.torque_energy / information.n_samples), np.finfo(np.float64).tiny)
+
+
 def _joint_weights(information: SquareRootInformation, problem: RealBodies, weights: Array | None) -> tuple[Array, int]:
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
     if weights is not None:
         return fit_least_squares(information, weights=weights, prior=np.zeros(information.base.n_base)).weights, 0
-    rms = np.sqrt(information.torque_energy / information.n_samples)
-    quietest = np.maximum(QUIETEST * rms, np.finfo(np.float64).tiny)
+    quietest = quietest_noise(information)
     w = 1.0 / np.maximum(fit_least_squares(information, weights="joint", prior=np.zeros(information.base.n_base)).sigma, quietest)
     for _ in range(REWEIGHTINGS):
         chi = problem.fit(information.stacked(w)).chi

@@ -37,6 +37,8 @@ DRAWS = 160
 """States drawn for each kind of motion."""
 HELPS = 0.5
 """Ratio of errors after and before from which a motion helps a parameter."""
+UNTOLD = 1e-8
+"""Information, relative to a parameter's own, that every direction is taken to have, so that errors of what nothing tells are large but finite."""
 SLOW = 0.05
 """Fraction of the velocity limit of a slow motion."""
 
@@ -81,7 +83,7 @@ class Determination:
         """One line for a summary."""
         total = sum(len(names) for names in (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped))
         parts = [
-            f"Determined to 10 % or better: {len(self.well)} of {total} parameters; to 50 %: {len(self.fairly)}; hardly: {len(self.hardly)}"
+            f"Determined to {100 * WELL:g} % or better: {len(self.well)} of {total} parameters; to {100 * HARDLY:g} %: {len(self.fairly)}; hardly: {len(self.hardly)}"
             + (f", {len(self.negligible)} of which make next to no torque in this motion" if self.negligible else "")
         ]
         if self.not_at_all:
@@ -93,9 +95,9 @@ class Determination:
     @property
     def sentences(self) -> tuple[str, ...]:
         """The whole, in sentences."""
-        found = [f"Determined to 10 % or better ({len(self.well)}): {_listed(self.well)}."]
+        found = [f"Determined to {100 * WELL:g} % or better ({len(self.well)}): {_listed(self.well)}."]
         if self.fairly:
-            found.append(f"To between 10 and 50 % ({len(self.fairly)}): {_listed(self.fairly)}.")
+            found.append(f"To between {100 * WELL:g} and {100 * HARDLY:g} % ({len(self.fairly)}): {_listed(self.fairly)}.")
         if self.hardly:
             text = f"Hardly ({len(self.hardly)}): {_listed(self.hardly)}"
             if self.negligible:
@@ -114,7 +116,7 @@ class Determination:
             )
         for tip in self.advice:
             found.append(
-                f"{tip.motion[0].upper()}{tip.motion[1:]}, for 20 s, would bring the errors of {_listed(tip.names)} to about {share(tip.ratio, 0)} of what they are."
+                f"{tip.motion[0].upper()}{tip.motion[1:]}, for {EXTRA_SECONDS:g} s, would bring the errors of {_listed(tip.names)} to about {share(tip.ratio, 0)} of what they are."
             )
         return tuple(found)
 
@@ -216,7 +218,7 @@ def _errors(information: Array, weak: NDArray[np.int64], scale: Array | None = N
     """Return the standard errors of the weak parameters, and the scaling used; what nothing tells has an error as large as the scaling allows."""
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    whitened = information * np.outer(size, size) + 1e-8 * np.eye(len(size))
+    whitened = information * np.outer(size, size) + UNTOLD * np.eye(len(size))
     return np.sqrt(np.diag(np.linalg.inv(whitened)))[weak] * size[weak], size
 
 

@@ -17,10 +17,11 @@ from asbuilt.identification.uncertainty import block_uncertainty
 Array = NDArray[np.float64]
 
 SIGNIFICANCE = 0.05
+"""Chance of an F as large without any effect, from which a parameter is called essential."""
 MOST_LISTED = 12
 
 
-def estimate_essential(evidence: Evidence, significance: float = SIGNIFICANCE) -> Estimate:
+def estimate_essential(evidence: Evidence) -> Estimate:
     """Estimate by weighted least squares, then set parameters to zero one by one, that of least effect first, while an F-test allows it.
 
     Dropping d of the r determined parameters is allowed while `F = (SSE_reduced - SSE) / (d s^2)`, times effective samples per sample since residuals are
@@ -48,7 +49,7 @@ def estimate_essential(evidence: Evidence, significance: float = SIGNIFICANCE) -
             increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
             weakest = int(np.argmin(increase))
             count = len(dropped) + 1
-            if (loss + increase[weakest]) / count * share > variance * fdtri(count, freedom, 1.0 - significance):
+            if (loss + increase[weakest]) / count * share > variance * fdtri(count, freedom, 1.0 - SIGNIFICANCE):
                 break
             loss += float(increase[weakest])
             dropped.append(int(kept[weakest]))
@@ -65,7 +66,7 @@ def estimate_essential(evidence: Evidence, significance: float = SIGNIFICANCE) -
     names = [base.names[j] for j in sorted(dropped)]
     listed = ", ".join(names[:MOST_LISTED]) + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")
     note = (
-        f"{len(kept)} of {base.n_base} parameters are essential at the {100 * significance:g} % level; set to zero: {listed}."
+        f"{len(kept)} of {base.n_base} parameters are essential at the {100 * SIGNIFICANCE:g} % level; set to zero: {listed}."
         if names
         else "Every parameter is essential."
     )

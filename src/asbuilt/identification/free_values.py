@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.errors import ResultError
 from asbuilt.identification.least_squares import fit_least_squares
 from asbuilt.identification.square_root_information import SquareRootInformation
+from asbuilt.identification.triangular import packed_triangle, unpacked_triangle
 from asbuilt.identification.uncertainty import block_uncertainty
 
 Array = NDArray[np.float64]
@@ -32,11 +32,12 @@ class FreeValues:
 
     def __post_init__(self) -> None:
         p = len(self.estimates)
-        if self.covariance.shape != (p, p) or self.determined.shape != (p,):
+        if self.covariance.shape != (p, p) or self.textbook_std_errors.shape != (p,) or self.determined.shape != (p,):
             raise ResultError(
-                f"{p} free values need as many errors, got {self.covariance.shape} and {self.determined.shape}; identify again"
+                f"{p} free values need as many errors, got {self.covariance.shape}, {self.textbook_std_errors.shape} and {self.determined.shape}; "
+                "identify again"
             )
-        for values in (self.estimates, self.covariance, self.determined):
+        for values in (self.estimates, self.covariance, self.textbook_std_errors, self.determined):
             values.setflags(write=False)
 
     @property
@@ -46,10 +47,9 @@ class FreeValues:
 
     def as_dict(self) -> dict[str, Any]:
         """Return numbers and lists, ready for JSON; the covariance is its upper triangle, row by row, as base64 of little-endian doubles."""
-        triangle = self.covariance[np.triu_indices(len(self.estimates))]
         return {
             "estimates": self.estimates.tolist(),
-            "covariance": base64.b64encode(triangle.astype("<f8").tobytes()).decode("ascii"),
+            "covariance": packed_triangle(self.covariance),
             "textbook_std_errors": self.textbook_std_errors.tolist(),
             "determined": self.determined.tolist(),
         }
@@ -59,8 +59,7 @@ class FreeValues:
         """Rebuild from `as_dict`; raises `ResultError` where that is damaged."""
         try:
             estimates = np.array(fields["estimates"], dtype=np.float64)
-            upper = np.zeros((len(estimates), len(estimates)))
-            upper[np.triu_indices(len(estimates))] = np.frombuffer(base64.b64decode(fields["covariance"]), dtype="<f8")
+            upper = unpacked_triangle(fields["covariance"], len(estimates))
             textbook = np.array(fields["textbook_std_errors"], dtype=np.float64)
             return cls(estimates, upper + np.triu(upper, 1).T, textbook, np.array(fields["determined"], dtype=np.bool_))
         except (KeyError, TypeError, ValueError) as problem:

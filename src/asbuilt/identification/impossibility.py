@@ -12,6 +12,7 @@ from scipy import sparse
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.identification.cad_prior import CadPrior, smat
+from asbuilt.identification.cone_program import solve_cone_program
 from asbuilt.identification.conic_fit import near_one
 from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
 
@@ -157,12 +158,9 @@ class _Separation:
         cones = [clarabel.ZeroConeT(len(equal)), clarabel.NonnegativeConeT(2 * p + self.passive.size), clarabel.SecondOrderConeT(p + 1)]
         cones += [clarabel.PSDTriangleConeT(4)] * (self.inertial // 10)
         goal = np.concatenate([np.zeros(p), prices, [1.0]])
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.max_threads = 1
         nothing = sparse.csc_matrix((len(goal), len(goal)))
-        solution = clarabel.DefaultSolver(nothing, goal, sparse.csc_matrix(constraints), right, cones, settings).solve()
-        if str(solution.status) not in ("Solved", "AlmostSolved"):
+        solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
+        if not solution.is_solved:
             return None
-        u = np.array(solution.x[:p])
+        u = solution.x[:p]
         return np.asarray(np.where(np.abs(u) > ROUNDING * np.abs(u).max(), u, 0.0) / self.size)

@@ -41,20 +41,20 @@ CONVERGENCE = 1e-2
 """Change of the estimate, in standard errors, at which simulating again is of no use."""
 
 
-def estimate_iv(evidence: Evidence, bandwidth: float | None = None) -> Estimate:
+def estimate_iv(evidence: Evidence) -> Estimate:
     """Estimate beta with `Z^T (tau - W beta) = 0`, Z the regressor along a simulated motion, rows weighted joint by joint.
 
     Noise in the recorded motion makes W err and biases least squares toward zero; Z errs independently of it, so that the estimate is consistent
     (IDIM-IV: Janot, Vandanjon & Gautier, IEEE Trans. Control Systems Technology 22, 2014). There the simulation follows the commanded motion under the
     robot's own controller. Recordings hold neither, so here the identified model follows the recorded positions q under a joint controller with
     compensated gravity, Coriolis torques and drives, `M(q_s) qdd_s = J (w^2 (q - q_s) + 2 w (qd - qd_s))`, J the mean inertia of each joint, which passes
-    the motion but little of the noise beyond w = 2 pi `bandwidth` [Hz]. Noise below it stays in Z: of the bias that part remains. Simulated and
+    the motion but little of the noise beyond w, three bandwidths of the motion. Noise below it stays in Z: of the bias that part remains. Simulated and
     estimated in turn until the estimate rests.
     """
     information, base = evidence.information, evidence.base
     start = estimate_wls(evidence)
     estimate, moves, iterations = start, np.inf, 0
-    hertz = bandwidth if bandwidth is not None else max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches))
+    hertz = max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches))
     while moves > CONVERGENCE and iterations < MOST_ITERATIONS:
         simulated = [follow(evidence.model, base, estimate.beta, samples, hertz) for samples in evidence.batches]
         renewed = _instrumented(evidence, start, evidence.rows_of(simulated))

@@ -194,6 +194,11 @@ class Estimate:
         )
 
 
+def noise_floor(information: SquareRootInformation) -> float:
+    """Return the least noise that a joint is taken to have: `SMALLEST_NOISE` of the largest torque RMS, 1 where there is no torque at all."""
+    return SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples)) or 1.0
+
+
 def fit_least_squares(
     information: SquareRootInformation,
     *,
@@ -216,11 +221,11 @@ def fit_least_squares(
             "record longer, decimate less or choose fewer drive terms"
         )
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
-    floor = SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / rows)) or 1.0
+    floor = noise_floor(information)
     iterated = isinstance(weights, str)
     if iterated and weights != "joint":
         raise UsageError(f"weights {weights!r} are unknown; give 'joint', None or {n} positive numbers, one per joint")
-    w = np.ones(n) if weights is None or isinstance(weights, str) else _positive(weights, n)
+    w = np.ones(n) if weights is None or isinstance(weights, str) else positive_weights(weights, n)
     iterations, converged = 0, True
     with one_blas_thread():
         while True:
@@ -317,7 +322,8 @@ def _refusal(information: SquareRootInformation, solution: FactorSolution) -> st
     )
 
 
-def _positive(weights: ArrayLike, n: int) -> Array:
+def positive_weights(weights: ArrayLike, n: int) -> Array:
+    """Return weights of n joints as an array; raises `UsageError` where they are not n positive numbers."""
     w = np.asarray(weights, dtype=np.float64)
     if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
         raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")

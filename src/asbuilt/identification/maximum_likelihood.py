@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.identification.evidence import Evidence
-from asbuilt.identification.least_squares import SMALLEST_NOISE, Estimate, estimate_wls, fit_least_squares, solve_factor
+from asbuilt.identification.least_squares import Estimate, estimate_wls, fit_least_squares, noise_floor, solve_factor
 from asbuilt.identification.rows import RowBlock
 from asbuilt.identification.square_root_information import reduce_rows
 from asbuilt.identification.triangular import ROWS_AT_ONCE, GrowingFactor, triangular_factor
@@ -31,7 +31,7 @@ def estimate_ml(evidence: Evidence) -> Estimate:
     information, rows, base = evidence.information, evidence.rows, evidence.base
     start = estimate_wls(evidence)
     n, p, n_samples = information.n_joints, base.n_base, information.n_samples
-    floor = SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / n_samples)) or 1.0
+    floor = noise_floor(information)
     every = np.arange(p)
     with one_blas_thread():
         growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MotorSideParameter:
-    """One drive parameter: at the joint and, through the gear ratio, at the motor's shaft, each with its standard error."""
+    """One drive parameter at the joint and, through the gear ratio, at the motor's shaft; `std_error` and `unit` are those at the motor."""
 
     name: str
     gear_ratio: float

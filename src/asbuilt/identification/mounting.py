@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
@@ -114,7 +115,7 @@ def find_mounting(
             f"finding how {model.name} stands takes samples and a description with gravity; got {len(batches)} batches, {strength:g} m/s^2"
         )
     drive = DriveSet(tuple(term for term in drive.terms if not term.needs_load))
-    axes = _axes_across(model.gravity)
+    axes = axes_across(model.gravity)
     base = find_base_parameters(_turned(model, axes, np.array([0.07, 0.11])), drive)
     prior = cad_prior(model, drive)
     bounds = generous_bounds(prior)
@@ -201,16 +202,6 @@ def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> 
 
 def _turned(model: RobotModel, axes: Array, tilt: Array) -> RobotModel:
     return model.with_gravity(Rotation.from_rotvec(tilt @ axes).apply(np.array(model.gravity)))
-
-
-def _axes_across(gravity: Array) -> Array:
-    """Return two axes across gravity: x and y of the root frame where gravity is along z."""
-    down = gravity / np.linalg.norm(gravity)
-    near = np.sort(np.argsort(np.abs(down), kind="stable")[:2])
-    first = np.eye(3)[near[0]] - down[near[0]] * down
-    first = first / np.linalg.norm(first)
-    second = np.cross(down, first)
-    return np.array([first, second * (1.0 if second[near[1]] >= 0 else -1.0)])
 
 
 def _written(axis: Array) -> str:

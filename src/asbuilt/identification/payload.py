@@ -16,7 +16,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
-from asbuilt.identification.consistency import PSEUDO_INERTIA
+from asbuilt.identification.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
+from asbuilt.identification.cone_program import solve_cone_program
 from asbuilt.identification.gain_uncertainty import arm_by_joint, gain_covariance, relative_gain_errors
 from asbuilt.identification.least_squares import solve_factor
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
@@ -131,10 +132,14 @@ def identify_payload(
 
     Raises
     ------
+    UsageError
+        If there are no samples, no frame of that name, or uncertainties that are no fractions.
     IdentifiabilityError
         If there are fewer samples than unknowns, or no motion that tells a mass.
     """
     batches = [loaded] if not isinstance(loaded, Sequence) else list(loaded)
+    if not batches:
+        raise UsageError(f"no samples are given of {result.robot} under load; pass at least one prepared recording")
     source = batches[0].torque_source
     uncertainty = relative_gain_errors(source, result.model.n_joints, gain_uncertainty)
     name, link, placement = payload_frame(result.model, frame)
@@ -300,17 +305,13 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
     floor = INTERIOR * float(np.abs(estimate[9]))
     quadratic = sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale)))
     linear = -2.0 * (root * scale).T @ (root @ estimate)
-    constraint = sparse.csc_matrix(-PSEUDO_INERTIA * scale)
-    bound = -floor * np.array([1.0, 0, 1.0, 0, 0, 1.0, 0, 0, 0, 1.0])
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
-    solution = clarabel.DefaultSolver(quadratic, linear, constraint, bound, [clarabel.PSDTriangleConeT(4)], settings).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
+    constraint = sparse.csc_matrix(-PSEUDO_INERTIA_SVEC * scale)
+    solution = solve_cone_program(quadratic, linear, constraint, -floor * IDENTITY_SVEC, [clarabel.PSDTriangleConeT(4)])
+    if not solution.is_solved:
         raise IdentifiabilityError(
             f"no possible body was found near the payload estimate {estimate.tolist()}: the solver says {solution.status}"
         )
-    return np.array(solution.x, dtype=np.float64) * scale, True
+    return solution.x * scale, True
 
 
 def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:

@@ -12,7 +12,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.identification.least_squares import FactorSolution, solve_factor
+from asbuilt.identification.least_squares import FactorSolution, positive_weights, solve_factor
 
 Array = NDArray[np.float64]
 
@@ -61,15 +61,13 @@ class RecursiveIdentification:
         prior_strength: float = 0.0,
     ) -> None:
         n, p = model.n_joints, base.n_base
-        w = np.ones(n) if weights is None else np.asarray(weights, dtype=np.float64)
-        if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
-            raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
+        w = np.ones(n) if weights is None else positive_weights(weights, n)
         if not 0.0 < forgetting <= 1.0:
             raise UsageError(
                 f"the forgetting factor must lie above 0 and be at most 1, got {forgetting}; 0.999 remembers about 1000 samples"
             )
-        if prior_strength < 0.0:
-            raise UsageError(f"the strength of the prior cannot be negative, got {prior_strength}")
+        if not 0.0 <= prior_strength < np.inf:
+            raise UsageError(f"the strength of the prior must be a number of samples and not negative, got {prior_strength}")
         toward = np.zeros(p) if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
         if toward.shape != (p,):
             raise UsageError(f"the prior of {base.robot} needs {p} base parameters, got shape {toward.shape}")
@@ -105,15 +103,14 @@ class RecursiveIdentification:
 
     def estimate(self) -> RecursiveEstimate:
         """Return the estimate from the samples so far."""
-        n, p = self.model.n_joints, self.base.n_base
         solution = self.solution()
-        variance = solution.residual_energy / max(self._counted * n - solution.rank, 1.0)
+        variance = solution.residual_energy / max(self._counted * self.model.n_joints - solution.rank, 1.0)
         root = solution.inverse_root
         return RecursiveEstimate(
             beta=solution.x,
             std_errors=np.sqrt(variance * np.sum(root**2, axis=1)),
             sigma=float(np.sqrt(variance)),
-            rank=min(solution.rank, p),
+            rank=solution.rank,
             n_effective=self._counted,
         )
 

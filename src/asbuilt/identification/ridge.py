@@ -42,9 +42,9 @@ def estimate_ridge(evidence: Evidence) -> Estimate:
         return start.renewed("ridge", information, Weighted.of(information, start.weights, prior).solve(chosen), notes=(f"{note}.",))
 
 
-def folds(information: SquareRootInformation, most: int = MOST_FOLDS) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
-    """Yield the blocks to learn from and those held out, up to `most` times, runs of neighbouring blocks held out in turn; nothing for one block."""
-    count = min(most, information.n_blocks)
+def folds(information: SquareRootInformation) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
+    """Yield the blocks to learn from and those held out, up to 8 times, runs of neighbouring blocks held out in turn; nothing for one block."""
+    count = min(MOST_FOLDS, information.n_blocks)
     if count < 2:
         return
     number = np.arange(information.n_blocks) * count // information.n_blocks

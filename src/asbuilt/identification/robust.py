@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.identification.evidence import Evidence
-from asbuilt.identification.least_squares import SMALLEST_NOISE, Estimate, estimate_wls, fit_least_squares
+from asbuilt.identification.least_squares import Estimate, estimate_wls, fit_least_squares, noise_floor
 from asbuilt.identification.rows import RowBlock, Rows
 from asbuilt.identification.square_root_information import reduce_rows
 
@@ -18,6 +18,10 @@ Array = NDArray[np.float64]
 
 MAD_TO_SIGMA = 1.4826022185056018
 """Standard deviation of a normal distribution in medians of the absolute deviation."""
+HUBER = 1.345
+"""Residual, in robust standard deviations, up to which Huber's loss is that of least squares: 95 % efficient where noise is normal (Holland & Welsch, 1977)."""
+BISQUARE = 4.685
+"""And from which Tukey's bisquare gives no weight at all: 95 % efficient, too."""
 MOST_ITERATIONS = 60
 SCALE_ITERATIONS = 25
 """Iterations after which the scales rest, so that the steps converge."""
@@ -39,15 +43,15 @@ class Loss:
     slope: Callable[[Array], Array]
 
 
-def huber_loss(threshold: float = 1.345) -> Loss:
-    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond; 1.345 keeps 95 % efficiency (Huber, Ann. Math. Stat. 35, 1964)."""
+def huber_loss(threshold: float = HUBER) -> Loss:
+    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond (Huber, Ann. Math. Stat. 35, 1964)."""
     return Loss(
         lambda r: threshold / np.maximum(np.abs(r), threshold),
         lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
     )
 
 
-def bisquare_loss(threshold: float = 4.685) -> Loss:
+def bisquare_loss(threshold: float = BISQUARE) -> Loss:
     """Return Tukey's bisquare, which gives residuals beyond the threshold no weight at all (Beaton & Tukey, Technometrics 16, 1974)."""
 
     def share(r: Array) -> Array:
@@ -56,29 +60,29 @@ def bisquare_loss(threshold: float = 4.685) -> Loss:
     return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
 
 
-def estimate_huber(evidence: Evidence, threshold: float = 1.345) -> Estimate:
+def estimate_huber(evidence: Evidence) -> Estimate:
     """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss, by iteratively reweighted least squares.
 
     sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least squares on pseudo-values
     `W beta + sigma rho'(r) / s` with weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7, with s = mean(rho''); here s is
     less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints turn back.
     """
-    return _robust(evidence, "huber", huber_loss(threshold), estimate_wls(evidence))
+    return _robust(evidence, "huber", huber_loss(), estimate_wls(evidence))
 
 
-def estimate_bisquare(evidence: Evidence, threshold: float = 4.685) -> Estimate:
+def estimate_bisquare(evidence: Evidence) -> Estimate:
     """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale: gross outliers count for nothing.
 
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
     start = estimate_huber(evidence)
-    return _robust(evidence, "bisquare", bisquare_loss(threshold), start, scale=start.sigma)
+    return _robust(evidence, "bisquare", bisquare_loss(), start, scale=start.sigma)
 
 
 def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: Array | None = None) -> Estimate:
     information, rows = evidence.information, evidence.rows
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
-    floor = SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples)) or 1.0
+    floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
     with one_blas_thread():
         while not converged and iterations < MOST_ITERATIONS:

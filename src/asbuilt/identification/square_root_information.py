@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 from collections import deque
 from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base_parameters import BaseParameters
+from asbuilt.dynamics.batches import available_cores, chosen_threads
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
@@ -32,6 +32,8 @@ Indices = NDArray[np.int64]
 
 MOST_BLOCKS = 128
 """Beyond twice as many, neighbours are merged, so that memory does not grow with the recording."""
+ROUNDED_LENGTH = 1.2
+"""Neighbours that together are this much longer than a block still make one: runs are cut into equal parts, whose length is seldom that asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,7 +230,7 @@ def accumulate_stream(
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
     gathered = _Gathering()
     pending: deque[Future[_Reduced]] = deque()
-    workers = max(1, threads if threads is not None else os.cpu_count() or 1)
+    workers = chosen_threads(threads, available_cores())
     with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
         for stretch in stretches(model, stream, block_seconds):
             pending.append(pool.submit(_reduced, plan, stretch))
@@ -305,7 +307,7 @@ class _Gathering:
 
 
 def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
-    return earlier.source == later.source and 0.0 < later.stop - earlier.start <= 1.2 * seconds
+    return earlier.source == later.source and 0.0 < later.stop - earlier.start <= ROUNDED_LENGTH * seconds
 
 
 def _merged(earlier: _Reduced, later: _Reduced) -> _Reduced:

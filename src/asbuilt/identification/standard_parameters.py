@@ -18,6 +18,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.body_bounds import BodyBounds, non_negative_drives
 from asbuilt.identification.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.cone_program import solve_cone_program
 from asbuilt.identification.conic_fit import SMALLEST_PART, fit_real_bodies, near_one
 from asbuilt.identification.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.triangular import triangular_factor
@@ -82,7 +83,6 @@ def standard_parameters(
     *,
     nearest: bool = False,
     information: ArrayLike | None = None,
-    prior: CadPrior | None = None,
 ) -> StandardParameters:
     """Return real bodies for every link with `K chi = beta` exactly that are closest to CAD: least entropic divergence from it.
 
@@ -99,7 +99,7 @@ def standard_parameters(
     asked = np.asarray(beta, dtype=np.float64)
     if asked.shape != (base.n_base,) or not np.all(np.isfinite(asked)):
         raise IdentifiabilityError(f"{base.robot} needs {base.n_base} finite base parameters, got shape {asked.shape}: {asked.tolist()}")
-    cad = cad_prior(model, base.drive) if prior is None else prior
+    cad = cad_prior(model, base.drive)
     coordinates = Coordinates.of(base)
     drives = non_negative_drives(cad)
     moving = np.any(coordinates.dependent[cad.non_negative] != 0.0, axis=1)
@@ -150,18 +150,14 @@ def deepest_inside(cad: CadPrior, coordinates: Coordinates, beta: Array, bounds:
     constraints = np.vstack([np.hstack([-rows, room]), np.hstack([-along[:inertial], q0[:inertial, None]])])
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.max_threads = 1
     size = constraints.shape[1]
     goal = np.append(np.zeros(size - 1), -1.0)
-    solution = clarabel.DefaultSolver(sparse.csc_matrix((size, size)), goal, sparse.csc_matrix(constraints), right, cones, settings).solve()
-    if str(solution.status) not in ("Solved", "AlmostSolved"):
+    solution = solve_cone_program(sparse.csc_matrix((size, size)), goal, sparse.csc_matrix(constraints), right, cones)
+    if not solution.is_solved:
         raise IdentifiabilityError(
             f"whether real bodies have the {len(beta)} base parameters of {cad.robot} could not be decided: the solver says {solution.status}"
         )
-    x = np.asarray(solution.x)
-    return near + free @ x[:-1], float(x[-1])
+    return near + free @ solution.x[:-1], float(solution.x[-1])
 
 
 def _closest_above(cad: CadPrior, coordinates: Coordinates, chi: Array, part: float, bounds: BodyBounds) -> Array:

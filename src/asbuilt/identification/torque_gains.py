@@ -144,7 +144,7 @@ def identify_gains(
     Raises
     ------
     UsageError
-        If the mass is not positive, or the inertia is given without the centre of mass.
+        If the mass is not positive, the inertia is given without the centre of mass, or recordings of either kind are missing.
     IdentifiabilityError
         If the recordings leave the scale open.
     """
@@ -154,6 +154,10 @@ def identify_gains(
         raise UsageError("inertia_about_com of the payload is given without com; give com too")
     without, under = (list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded))
     terms = drive if drive is not None else usual_drive(model, "current")
+    if not without or not under:
+        raise UsageError(
+            f"gains of {model.name} take recordings without and with the payload, got {len(without)} and {len(under)}; pass at least one of each"
+        )
     if terms.needs_load:
         raise UsageError(f"gains are found with friction that does not depend on load, got drive terms {terms}")
     name, link, placement = payload_frame(model, frame)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
@@ -17,6 +19,18 @@ def triangular_factor(rows: Array) -> Array:
     growing = GrowingFactor(rows.shape[1], len(rows))
     growing.append(np.ascontiguousarray(rows.T))
     return growing.factor()
+
+
+def packed_triangle(matrix: Array) -> str:
+    """Return the upper triangle of a matrix (p, p), row by row, as base64 of little-endian doubles."""
+    return base64.b64encode(matrix[np.triu_indices(len(matrix))].astype("<f8").tobytes()).decode("ascii")
+
+
+def unpacked_triangle(text: str, p: int) -> Array:
+    """Return the upper triangular matrix (p, p) of `packed_triangle`; raises ValueError where the text holds another number of entries."""
+    triangle = np.zeros((p, p))
+    triangle[np.triu_indices(p)] = np.frombuffer(base64.b64decode(text), dtype="<f8")
+    return triangle
 
 
 class GrowingFactor:

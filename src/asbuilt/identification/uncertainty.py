@@ -34,11 +34,6 @@ class Uncertainty:
     basis: ErrorBasis
 
     @property
-    def method(self) -> str:
-        """`"blocks"`, `"bootstrap"` or `"textbook"`."""
-        return self.basis.kind
-
-    @property
     def n_blocks(self) -> int:
         """Number of time blocks at hand."""
         return self.basis.n_blocks
