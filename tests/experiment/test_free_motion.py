@@ -40,6 +40,12 @@ def test_energy_balances_with_friction_and_drives(name: str, release: str) -> No
     assert (motion.work[-1] == 0.0) == (release == "drop")
 
 
+def test_heavy_friction_on_light_joints_brakes_a_fall() -> None:
+    motion = run_free(with_drives(bundled_robot("kuka-iiwa7-r800"), viscous=30.0), "drop", duration=1.0)
+    assert motion.imbalance < 1e-5
+    assert motion.dissipated[-1] > 1.0
+
+
 def test_a_step_arrives() -> None:
     model = bundled_robot("ur10e")
     motion = run_free(model, "step", duration=3.0)

@@ -11,7 +11,7 @@ from pinocchio_oracle import pinocchio_model
 
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import DriveValues, RobotModel
 from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
@@ -62,6 +62,21 @@ def test_the_logged_torque_is_what_pinocchio_says_the_logged_motion_takes(iiwa: 
     sliding = np.abs(r.qd) > 5e-3
     assert sliding.mean() > 0.95
     np.testing.assert_allclose(r.tau[sliding], expected[sliding], atol=1e-7)
+
+
+def test_heavy_friction_on_light_joints_is_followed(iiwa: RobotModel) -> None:
+    """As descriptions from strangers have it: 10 N m s/rad on a light wrist takes its speed away in 0.2 ms."""
+    model = replace(iiwa, joints=tuple(replace(joint, drive=DriveValues(viscous=10.0, coulomb=1.0)) for joint in iiwa.joints))
+    motion = random_fourier(model, 3, duration=2.0)
+    r = VirtualRobot.preset("ideal", model).record(motion).recording
+    assert r.qd is not None
+    assert r.qdd is not None
+    assert np.abs(r.q - motion.at(r.t)[0]).max() < 5e-3
+    other = pinocchio_model(iiwa)
+    data = other.createData()
+    rigid = np.array([pin.rnea(other, data, *map(np.array, state)) for state in zip(r.q, r.qd, r.qdd, strict=True)])
+    runs = np.abs(r.qd) > 0.05
+    assert np.abs(r.tau - rigid - 10.0 * r.qd - np.sign(r.qd))[runs].max() < 1e-3
 
 
 def test_a_recorded_velocity_is_the_derivative_of_the_recorded_position(iiwa: RobotModel) -> None:

@@ -15,7 +15,7 @@ from asbuilt.excitation.motion import Trajectory
 from asbuilt.experiment.sensors import PerJoint, per_joint
 
 Array = NDArray[np.float64]
-FeedForward = Literal["none", "gravity", "full"]
+FeedForward = Literal["none", "gravity", "full", "exact"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,8 +68,9 @@ class PositionController:
     """Describe the controller that makes the robot follow: `tau = feed-forward + M (w^2 (q_command - q) + 2 damping w (qd_command - qd))`.
 
     M is the mass matrix of the description at the command, armature included, and `w = 2 pi bandwidth` [Hz], so that every joint answers alike
-    (computed torque). The feed-forward is what the *description* says the command takes: nothing, its gravity, or all of it. The torque is held
-    between two ticks of `rate` [Hz], rounded up to a multiple of the logger's, and limited to what the joint can give.
+    (computed torque). The feed-forward is what the *description* says that the bodies take: nothing, their gravity, or all of it; `exact` adds what
+    rotors and friction take, as they are. The torque is held between two ticks of `rate` [Hz], rounded up to a multiple of the logger's, and limited to
+    what the joint can give.
     """
 
     bandwidth: float = 12.0
@@ -93,10 +94,14 @@ class PositionController:
         pole = 2.0 * np.pi * self.bandwidth
         return (mass_matrix(described, q) + np.diag(armature)) * pole**2, 2.0 * self.damping / pole
 
-    def feedforward_torque(self, described: RobotModel, command: Trajectory) -> Array:
-        """Return the torque that the description expects along the command, shape (N, n)."""
+    def feedforward_torque(self, described: RobotModel, train: DriveTrain, command: Trajectory) -> Array:
+        """Return the torque that the controller expects along the command, shape (N, n)."""
         if self.feedforward == "none":
             return np.zeros(command.q.shape)
         if self.feedforward == "gravity":
             return gravity_torque(described, command.q)
-        return inverse_dynamics(described, command.q, command.qd, command.qdd)
+        bodies = inverse_dynamics(described, command.q, command.qd, command.qdd)
+        if self.feedforward == "full":
+            return bodies
+        armature, viscous, coulomb = (train.of(name, command.n_joints) for name in ("armature", "viscous", "coulomb"))
+        return bodies + armature * command.qdd + viscous * command.qd + coulomb * np.sign(command.qd)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -30,6 +31,8 @@ FRICTION_TIME = 0.002
 """Time constant with which a joint that dry friction holds comes to rest [s]."""
 SINGULAR = 1e-12
 """Ratio of the eigenvalues of a mass matrix at which it counts as singular."""
+STABLE = 2.0
+"""Step times rate of decay up to which the integrator is used; Runge-Kutta of fourth order blows up from 2.79 on."""
 
 
 def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
@@ -44,7 +47,8 @@ class Physics:
     """A robot in MuJoCo: rigid bodies, armature, viscous and dry friction, torques on the joints; without contacts and joint stops.
 
     Any inertia is taken, also one that no rigid body has, as long as the mass matrix is positive definite. `armature`, `viscous` and `coulomb`
-    (n,) replace what the description says; zeros where they are not given. `timestep` [s] is that of the integrator, Runge-Kutta of fourth order.
+    (n,) replace what the description says; zeros where they are not given. `timestep` [s] is that of the integrator, Runge-Kutta of fourth order,
+    which divides it further where viscous friction stops a light joint within it.
 
     Raises
     ------
@@ -86,7 +90,8 @@ class Physics:
         self.rub(np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)), np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)))
         self.compiled.dof_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
         self.compiled.dof_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
-        self._check_mass_matrix()
+        self._parts = max(1, math.ceil(timestep * self._fastest_decay(self._sound_mass_matrices()) / STABLE))
+        self.compiled.opt.timestep = timestep / self._parts
         self.data: Any = self._mujoco.MjData(self.compiled)
         with self.quiet():
             self._mujoco.mj_setConst(self.compiled, self.data)
@@ -109,9 +114,10 @@ class Physics:
             self.compiled.body_iquat[k] = quaternion_from_rotation(axes)
             self.compiled.body_inertia[k] = moments
 
-    def _check_mass_matrix(self) -> None:
+    def _sound_mass_matrices(self) -> Array:
+        """Return the mass matrices of some random poses (8, n, n), armature included; raises InertiaError where one is singular."""
         q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, self.model.n_joints))
-        masses = mass_matrix(self.model, q) + np.diag(self.compiled.dof_armature[self._order])
+        masses: Array = mass_matrix(self.model, q) + np.diag(self.compiled.dof_armature[self._order])
         for M in masses:
             eigenvalues, vectors = np.linalg.eigh(M)
             if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
@@ -120,6 +126,12 @@ class Physics:
                     f"the mass matrix of {self.model.name} is not positive definite (smallest eigenvalue {eigenvalues[0]:.3g}, mostly joint {worst!r}), "
                     "so torques do not determine how it moves; check the inertias, or give the joint an armature"
                 )
+        return masses
+
+    def _fastest_decay(self, masses: Array) -> float:
+        """Return the fastest rate at which viscous friction alone brings a joint to rest, the largest eigenvalue of M^-1 D [1/s]."""
+        root = np.sqrt(self.compiled.dof_damping[self._order])
+        return float(np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max())
 
     def inverse_dynamics(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
         """Return MuJoCo's torque for states (N, n): rigid bodies, armature and viscous friction, without dry friction; shape (N, n)."""
@@ -176,6 +188,6 @@ class Physics:
         self.compiled.dof_frictionloss[self._order], self.compiled.dof_damping[self._order] = coulomb, viscous
 
     def advance(self, tau: Array, steps: int = 1) -> None:
-        """Take integration steps under constant joint torques (n,)."""
+        """Take time steps under constant joint torques (n,)."""
         self.data.qfrc_applied[self._order] = tau
-        self._mujoco.mj_step(self.compiled, self.data, steps)
+        self._mujoco.mj_step(self.compiled, self.data, steps * self._parts)

@@ -190,7 +190,7 @@ class VirtualRobot:
             timestep=1.0 / ticks / substeps,
         )
         gains = controller.gains(self.described, train.of("armature", n), command.q)
-        feedforward = controller.feedforward_torque(self.described, command)
+        feedforward = controller.feedforward_torque(self.described, train, command)
         limit = np.array([joint.limits.torque for joint in model.joints])
         return track(physics, train, command, feedforward, gains, limit, substeps=substeps, progress=progress), command
 
@@ -219,7 +219,14 @@ def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     stated = {key: _numbers(column) for key, column in zip(drive.keys, columns, strict=True)}
     armature, viscous, coulomb, offset = (stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys)
     train = DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
-    return VirtualRobot(model=model, described=model, train=train, name="ideal", logger=DataLogger(accelerations=True))
+    return VirtualRobot(
+        model=model,
+        described=model,
+        train=train,
+        controller=PositionController(feedforward="exact"),
+        logger=DataLogger(accelerations=True),
+        name="ideal",
+    )
 
 
 def _lab(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
