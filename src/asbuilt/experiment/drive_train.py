@@ -104,4 +104,5 @@ class PositionController:
         if self.feedforward == "full":
             return bodies
         armature, viscous, coulomb = (train.of(name, command.n_joints) for name in ("armature", "viscous", "coulomb"))
-        return bodies + armature * command.qdd + viscous * command.qd + coulomb * np.sign(command.qd)
+        friction = viscous * command.qd + coulomb * np.sign(command.qd) + train.of("offset", command.n_joints)
+        return bodies + armature * command.qdd + friction

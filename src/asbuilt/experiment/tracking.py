@@ -72,7 +72,7 @@ def track(
     q, qd, torque = np.empty((t.size, n)), np.empty((t.size, n)), np.empty((t.size + 1, n))
     physics.start(command.q[0], command.qd[0])
     varies, half = bool(np.any(stiction > 0)) or train.warming > 0, 0.5 * backlash
-    tau = feedforward[0] + offset
+    tau = feedforward[0]
     torque[0] = tau
     with physics.quiet():
         for k in range(-settling, t.size):
