@@ -22,6 +22,7 @@ from asbuilt.cli_options import (
     Reading,
     Result,
     Robot,
+    Unchecked,
     described_robot,
     distinct_logs,
     one_of,
@@ -60,7 +61,7 @@ def identify(
             help="standard errors: blocks (from time blocks, by formula), bootstrap (time blocks drawn again and again) or textbook (residuals taken as independent: too small where they are not)",
         ),
     ] = "blocks",
-    unchecked: Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")] = False,
+    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
@@ -74,6 +75,7 @@ def identify(
     from asbuilt.validation.study import StudyOptions, run_study
     from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.study_files import study_document, study_text, write_study
+    from asbuilt.writers.tabular import write_json
 
     distinct_logs(log, validate, payload)
     model, swept = described_robot(robot), filtering.cutoff == "auto"
@@ -92,8 +94,14 @@ def identify(
         report("read", 0.0)
         recordings, others, loaded = (reading.open(model, logs) for logs in (log, validate, payload))
         study = run_study(model, recordings, validation=others, options=options, progress=report)
-        carried = run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout) if loaded else None
+        carried = (
+            run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout, checked=options.checked)
+            if loaded
+            else None
+        )
         files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
+        if out is not None and carried is not None:
+            files["payload"] = write_json(out / "payload.json", payload_document(carried))
     answer(
         as_json,
         lambda: study_document(study, files) | ({"payload": payload_document(carried)} if carried is not None else {}),
@@ -108,12 +116,14 @@ def validate(
     ],
     log: Logs,
     *,
+    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
     """Predict other recordings with an identified model, and with CAD beside it."""
+    from asbuilt.experiment.checks import refuse_spoilt
     from asbuilt.experiment.long_recordings import prepare_logged
     from asbuilt.validation.comparison import compare
     from asbuilt.validation.prediction import validate as predict
@@ -126,12 +136,17 @@ def validate(
         if out is not None:
             raise UsageError("validate --out writes the predictions of a result; of a robot as described there is only the table")
         model = described_robot(result)
-        errors = [validate_description(model, prepare_logged(recording, filtering.chain())) for recording in reading.open(model, log)]
+        recordings = reading.open(model, log)
+        if not unchecked:
+            refuse_spoilt(model, recordings)
+        errors = [validate_description(model, prepare_logged(recording, filtering.chain())) for recording in recordings]
         answer(as_json, lambda: described_document(model, errors), lambda: described_torque_table(model, errors).as_text())
         return
     identified = read_result(Path(result))
-    chain = filtering.chain()
-    validations = [predict(identified, prepare_logged(recording, chain)) for recording in reading.open(identified.model, log)]
+    recordings, chain = reading.open(identified.model, log), filtering.chain()
+    if not unchecked:
+        refuse_spoilt(identified.model, recordings)
+    validations = [predict(identified, prepare_logged(recording, chain)) for recording in recordings]
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
     answer(
@@ -158,11 +173,13 @@ def compare(
     holdout: Annotated[
         str | None, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by (default: blocks:5s:3)")
     ] = None,
+    unchecked: Unchecked = False,
     reading: Reading,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
     """Compare CAD with the robot as built: what differs, what that costs in torque, which causes explain it; or two results of one robot."""
+    from asbuilt.experiment.checks import refuse_spoilt
     from asbuilt.identification.determination import determination
     from asbuilt.validation.attribution import attribute
     from asbuilt.validation.cad_tolerance import CadTolerance
@@ -176,7 +193,8 @@ def compare(
         raise UsageError("--cad, --with and --controller are three different comparisons; give one of them")
     if controller is None:
         refuse_idle(
-            "how a log is read, and what of it is held out, goes with --controller LOG", {"--holdout": holdout is not None} | reading.given
+            "how a log is read, and what of it is held out, goes with --controller LOG",
+            {"--holdout": holdout is not None, "--unchecked": unchecked} | reading.given,
         )
     if other is not None or controller is not None:
         refuse_idle(
@@ -190,6 +208,8 @@ def compare(
         return
     if controller is not None:
         recording = reading.read(identified.model, [controller])[0]
+        if not unchecked:
+            refuse_spoilt(identified.model, [recording])
         beside = compare_with_controller(identified, recording, holdout=holdout or "blocks:5s:3")
         files = write_drift(out, beside) if out is not None else {}
         answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
@@ -223,6 +243,7 @@ def payload(
             help="how well torque per ampere is known, for all joints or each (default: 7% for currents, 5% for motor torques, 0 for sensors)",
         ),
     ] = None,
+    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
@@ -245,6 +266,7 @@ def payload(
         frame=frame,
         arm=one_of("--arm", arm, ("refined", "frozen")),
         gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
+        checked=not unchecked,
     )
     files = {"payload": write_json(out / "payload.json", payload_document(found))} if out is not None else {}
     answer(as_json, lambda: payload_document(found, files), lambda: payload_text(found) + listed_files(files))

@@ -53,6 +53,7 @@ Judges = Annotated[
 Holdout = Annotated[
     str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3, to judge by")
 ]
+Unchecked = Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")]
 Carrier = Annotated[
     str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries the payload (default: the flange)")
 ]

@@ -19,6 +19,7 @@ from asbuilt.cli_options import (
     Robot,
     RobotOrResult,
     Seed,
+    Unchecked,
     described_robot,
     distinct_logs,
     number_list,
@@ -76,6 +77,7 @@ def gains(
     ] = None,
     frame: Carrier = None,
     drive: Drive = None,
+    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     as_json: AsJson = False,
@@ -85,6 +87,7 @@ def gains(
     Gains of a sheet or of --gain scale the torques as usual; what is printed stands in their place.
     """
     from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.experiment.checks import TOO_LITTLE, UNKNOWN_TORQUE, refuse_spoilt
     from asbuilt.experiment.signal_chain import prepare_samples
     from asbuilt.identification.torque_gains import gains_in_use, identify_gains
     from asbuilt.writers.drive_tables import gains_document, gains_text
@@ -93,6 +96,8 @@ def gains(
     model = described_robot(robot)
     currents = replace(reading, torque_source=reading.torque_source or "current")
     bare, under = (currents.read(model, logs) for logs in (log, loaded))
+    if not unchecked:
+        refuse_spoilt(model, [*bare, *under], but=(*TOO_LITTLE, *UNKNOWN_TORQUE))
     chain = filtering.chain().resolved(*bare, *under)
     found = identify_gains(
         model,
@@ -127,12 +132,14 @@ def channels(
             help="drive terms before the sensors (default: armature,viscous,coulomb,offset, and those of coupled motors)",
         ),
     ] = None,
+    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
     """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
     from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.experiment.checks import refuse_spoilt
     from asbuilt.experiment.signal_chain import prepare_samples
     from asbuilt.identification.two_channels import LINK_SIDE, identify_two_channels
     from asbuilt.writers.drive_tables import channels_document, channels_text
@@ -140,6 +147,8 @@ def channels(
     model = described_robot(robot)
     sensors = replace(reading, torque_source=reading.torque_source or "sensor").read(model, log)
     motors = replace(reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet).read(model, motor)
+    if not unchecked:
+        refuse_spoilt(model, [*sensors, *motors])
     chain = filtering.chain().resolved(*sensors)
     found = identify_two_channels(
         model,

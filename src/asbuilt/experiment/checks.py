@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from asbuilt.experiment.clock_checks import clock_findings
 from asbuilt.experiment.closer_look import look_closer
 from asbuilt.experiment.excitation_checks import excitation_findings
 from asbuilt.experiment.finding import Finding
-from asbuilt.experiment.long_recordings import RecordingStream
+from asbuilt.experiment.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.motion_checks import DEGREE, in_degrees, motion_findings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.smoothed_motion import EvenPieces, smoothed_motion
@@ -21,6 +21,10 @@ from asbuilt.experiment.survey import Survey, survey
 from asbuilt.experiment.torque_checks import torque_findings
 
 _ORDER = {"error": 0, "warning": 1, "info": 2}
+TOO_LITTLE = ("too-few-samples", "too-short")
+"""Codes of errors that forbid an identification of the whole robot, and no other use of a recording."""
+UNKNOWN_TORQUE = ("torque-flipped", "joint-torque-flipped", "torque-scale")
+"""Codes of errors that say no more than that gains are wrong or not known, for uses that look for the gains."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +67,17 @@ class RecordingCheck:
         verdict = f"{len(self.errors)} errors, {len(self.warnings)} warnings" if self.errors or self.warnings else "nothing wrong was found"
         return "\n".join([head, verdict, *(str(finding) for finding in self.findings)])
 
-    def raise_errors(self) -> None:
-        """Raise the first error, with the others after it, if there is any.
+    def raise_errors(self, *, but: Collection[str] = ()) -> None:
+        """Raise the first error, with the others after it, if there is any whose code is not among `but`.
 
         Raises
         ------
         RecordingError
             If a finding has the severity "error".
         """
-        if self.errors:
-            raise RecordingError("\n".join(f"{self.source}: {finding.message}. {finding.cure}." for finding in self.errors))
+        errors = [finding for finding in self.errors if finding.code not in but]
+        if errors:
+            raise RecordingError("\n".join(f"{self.source}: {finding.message}. {finding.cure}." for finding in errors))
 
 
 def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:
@@ -101,6 +106,12 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         duration=known.duration,
         findings=tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity])),
     )
+
+
+def refuse_spoilt(model: RobotModel, recordings: Iterable[Recording | RecordingStream], *, but: Collection[str] = TOO_LITTLE) -> None:
+    """Raise the errors of the first recording that has some, those of the codes `but` apart; a stream is judged by its first stretch."""
+    for recording in recordings:
+        check_recording(model, head_of(recording)).raise_errors(but=but)
 
 
 def _findings_in_time(model: RobotModel, stretches: Iterable[Recording], known: Survey) -> Iterator[Finding]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from numpy.typing import ArrayLike
 
 from asbuilt.errors import UsageError
+from asbuilt.experiment.checks import refuse_spoilt
 from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.long_recordings import RecordingStream, head_of, prepare_logged
 from asbuilt.experiment.recording import Recording
@@ -27,13 +28,17 @@ def run_payload_study(
     frame: str | None = None,
     arm: Arm = "refined",
     gain_uncertainty: ArrayLike | None = None,
+    checked: bool = True,
 ) -> Payload:
     """Identify what the flange carries and judge it on what was held out of the loaded recordings, on other ones, or else on the data used.
 
-    All recordings go through one signal chain, whose open choices are made for the loaded ones. `gain_uncertainty` and errors as of `identify_payload`.
+    All recordings go through one signal chain, whose open choices are made for the loaded ones. `gain_uncertainty` and errors as of `identify_payload`. Raises RecordingError where
+    a check finds that a recording is spoilt, unless `checked` is False.
     """
     if not loaded:
         raise UsageError(f"no recording under load is given for {result.robot}")
+    if checked:
+        refuse_spoilt(result.model, (*loaded, *unloaded, *validation))
     resolved = (chain or SignalChain()).resolved(*(head_of(recording) for recording in loaded))
     learning = [prepare_logged(recording, resolved) for recording in loaded]
     judging = [prepare_logged(recording, resolved) for recording in validation]
