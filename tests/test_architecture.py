@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -27,6 +30,24 @@ def imported_modules(path: Path) -> list[str]:
     return [name.removeprefix("asbuilt.") for name in names if name == "asbuilt" or name.startswith("asbuilt.")]
 
 
+def foreign_packages(path: Path) -> set[str]:
+    """Packages beside the standard library and asbuilt that a file imports, by statement or by `import_module`."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names.append(str(node.module))
+        elif (
+            isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id == "import_module"
+            and isinstance(node.args[0], ast.Constant)
+        ):
+            names.append(node.args[0].value)
+    return {name.split(".")[0] for name in names} - sys.stdlib_module_names - {"asbuilt"}
+
+
 def test_rooms_are_what_the_law_knows() -> None:
     folders = sorted(p.name for p in SOURCE.iterdir() if p.is_dir() and p.name != "__pycache__")
     assert tuple(folders) == ROOMS == tuple(sorted(ROOMS))
@@ -43,6 +64,21 @@ def test_room_imports_only_itself_earlier_rooms_and_leaves(room: str) -> None:
 @pytest.mark.parametrize("leaf", LEAVES)
 def test_leaf_imports_no_room(leaf: str) -> None:
     assert set(imported_modules(SOURCE / f"{leaf}.py")) <= {"errors"}
+
+
+def test_every_package_that_is_imported_is_declared() -> None:
+    """What only comes along with another package may go with its next version."""
+    project = tomllib.loads((SOURCE.parents[1] / "pyproject.toml").read_text())["project"]
+    wanted = [
+        *project["dependencies"],
+        *(each for extra in ("sim", "bags", "hdf5", "cad", "view") for each in project["optional-dependencies"][extra]),
+    ]
+    declared = {re.split(r"[<>=\[]", each)[0].replace("-", "_").lower() for each in wanted}
+    distributions = packages_distributions()
+    for path in SOURCE.rglob("*.py"):
+        for name in foreign_packages(path):
+            homes = {home.replace("-", "_").lower() for home in distributions.get(name, [name])}
+            assert homes & declared, f"{path.relative_to(SOURCE)} imports {name} of {', '.join(homes)}, which pyproject.toml does not name"
 
 
 @pytest.mark.parametrize("statement", ["import asbuilt", "import asbuilt.cli; asbuilt.cli.main(['--help'])"])

@@ -32,7 +32,7 @@ def offscreen_context(width: int, height: int) -> Any | None:
         try:
             context = import_module(f"mujoco.{backend}").GLContext(width, height)
             context.make_current()
-        except Exception:
+        except Exception:  # an OpenGL that is missing, broken or without a device fails in many ways
             continue
         return context
     return None

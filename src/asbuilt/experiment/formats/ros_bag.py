@@ -78,7 +78,7 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
             messages = [(stamp, bytes(data)) for _, stamp, data in bag.messages(connections=found)] if found else []
     except RecordingError:
         raise
-    except Exception as error:
+    except Exception as error:  # rosbags raises whatever its readers of databases and messages raise
         raise RecordingError(f"{path} is not a recording: it cannot be read as a ROS 2 bag ({type(error).__name__}: {error})") from error
     return messages, topics
 
