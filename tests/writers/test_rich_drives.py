@@ -225,3 +225,33 @@ def test_show_lists_further_terms(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "further drive terms" in out
     assert "spring Ks" in out
     assert "velocity 0.02" in out
+
+
+@pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "scara"])
+def test_friction_of_the_description_is_not_counted_beside_what_was_identified_in_its_place(name: str, tmp_path: Path) -> None:
+    """A simulator's damping and friction, and terms that stand for them: MuJoCo, reading either file, has the identified friction alone."""
+    import mujoco
+
+    model = bundled_robot(name)
+    model = replace(model, joints=tuple(replace(joint, drive=DriveValues(viscous=10.0, coulomb=5.0)) for joint in model.joints))
+    result = result_of(
+        model, as_if_identified(model, 2, drives=False), drive="asymmetric_coulomb,viscous:joints=2,power:exponent=0.7:joints=1"
+    )
+    names = parameter_names(model, result.base.drive)
+    rng = np.random.default_rng(4)
+    chi = np.concatenate([as_if_identified(model, 2, drives=False).parameters, rng.uniform(0.2, 1.0, len(names) - 10 * model.n_joints)])
+    values = result.base.values(chi)
+    result = replace(result, parameters=tuple(replace(p, estimate=float(v)) for p, v in zip(result.parameters, values, strict=True)))
+    exported = export_result(result, mjcf=tmp_path / "robot.xml", urdf=tmp_path / "robot.urdf")
+    forwards, backwards = (np.array([chi[names.index(f"{letter}{k + 1}")] for k in range(model.n_joints)]) for letter in ("Fcp", "Fcn"))
+    damping = np.full(model.n_joints, 10.0)  # the description's, where nothing was identified
+    damping[:2] = 0.0, chi[names.index("Fv2")]
+    for kind in ("mjcf", "urdf"):
+        compiled = mujoco.MjModel.from_xml_string(exported.files[kind].read_text())
+        np.testing.assert_allclose(compiled.dof_frictionloss, 0.5 * (forwards + backwards), rtol=1e-12)
+        np.testing.assert_allclose(np.ravel(compiled.dof_damping), damping, rtol=1e-12)
+        said = " ".join(exported.notes[kind])
+        assert f"viscous of the description is left out at {model.joint_names[0]}: power was identified in its place" in said
+        assert "coulomb of the description is left out: asymmetric_coulomb was identified in its place" in said
+        assert "as described: viscous" in said
+    assert f"{model.joint_names[0]} {0.5 * (forwards - backwards)[0]:.6g}" in " ".join(exported.notes["urdf"])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.dynamics.drive_torque import drive_torque
-from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.identification.standard_parameters import StandardParameters, standard_parameters
@@ -89,13 +89,31 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     return replace(robot, joints=tuple(joints), drives_by_design=True)
 
 
-def keeping_described_drives(robot: RobotModel, described: RobotModel) -> RobotModel:
-    """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants."""
-    joints = []
+def keeping_described_drives(robot: RobotModel, described: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
+    """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants, and what is to be said of them.
+
+    Where a richer term was identified in the place of a plain one (`power` in that of `viscous`), the described value would count the same friction twice: it is zero there.
+    """
+    joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()
     for joint, before in zip(robot.joints, described.joints, strict=True):
-        kept = {key: getattr(before.drive, key) for key in PLAIN_TERMS if getattr(joint.drive, key) is None}
+        richer = {stood_for: key for key in joint.drive.terms if (stood_for := available_terms()[key].stands_for) is not None}
+        kept = {key: value for key in PLAIN_TERMS if getattr(joint.drive, key) is None and (value := getattr(before.drive, key))}
+        for key in kept:
+            if key in richer:
+                kept[key] = 0.0
+                replaced.setdefault((key, richer[key]), []).append(joint.name)
+            else:
+                as_described.add(key)
         joints.append(replace(joint, drive=replace(joint.drive, **kept)))
-    return replace(robot, joints=tuple(joints))
+    notes = (
+        [f"not identified, and as described: {', '.join(key for key in PLAIN_TERMS if key in as_described)} of the drives"]
+        if as_described
+        else []
+    )
+    for (key, richer_key), names in replaced.items():
+        at = "" if len(names) == robot.n_joints else f" at {', '.join(names)}"
+        notes.append(f"{key} of the description is left out{at}: {richer_key} was identified in its place")
+    return replace(robot, joints=tuple(joints)), tuple(notes)
 
 
 def load_counted(result: IdentificationResult, built: AsBuilt) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from asbuilt.description.model import PLAIN_TERMS, RobotModel
+from asbuilt.description.model import RobotModel
 from asbuilt.description.xml import described_text, outermost_tag
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.identification.result import IdentificationResult
@@ -104,7 +104,7 @@ def export_result(
         refuse_bad_stand_in(result, found.beta, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
-    in_simulators, kept, load = keeping_described_drives(model, result.model), _kept(result), _load_note(result, built)
+    (in_simulators, kept), load = keeping_described_drives(model, result.model), _load_note(result, built)
     if c is not None:
         files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
         notes["c"] = load
@@ -157,11 +157,3 @@ def _load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
     return (
         f"load-dependent friction sees the load of the links alone; in the result the load counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque",
     )
-
-
-def _kept(result: IdentificationResult) -> tuple[str, ...]:
-    """Return a note where drive values of the description stay in the file without having been identified."""
-    stated = [
-        key for key in PLAIN_TERMS if key not in result.base.drive.keys and any(getattr(joint.drive, key) for joint in result.model.joints)
-    ]
-    return (f"not identified, and as described: {', '.join(stated)} of the drives",) if stated else ()

@@ -11,12 +11,12 @@ import numpy as np
 from asbuilt.description.mjcf_text import mjcf_text
 from asbuilt.description.model import RobotModel
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.physical import left_out_drives, refuse_impossible
+from asbuilt.writers.physical import in_plain_friction, left_out_drives, refuse_impossible
 
 STIFF_FRICTION = ("0.002 1", "0.9999 0.9999 0.001 0.5 2")
 """Reference and impedance that let dry friction reach its full size at small speeds: two time steps of 1 ms, and a constraint as hard as MuJoCo has them."""
-CARRIED = frozenset(("spring", "asymmetric_coulomb", "smooth_coulomb", "motor_armature", "motor_viscous", "motor_coulomb"))
-"""Further drive terms that MuJoCo has a place for."""
+CARRIED = frozenset(("spring", "motor_armature", "motor_viscous", "motor_coulomb"))
+"""Further drive terms that MuJoCo has a place for, beside friction that is written as plain one."""
 
 
 def exported_mjcf(model: RobotModel) -> str:
@@ -33,19 +33,17 @@ def exported_mjcf(model: RobotModel) -> str:
         If the model is impossible for rigid bodies and drives.
     """
     refuse_impossible(model)
-    root = fromstring(mjcf_text(model))
+    plain = in_plain_friction(model)
+    root = fromstring(mjcf_text(plain))
     elements = {element.get("name"): element for element in root.iter("joint")}
-    for joint in model.joints:
-        element, terms = elements[joint.name], joint.drive.terms
-        asymmetric = terms.get("asymmetric_coulomb", {})
-        dry = float(element.get("frictionloss", 0.0)) + 0.5 * (asymmetric.get("Fcp", 0.0) + asymmetric.get("Fcn", 0.0))
-        dry += terms.get("smooth_coulomb", {}).get("Fct", 0.0)
-        if dry:
-            element.attrib.update(_dry_friction(dry))
-        if stiffness := terms.get("spring", {}).get("Ks"):
+    for joint in plain.joints:
+        element = elements[joint.name]
+        if joint.drive.coulomb:
+            element.attrib.update(_dry_friction(joint.drive.coulomb))
+        if stiffness := joint.drive.terms.get("spring", {}).get("Ks"):
             element.attrib.update(stiffness=repr(stiffness), springref="0")
-    for motor, offset in zip(root.iter("motor"), _offsets(model), strict=True):
-        if offset:
+    for motor, joint in zip(root.iter("motor"), plain.joints, strict=True):
+        if offset := joint.drive.offset:
             motor.tag = "general"
             motor.attrib.update(biastype="affine", biasprm=f"{-offset!r} 0 0")
     _add_motors(root, model)
@@ -53,15 +51,6 @@ def exported_mjcf(model: RobotModel) -> str:
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
-
-
-def _offsets(model: RobotModel) -> list[float]:
-    """Return the constant torque of every joint [N m or N], that of asymmetric dry friction included."""
-    found = []
-    for joint in model.joints:
-        asymmetric = joint.drive.terms.get("asymmetric_coulomb", {})
-        found.append((joint.drive.offset or 0.0) + 0.5 * (asymmetric.get("Fcp", 0.0) - asymmetric.get("Fcn", 0.0)))
-    return found
 
 
 def _add_motors(root: Element, model: RobotModel) -> None:
@@ -90,8 +79,9 @@ def _dry_friction(size: float) -> dict[str, str]:
 
 def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
     """Return a note for what changes torques and has no place in MJCF, or one where it is easily overlooked."""
-    offsets = [f"{joint.name} {offset:.6g}" for joint, offset in zip(model.joints, _offsets(model), strict=True) if offset]
-    notes = left_out_drives(model, CARRIED, "MJCF")
+    plain = in_plain_friction(model)
+    offsets = [f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset]
+    notes = left_out_drives(plain, CARRIED, "MJCF")
     if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
         notes = ("MuJoCo has smooth Coulomb friction as dry friction: the same torque where a joint moves faster than its width", *notes)
     if not offsets:

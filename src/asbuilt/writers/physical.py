@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,25 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
             if numbers.get(letter, 0.0) < 0.0
         ]
     return tuple(reasons)
+
+
+def in_plain_friction(model: RobotModel) -> RobotModel:
+    """Return a robot whose asymmetric dry friction is symmetric friction and an offset, and whose smooth one is dry, for files that have no other."""
+    joints = []
+    for joint in model.joints:
+        drive, terms = joint.drive, dict(joint.drive.terms)
+        asymmetric, smooth = terms.pop("asymmetric_coulomb", None), terms.pop("smooth_coulomb", None)
+        if asymmetric is not None:
+            forwards, backwards = asymmetric["Fcp"], asymmetric["Fcn"]
+            drive = replace(
+                drive,
+                coulomb=(drive.coulomb or 0.0) + 0.5 * (forwards + backwards),
+                offset=(drive.offset or 0.0) + 0.5 * (forwards - backwards),
+            )
+        if smooth is not None:
+            drive = replace(drive, coulomb=(drive.coulomb or 0.0) + smooth["Fct"])
+        joints.append(replace(joint, drive=replace(drive, terms=terms)))
+    return replace(model, joints=tuple(joints))
 
 
 def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:

@@ -65,7 +65,7 @@ def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> d
         files["robot"] = write_robot_toml(folder / "robot.toml", robot)
         original, _ = urdf_to_edit(result.model)
         if original is not None and not impossibilities(robot):
-            files["urdf"], _ = write_urdf(folder / "robot.urdf", keeping_described_drives(robot, result.model), original=original)
+            files["urdf"], _ = write_urdf(folder / "robot.urdf", keeping_described_drives(robot, result.model)[0], original=original)
     except (IdentifiabilityError, DescriptionError):
         return files
     return files

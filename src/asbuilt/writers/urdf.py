@@ -14,7 +14,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
 from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.physical import refuse_impossible
+from asbuilt.writers.physical import in_plain_friction, refuse_impossible
 from asbuilt.writers.urdf_edit import edited_urdf, unsaid_in_urdf
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ def urdf_text(model: RobotModel) -> str:
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
     moved = [_shift(joint) for joint in model.joints]
-    for joint, link, shift in zip(model.joints, model.links, moved, strict=True):
+    for joint, link, shift in zip(in_plain_friction(model).joints, model.links, moved, strict=True):
         _link(root, link, shift)
         parent = np.eye(4) if joint.parent == ROOT else moved[joint.parent]
         name = model.root_link if joint.parent == ROOT else model.links[joint.parent].name

@@ -14,7 +14,7 @@ from asbuilt.description.urdf import read_urdf
 from asbuilt.description.xml import described_text
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
-from asbuilt.writers.physical import left_out_drives, refuse_impossible
+from asbuilt.writers.physical import in_plain_friction, left_out_drives, refuse_impossible
 from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.xml_spans import Edit, Span, XmlFile, attribute_edits
 
@@ -61,6 +61,7 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         If the file is no URDF or describes another robot.
     """
     refuse_impossible(model)
+    plain = in_plain_friction(model)
     content, source = described_text(original)
     described = read_urdf(original)
     _check_same_robot(described, model, source)
@@ -81,7 +82,7 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
                 emptied.append(name)
         edits += _inertial_edits(file, links[link.name], own)
         changed_links.append(link.name)
-    for before, joint in zip(described.joints, model.joints, strict=True):
+    for before, joint in zip(described.joints, plain.joints, strict=True):
         given = {"damping": (before.drive.viscous, joint.drive.viscous), "friction": (before.drive.coulomb, joint.drive.coulomb)}
         values = {name: _number(new) for name, (old, new) in given.items() if new is not None and new != (old or 0.0)}
         if values:
@@ -95,13 +96,17 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
 
 def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
     """Return a note for each thing of the model that changes torques and for which URDF has no place."""
-    notes = []
+    plain, notes = in_plain_friction(model), []
+    if any("asymmetric_coulomb" in joint.drive.terms for joint in model.joints):
+        notes.append("asymmetric Coulomb friction is written as symmetric friction; the rest of it is in the offset")
+    if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
+        notes.append("smooth Coulomb friction is written as dry friction: the same torque where a joint moves faster than its width")
     for key, letter, unit in (("armature", "Ia", "kg m^2, or kg where it slides"), ("offset", "Fo", "N m, or N where it slides")):
-        values = {joint.name: getattr(joint.drive, key) for joint in model.joints if getattr(joint.drive, key)}
+        values = {joint.name: getattr(joint.drive, key) for joint in plain.joints if getattr(joint.drive, key)}
         if values:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
             notes.append(f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}]: {said})")
-    notes += left_out_drives(model, (), "URDF")
+    notes += left_out_drives(plain, (), "URDF")
     if not np.array_equal(model.gravity, USUAL_GRAVITY):
         notes.append(
             f"URDF has no place for gravity; the model has ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame, set it where the file is loaded"
