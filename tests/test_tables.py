@@ -16,7 +16,7 @@ id  parameter      as built  std err  CAD vs built
 --------------------------------------------------
  4  Iyy1 + Izz2      0.0310   0.0041    +1.8 sigma
  8  mz2 - my3 ...   -6.2048   0.0023       DIFFERS
-12  x              120       20                  -
+12  x              123       21                  -
 13  y                -        -                  -
 [1] Invented.
 """
@@ -31,8 +31,6 @@ def sample() -> Table:
         (13, "y", float("nan"), float("nan"), None),
     ]:
         shown, uncertainty = rounded(value, error)
-        if number == 12:
-            shown, uncertainty = "120", "20"
         rows.append((number, name, Shown(value, shown), Shown(error, uncertainty), deviation(sigmas)))
     heads = columns(
         Column("id", align="right"),

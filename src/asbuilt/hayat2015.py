@@ -32,13 +32,12 @@ class PublishedParameter:
     def coefficients(self, standard_names: Sequence[str]) -> Array:
         """Return the expression as a row of coefficients of the standard parameters, shape (n_standard,)."""
         row = np.zeros(len(standard_names))
-        rest = self.expression
-        for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(rest):
+        for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(self.expression):
             name = f"I{axes}{inertia_link}" if inertia_link else f"m{axis}{moment_link}" if moment_link else f"m{mass_link}"
             row[standard_names.index(name)] = (-1.0 if sign == "-" else 1.0) * float(factor or 1.0)
-        unread = _TERM.sub("", rest).strip()
+        unread = _TERM.sub("", self.expression).strip()
         if unread:
-            raise ValueError(f"row {self.id} of Table 2: cannot read {unread!r} in {rest!r}")
+            raise ValueError(f"row {self.id} of Table 2: cannot read {unread!r} in {self.expression!r}")
         return row
 
 

@@ -32,7 +32,7 @@ def test_written_robot_is_read_back(model: RobotModel) -> None:
     np.testing.assert_allclose(back.gravity, model.gravity, atol=1e-15)
     for mine, other in zip(model.joints, back.joints, strict=True):
         np.testing.assert_allclose(other.before @ other.after, mine.before @ mine.after, atol=1e-12)
-        assert (other.limits.lower, other.limits.torque) == (mine.limits.lower, mine.limits.torque) or mine.kind == "prismatic"
+        assert (other.limits.lower, other.limits.upper, other.limits.torque) == (mine.limits.lower, mine.limits.upper, mine.limits.torque)
 
 
 def test_drive_values_and_frames_survive() -> None:

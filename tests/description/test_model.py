@@ -9,7 +9,7 @@ import pytest
 
 from asbuilt.description.dh import DHRow, robot_from_dh
 from asbuilt.description.load import load_robot
-from asbuilt.description.model import ROOT, Frame, Joint, RobotModel
+from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, RobotModel
 from asbuilt.description.rotation import axes_across, placement, rotation_x
 from asbuilt.errors import DescriptionError
 
@@ -49,11 +49,31 @@ def test_the_kind_of_a_joint_must_exist():
         Joint("elbow", "fixed", ROOT, np.eye(4), np.eye(4))
 
 
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"lower": 1.0, "upper": -1.0}, "position limits from 1.0 to -1.0 leave no position"),
+        ({"lower": np.inf}, "position limits from inf to inf leave no position"),
+        ({"lower": np.nan}, "position limits from nan to inf leave no position"),
+        ({"velocity": -2.0}, "the velocity limit of a joint is -2.0; it must not be negative"),
+        ({"torque": np.nan}, "the torque limit of a joint is nan"),
+    ],
+)
+def test_limits_leave_something(limits, message):
+    with pytest.raises(DescriptionError, match=message):
+        JointLimits(**limits)
+
+
 def test_frames_hang_on_links_that_exist():
     model = load_robot("two-link")
     frames = (Frame("tool", 2, np.eye(4)),)
     with pytest.raises(DescriptionError, match="frame 'tool' is fixed to link index 2; the links are 0 to 1, and -1 for the root"):
         replace(model, frames=frames)
+
+
+def test_limits_are_given_one_per_joint():
+    with pytest.raises(DescriptionError, match="two-link has 2 joints, got 1 limits; give one per joint"):
+        load_robot("two-link").with_limits([JointLimits()])
 
 
 def test_matrices_of_the_caller_stay_his_own():

@@ -146,6 +146,10 @@ BROKEN = {
     ),
     "two com": (link("dh = {}\nmass = 1\ncom = [0, 0]"), r"links\[1\] 'a'\.com"),
     "crossed limits": (link("dh = {}\nlimits = { lower = 2, upper = 1 }"), r"limits: lower = 2.0 must not exceed upper = 1.0"),
+    "limits beyond everything": (
+        link("dh = {}\nlimits = { upper = -inf }"),
+        r"limits: lower = -inf must not exceed upper = -inf, and neither",
+    ),
     "negative limit": (link("dh = {}\nlimits = { velocity = -1 }"), r"limits\.velocity: .*greater than 0, got -1"),
     "zero axis": (link("origin = {}\naxis = [0, 0, 0]"), r"axis has length zero"),
     "no rotation": (link("origin = { rotation = [[1,0,0],[0,1,0],[0,0,2]] }"), r"not a rotation matrix"),

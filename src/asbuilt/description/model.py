@@ -28,7 +28,10 @@ ROOT = -1
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """Limits of one joint: rad or m for position and its derivatives, N m or N for torque; infinite where unknown."""
+    """Limits of one joint: rad or m for position and its derivatives, N m or N for torque; infinite where unknown.
+
+    Raises `DescriptionError` where they leave no position, or a limit is negative or not a number.
+    """
 
     lower: float = -np.inf
     upper: float = np.inf
@@ -36,6 +39,15 @@ class JointLimits:
     acceleration: float = np.inf
     jerk: float = np.inf
     torque: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.upper or self.lower == np.inf or self.upper == -np.inf:
+            raise DescriptionError(f"position limits from {self.lower} to {self.upper} leave no position; give the lower one first")
+        for name in ("velocity", "acceleration", "jerk", "torque"):
+            if not getattr(self, name) >= 0.0:
+                raise DescriptionError(
+                    f"the {name} limit of a joint is {getattr(self, name)}; it must not be negative, and infinite where unknown"
+                )
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,6 +270,8 @@ class RobotModel:
         return replace(self, gravity=np.asarray(gravity, dtype=np.float64))
 
     def with_limits(self, limits: Sequence[JointLimits]) -> RobotModel:
-        """Return the same robot with other joint limits, one per joint."""
+        """Return the same robot with other joint limits, one per joint; raises `DescriptionError` for another number of them."""
+        if len(limits) != self.n_joints:
+            raise DescriptionError(f"{self.name} has {self.n_joints} joints, got {len(limits)} limits; give one per joint")
         joints = tuple(replace(joint, limits=limit) for joint, limit in zip(self.joints, limits, strict=True))
         return replace(self, joints=joints)

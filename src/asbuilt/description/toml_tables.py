@@ -126,8 +126,8 @@ class LimitsTable(_Table):
 
     @model_validator(mode="after")
     def _ordered(self) -> LimitsTable:
-        if not self.lower <= self.upper:
-            raise ValueError(f"lower = {self.lower} must not exceed upper = {self.upper}")
+        if not self.lower <= self.upper or self.lower == math.inf or self.upper == -math.inf:
+            raise ValueError(f"lower = {self.lower} must not exceed upper = {self.upper}, and neither may lie beyond all positions")
         return self
 
 

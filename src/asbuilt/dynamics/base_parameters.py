@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
-from asbuilt.dynamics.identifiability import StandardParameter, standard_parameters
+from asbuilt.dynamics.identifiability import StandardParameter, parameter_verdicts
 from asbuilt.dynamics.letters import Polynomial, Row, written
 from asbuilt.dynamics.observation_rank import ObservationRank, observation_rank
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
@@ -117,7 +117,7 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
             for row, column in zip(found.matrix, found.columns, strict=True)
         ),
         symbolic=tuple(_written(row, column, names) for row, column in zip(lettered, found.columns, strict=True)),
-        standard=standard_parameters(model, drive, found, names),
+        standard=parameter_verdicts(model, drive, found, names),
     )
 
 

@@ -51,7 +51,7 @@ class _LinkView:
     origin_moves: bool
 
 
-def standard_parameters(model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]) -> tuple[StandardParameter, ...]:
+def parameter_verdicts(model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]) -> tuple[StandardParameter, ...]:
     """Return the verdict on every standard parameter, in id order."""
     views = [_link_view(found, i) for i in range(model.n_joints)]
     verdicts = []
