@@ -21,8 +21,10 @@ from asbuilt.identification.body_bounds import body_bounds
 from asbuilt.identification.cad_prior import cad_prior
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
 from asbuilt.identification.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.identify import identify
 from asbuilt.identification.least_squares import fit_least_squares
+from asbuilt.identification.methods import find_method
 from asbuilt.identification.prior_weight import DEFAULT_WEIGHT
 from asbuilt.identification.square_root_information import accumulate
 from asbuilt.identification.uncertainty import block_uncertainty
@@ -168,3 +170,14 @@ def test_bodies_far_from_cad_are_reached(trial, weight):
     assert found.part > 0.0
     place = case.base.names.index("my6")
     np.testing.assert_allclose(found.beta[place], case.beta[place], rtol=0.1)
+
+
+@pytest.mark.parametrize("method", ["consistent", "entropic", "euclidean"])
+def test_torques_of_zero_are_fitted_without_overflow(trial, method):
+    """No noise and no torque: weights and values stay finite."""
+    case = trial("two-link", seed=1)
+    still = replace(case.samples, tau=np.zeros_like(case.samples.tau), tau_raw=np.zeros(0))
+    with np.errstate(over="raise", invalid="raise"):
+        estimate = find_method(method).estimate(Evidence(case.model, accumulate(case.model, case.base, still), None))
+    assert np.all(np.isfinite(estimate.beta))
+    assert np.all(np.isfinite(estimate.weights))

@@ -16,9 +16,10 @@ from asbuilt.dynamics.drive_defaults import usual_drive
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.errors import DescriptionError, IdentifiabilityError, UsageError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.hold_out import hold_out
+from asbuilt.experiment.parallel_filter import design_parallel_filter
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.samples import Samples
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
@@ -114,6 +115,17 @@ def test_a_coupled_wrist_comes_back():
     stored = IdentificationResult.from_json(result.to_json())
     np.testing.assert_array_equal(stored.model.motor_coupling, coupling)
     np.testing.assert_array_equal(stored.predict(samples).predicted, result.predict(samples).predicted)
+
+
+@pytest.mark.parametrize("key", ["stribeck", "power"])
+def test_a_recording_shorter_than_the_filter_tells_no_shapes(key):
+    model, drive = elbow(), DriveSet.parse(f"coulomb,{key},offset")
+    few = replace(recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3), duration=0.5), parallel=design_parallel_filter(2.0, 100.0, 4))
+    assert few.n_filtered == 0
+    with pytest.raises(
+        IdentifiabilityError, match=rf"no samples of elbow are left to fit the shapes of coulomb,{key},offset to: .* or state the shapes"
+    ):
+        settle_drive(model, [few], drive)
 
 
 @pytest.mark.parametrize(("velocity", "at_bound"), [(0.4, True), (0.7, False)])

@@ -11,7 +11,7 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia, shift_matrix
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import UsageError
+from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
@@ -89,6 +89,10 @@ def test_wrong_calls_are_refused(pair):
         identify_gains(ROBOT, [], pair[1], mass=3.0, drive=DRIVE)
     with pytest.raises(UsageError, match="com"):
         identify_gains(ROBOT, *pair, mass=1.0, inertia_about_com=np.eye(3))
+    short = pair[1].between(1.0, 1.1)
+    assert short.n_filtered == 0
+    with pytest.raises(IdentifiabilityError, match="with the payload are left to find gains from"):
+        identify_gains(ROBOT, pair[0], short, mass=3.0, drive=DRIVE)
 
 
 def test_the_recorded_pair_of_a_ur10e(shared, tmp_path):

@@ -15,7 +15,7 @@ from asbuilt.identification.body_bounds import BodyBounds, generous_bounds, non_
 from asbuilt.identification.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.conic_fit import TINY_PULL, RealBodies, fit_real_bodies
 from asbuilt.identification.entropic_fit import DRIVE_RIDGE, Coordinates, EntropicFits, EntropicProblem
-from asbuilt.identification.least_squares import Estimate, FactorSolution, Refit, fit_least_squares
+from asbuilt.identification.least_squares import Estimate, FactorSolution, Refit, fit_least_squares, noise_floor
 from asbuilt.identification.prior_weight import WEIGHTS, choose_weight
 from asbuilt.identification.square_root_information import SquareRootInformation
 
@@ -176,8 +176,9 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
-    """Return the noise (n,) below which that of no joint is taken: `QUIETEST` of its torque RMS."""
-    return np.maximum(QUIETEST * np.sqrt(information.torque_energy / information.n_samples), np.finfo(np.float64).tiny)
+    """Return the noise (n,) below which that of no joint is taken: `QUIETEST` of its torque RMS, `noise_floor` where it has no torque."""
+    rms = np.sqrt(information.torque_energy / information.n_samples)
+    return np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
 
 
 def _joint_weights(information: SquareRootInformation, problem: RealBodies, weights: Array | None) -> tuple[Array, int]:

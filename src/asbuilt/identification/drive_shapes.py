@@ -15,6 +15,7 @@ from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm, Shape
 from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.rows import Stretch, stretches
 
 if TYPE_CHECKING:
@@ -105,12 +106,17 @@ def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -
     it, of which it may take away. The credible range of the shape is searched whole, then refined, because the error has several minima. The load
     of load-dependent terms is that of `model`.
 
-    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection.
+    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection. Raises `IdentifiabilityError` where filtering leaves no samples.
     """
     found: dict[tuple[str, str], FittedShape] = {}
     current = drive
     free = [(term.key, shape) for term in drive.terms for shape in term.free_shapes]
     chosen = thinned(model, samples)
+    if not chosen:
+        raise IdentifiabilityError(
+            f"no samples of {model.name} are left to fit the shapes of {drive} to: every contiguous stretch is shorter than the filter needs; "
+            "record longer, raise the cutoff, or state the shapes"
+        )
     with one_blas_thread():
         for _ in range(CYCLES if len(free) > 1 else 1):
             before = {place: np.array(each.values) for place, each in found.items()}

@@ -202,6 +202,7 @@ class _Problem:
         where_base, where_payload = np.searchsorted(union, base.columns), np.searchsorted(union, carried)
         plan = RegressorPlan.of(model, drive, union, spare_rows=1)
         self.blocks: list[list[Array]] = []
+        loads: set[bool] = set()
         for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
             for stretch in stretches(model, [samples]):
                 growing = [GrowingFactor(len(support) + 1) for support in plan.support]
@@ -216,6 +217,12 @@ class _Problem:
                     payload = every[:, where_payload] @ to_link if under else np.zeros((len(r), 10))
                     block.append(np.hstack([every[:, where_base], payload, r[:, -1:]]))
                 self.blocks.append(block)
+                loads.add(under)
+        if len(loads) < 2:
+            raise IdentifiabilityError(
+                f"no samples of {model.name} {'with' if False in loads else 'without'} the payload are left to find gains from: every contiguous stretch is "
+                "shorter than the filter needs; record longer, or raise the cutoff"
+            )
 
     def solve(self, given: Array, known: NDArray[np.bool_], start: Array | None = None, skip: int | None = None) -> tuple[Array, Array]:
         """Return gains (n,) and payload (10,), by Gauss-Newton on 1 / gain and the parameters, weights renewed as the errors settle."""
