@@ -44,11 +44,6 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield report
 
 
-def path_texts(files: Mapping[str, Path]) -> dict[str, str]:
-    """Return paths as text, by kind."""
-    return {kind: str(path) for kind, path in files.items()}
-
-
 def listed_files(files: Mapping[str, Path]) -> str:
     """Return the lines that say which files were written, empty where none were."""
     width = max((len(kind) for kind in files), default=0)

@@ -100,7 +100,7 @@ def excite(
     from asbuilt.excitation.programs.registry import program_format
     from asbuilt.excitation.static_poses import design_static_poses
     from asbuilt.identification.known_information import known_information
-    from asbuilt.writers.design_tables import excite_document, excite_text, static_document, static_text, write_design, write_static
+    from asbuilt.writers.design_tables import excite_document, excite_text, static_document, static_text, write_design
 
     if not 0.0 < rate < math.inf:
         raise UsageError(f"--rate takes a positive number of Hz, got {rate:g}")
@@ -143,7 +143,7 @@ def excite(
             constraints=constraints,
             seed=seed,
         )
-        files = write_static(out, standing, rate) | _programs(model, standing.motion, program, out, collision)
+        files = write_design(out, standing, rate) | _programs(model, standing.motion, program, out, collision)
         answer(as_json, lambda: static_document(standing, files), lambda: static_text(standing) + listed_files(files))
         return
     options = DesignOptions(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from asbuilt.cli_answers import answer, listed_files, path_texts, progress_bar
+from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
     Drive,
@@ -82,7 +82,7 @@ def view(
 ) -> None:
     """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids; Ctrl-C ends it."""
     from asbuilt.excitation.motion_csv import read_motion
-    from asbuilt.writers.files import atomic_write
+    from asbuilt.writers.files import atomic_write, path_texts
 
     model = robot_as_built(robot)
     moved = None if motion is None else read_motion(motion, model)

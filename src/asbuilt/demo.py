@@ -32,6 +32,7 @@ from asbuilt.validation.recovery import Recovery, compare_with_truth
 from asbuilt.validation.study import Study, StudyOptions, run_study
 from asbuilt.writers.design_tables import excite_document, write_design
 from asbuilt.writers.export import Export, export_result
+from asbuilt.writers.files import path_texts
 from asbuilt.writers.recording_files import simulate_document, write_simulation
 from asbuilt.writers.study_files import write_study
 from asbuilt.writers.tabular import identify_document
@@ -200,6 +201,6 @@ def demo_document(story: Demo) -> dict[str, Any]:
             "cad_error": story.recovery.cad_error,
         },
         "export": None if story.export is None else story.export.as_document(),
-        "files": {kind: str(path) for kind, path in story.files.items()},
+        "files": path_texts(story.files),
         "seconds": story.seconds,
     }

@@ -13,7 +13,7 @@ from asbuilt.tables import Cell, Column, Table
 from asbuilt.validation.prediction import Validation
 from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.figures import torque_figure
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, path_texts
 
 SOURCE = "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator: Comparison between CAD and Actual Parameters, iNaCoMM 2015-94"
 FIGURE_JOINTS = slice(0, 4)
@@ -170,7 +170,7 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
                 "identified_with_friction": full.metrics_as_built.as_dict(),
             },
         },
-        "files": {kind: str(path) for kind, path in files.items()},
+        "files": path_texts(files),
     }
 
 

@@ -16,7 +16,7 @@ from asbuilt.writers.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.compare_report import comparison_html
 from asbuilt.writers.drift_report import drift_html
 from asbuilt.writers.figure_style import save_figure
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, path_texts
 
 if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
@@ -77,4 +77,4 @@ def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[st
 
 def with_files(document: dict[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:
     """Return the document with the paths of what was written."""
-    return {**document, "files": {kind: str(path) for kind, path in files.items()}}
+    return {**document, "files": path_texts(files)}

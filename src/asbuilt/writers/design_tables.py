@@ -19,6 +19,7 @@ from asbuilt.excitation.motion import JUMPING, Motion
 from asbuilt.excitation.precision import DurationTrial, torque_effects
 from asbuilt.excitation.static_poses import StaticDesign
 from asbuilt.tables import Cell, Column, Table, share, significant
+from asbuilt.writers.files import path_texts
 from asbuilt.writers.motion_files import write_motion
 
 LISTED = 12
@@ -30,13 +31,8 @@ UNWATCHED_RATE = 100.0
 """Rate at which the stick figure of a motion that nobody watched is looked at [Hz]."""
 
 
-def write_design(path: str | os.PathLike[str], design: Design, rate: float) -> dict[str, Path]:
-    """Write the motion as CSV at `rate` [Hz]."""
-    return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
-
-
-def write_static(path: str | os.PathLike[str], design: StaticDesign, rate: float) -> dict[str, Path]:
-    """Write the motion through the poses as CSV at `rate` [Hz]."""
+def write_design(path: str | os.PathLike[str], design: Design | StaticDesign, rate: float) -> dict[str, Path]:
+    """Write the motion, or the one through standing poses, as CSV at `rate` [Hz]; returns its path by kind."""
     return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
 
 
@@ -59,7 +55,7 @@ def static_document(design: StaticDesign, files: Mapping[str, Path]) -> dict[str
         "n_turns": design.turns,
         "collision_distance": design.collision_distance,
         "solve_seconds": design.solve_seconds,
-        "files": {kind: str(path) for kind, path in files.items()},
+        "files": path_texts(files),
     }
 
 
@@ -139,7 +135,7 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
         "interrupted": design.interrupted,
         "solve_seconds": design.solve_seconds,
         "notes": [*design.notes, *([_unwatched(design.model, design.motion)] if design.collision_distance is None else [])],
-        "files": {kind: str(path) for kind, path in files.items()},
+        "files": path_texts(files),
     }
 
 

@@ -1,9 +1,10 @@
-"""Write a file whole or not at all."""
+"""Write a file whole or not at all, and say which were written."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from asbuilt.errors import UsageError
@@ -37,6 +38,11 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
         Path(temporary).unlink(missing_ok=True)
         raise
     return target
+
+
+def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
+    """Return the paths of what was written as texts, by kind, for documents; none where nothing was."""
+    return {kind: os.fspath(path) for kind, path in (files or {}).items()}
 
 
 def check_writable(folder: Path) -> None:

@@ -14,7 +14,7 @@ from asbuilt.experiment.free_motion import FreeMotion
 from asbuilt.tables import significant
 from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.figures import energy_figure
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, path_texts
 
 WHAT = {
     "drop": "dropped at rest, drives without torque",
@@ -54,7 +54,7 @@ def free_motion_document(motion: FreeMotion, files: Mapping[str, Path]) -> dict[
             "dissipated": float(motion.dissipated[-1]),
             "imbalance": motion.imbalance,
         },
-        "files": {kind: str(path) for kind, path in files.items()},
+        "files": path_texts(files),
     }
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from asbuilt.identification.payload import Payload
 from asbuilt.tables import Column, Shown, Table, percent, rounded, significant, stacked
 from asbuilt.validation.comparison import recording_name
+from asbuilt.writers.files import path_texts
 
 Array = NDArray[np.float64]
 
@@ -135,7 +136,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
         "not_determined": list(payload.not_determined),
         "validation": [metrics.as_dict() for metrics in payload.metrics],
         "bare": [metrics.as_dict() for metrics in payload.metrics_bare],
-        "files": {kind: str(path) for kind, path in (files or {}).items()},
+        "files": path_texts(files),
     }
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from asbuilt.excitation.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramRequest
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, path_texts
 
 
 def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) -> dict[str, Path]:
@@ -34,7 +34,7 @@ def program_document(request: ProgramRequest, form: str, files: Mapping[str, Pat
         "start": request.motion.start.tolist(),
         "worst_margin": request.report.worst_margin,
         "collision_distance": None if request.clearance is None else request.clearance.distance,
-        "files": {role: str(path) for role, path in files.items()},
+        "files": path_texts(files),
     }
 
 

@@ -17,7 +17,7 @@ from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.simulation import SimulatedRecording
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.robot_toml import write_robot_toml
 from asbuilt.writers.tabular import write_json
 
@@ -92,5 +92,5 @@ def simulate_document(simulated: SimulatedRecording, files: Mapping[str, Path]) 
         "duration": recording.duration,
         "joints": list(recording.joint_names),
         "drive": str(simulated.drive),
-        "files": {kind: str(path) for kind, path in files.items()},
+        "files": path_texts(files),
     }

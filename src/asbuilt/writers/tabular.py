@@ -24,7 +24,7 @@ from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison import recording_name
 from asbuilt.validation.prediction import Validation, torque_units
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, path_texts
 
 
 def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
         "determination": determination(result).as_dict(),
         "warnings": [{"code": warning.code, "message": warning.message} for warning in result.warnings],
         "provenance": list(result.provenance),
-        "files": {kind: str(path) for kind, path in (files or {}).items()},
+        "files": path_texts(files),
     }
 
 
@@ -101,7 +101,7 @@ def validate_document(
         "joints": list(result.joint_names),
         "validation": [validation.metrics_as_built.as_dict() for validation in validations],
         "cad": [validation.metrics_cad.as_dict() for validation in validations],
-        "files": {kind: str(path) for kind, path in (files or {}).items()},
+        "files": path_texts(files),
     }
 
 
