@@ -18,6 +18,7 @@ from asbuilt.tables import significant
 from asbuilt.validation.stand_in import StandIn, stand_in
 from asbuilt.writers.as_built import AsBuilt, as_built, keeping_described_drives, load_counted
 from asbuilt.writers.c_code import write_c
+from asbuilt.writers.files import path_texts
 from asbuilt.writers.mjcf import write_mjcf
 from asbuilt.writers.physical import refuse_bad_stand_in, refuse_impossible_result
 from asbuilt.writers.robot_toml import write_robot_toml
@@ -46,7 +47,7 @@ class Export:
         return {
             "robot": self.robot,
             "verdict": self.verdict,
-            "files": {kind: str(path) for kind, path in self.files.items()},
+            "files": path_texts(self.files),
             "notes": {kind: list(notes) for kind, notes in self.notes.items()},
             "cost": None if self.cost is None else self.cost.as_document(),
             "beyond": self.beyond,
