@@ -12,6 +12,7 @@ from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.torque_prediction import predict_torque
 from asbuilt.validation.controller_model import compare_with_controller
 from asbuilt.validation.drift import compare_results
+from asbuilt.writers.drift_report import drift_html
 
 ARM = "kuka-iiwa7-r800"
 WORN = (1.0, 2.0, 1.0, 2.0, 1.4, 3.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0)
@@ -52,6 +53,37 @@ def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
     draws = rng.multivariate_normal(np.zeros(after.n_base), covariance, size=40)
     chance = [np.mean(predict_torque(after.model, after.base, draw, held).predicted ** 2, axis=0) for draw in draws]
     np.testing.assert_allclose([joint.by_chance for joint in found], np.sqrt(np.mean(chance, axis=0)), rtol=0.25)
+
+
+@pytest.mark.parametrize(
+    ("drive", "said"),
+    [
+        ("viscous,offset", "only January has coulomb. "),
+        ("viscous,coulomb,load_friction,offset", "only July has load_friction. "),
+        ("viscous,smooth_coulomb:width=0.3,offset", "only January has coulomb; only July has smooth_coulomb. "),
+    ],
+)
+def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, said: str) -> None:
+    """The robot is the same: what the tests call changed comes of the terms, and the first sentence says so."""
+    plain = "viscous,coulomb,offset"
+    before, after = identified(ARM, "f"), identified(ARM, "f", seed=2, drive=drive)
+    drift = compare_results(before, after, labels=("January", "July"))
+    assert drift.sentences[0].startswith(f"DIFFERENT DRIVE TERMS: {said}")
+    assert drift.sentences[0].endswith(f"--drive {max(plain, drive, key=lambda terms: terms.count(','))}")
+    assert drift.as_text().index("DIFFERENT") < drift.as_text().index("The torque of the same motion")
+    assert "DIFFERENT" in drift_html(drift)
+    if "coulomb" not in drive.split(","):
+        assert drift.n_changed
+    assert not any("DIFFERENT" in line for line in compare_results(after, after).sentences)
+
+
+def test_other_shapes_of_a_term_are_said() -> None:
+    one, two = (identified(ARM, "f", drive=f"viscous,coulomb,stribeck:velocity={velocity},offset") for velocity in (0.05, 0.1))
+    assert (
+        compare_results(one, two)
+        .sentences[0]
+        .startswith("DIFFERENT DRIVE TERMS: both have stribeck, with other shapes or at other joints. The other terms")
+    )
 
 
 def test_results_of_different_robots_are_not_compared() -> None:

@@ -199,7 +199,7 @@ def compare_results(
 
     Two dates are compared on equal terms, by the `free` values of both, whatever estimators the results are by: bounds and pulls shift values by what no covariance counts,
     the same way in both or not. `of_models` takes the values as they were identified, and words it as of two models of one robot. Drive terms that only one of them has
-    are left out. Raises ResultError where the robots differ in joints or geometry.
+    are left out, and the first sentence says that what is found may be the choice of terms alone. Raises ResultError where the robots differ in joints or geometry.
     """
     design_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
@@ -270,6 +270,7 @@ def compare_results(
         chi_square=chi_square(difference[tested], together[np.ix_(tested, tested)]),
         level=level,
         sentences=(
+            *_other_drives(before, after, said),
             *torque_sentence(joints, level, of_models=of_models),
             *terms,
             *_dropping(dropped),
@@ -277,6 +278,27 @@ def compare_results(
         ),
         joints=joints,
         of_models=of_models,
+    )
+
+
+def _other_drives(before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Say first of all where the two have other drive terms, or the same with other shapes or at other joints: each makes up for what it lacks with what it has."""
+    one, two = ({term.key: str(term) for term in result.base.drive.terms} for result in (before, after))
+    if one == two:
+        return ()
+    alone = [(label, [key for key in own if key not in others]) for label, own, others in zip(labels, (one, two), (two, one), strict=True)]
+    parts = [f"only {label} has {', '.join(keys)}" for label, keys in alone if keys]
+    reshaped = [key for key, term in one.items() if two.get(key, term) != term]
+    parts += [f"both have {', '.join(reshaped)}, with other shapes or at other joints"] if reshaped else []
+    left_out = (
+        "Terms that only one has are left out here, and the others make up for them"
+        if len(parts) > len(reshaped[:1])
+        else "The other terms make up for that"
+    )
+    richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
+    return (
+        f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}. {left_out}: all that follows may be the choice of terms and no change of the robot. "
+        f"Identify both with the same: --drive {richer}",
     )
 
 
