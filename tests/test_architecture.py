@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+import asbuilt
+
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "asbuilt"
 ROOMS = ("description", "dynamics", "excitation", "experiment", "identification", "validation", "writers")
 LEAVES = ("errors", "tables")
@@ -79,6 +81,23 @@ def test_every_package_that_is_imported_is_declared() -> None:
         for name in foreign_packages(path):
             homes = {home.replace("-", "_").lower() for home in distributions.get(name, [name])}
             assert homes & declared, f"{path.relative_to(SOURCE)} imports {name} of {', '.join(homes)}, which pyproject.toml does not name"
+
+
+def test_public_names_are_the_same_for_readers_checkers_and_importers() -> None:
+    """The imports that type checkers see, the table that loads a name on first use, and `__all__`, which documents it."""
+    told: dict[str, str] = {}
+    for node in ast.walk(ast.parse((SOURCE / "__init__.py").read_text())):
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("asbuilt."):
+            told |= {alias.name: str(node.module).removeprefix("asbuilt.") for alias in node.names}
+    assert told == asbuilt._HOME
+    assert asbuilt.__all__ == sorted(told)
+    for name, home in told.items():
+        value = getattr(asbuilt, name)
+        assert value.__module__ == f"asbuilt.{home}"
+        assert value.__doc__
+    project = SOURCE.parents[1]
+    assert asbuilt.__version__ == tomllib.loads((project / "pyproject.toml").read_text())["project"]["version"]
+    assert f"version: {asbuilt.__version__}\n" in (project / "CITATION.cff").read_text()
 
 
 @pytest.mark.parametrize("statement", ["import asbuilt", "import asbuilt.cli; asbuilt.cli.main(['--help'])"])

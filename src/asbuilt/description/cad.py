@@ -53,7 +53,7 @@ class MeshPart:
 
     @property
     def density(self) -> float:
-        """Density [kg/m^3]."""
+        """Density [kg/m^3]; raises `DescriptionError` for a material that is unknown and a density that is not positive."""
         if isinstance(self.material, str):
             if self.material not in MATERIALS:
                 known = ", ".join(MATERIALS)
@@ -94,7 +94,7 @@ def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
 
 
 def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
-    """Return the inertia of one part in the frame of its link, and warnings about its surface."""
+    """Return the inertia of one part in the frame of its link, and warnings about its surface; raises `DescriptionError` as `link_from_meshes` does."""
     try:
         import trimesh  # noqa: PLC0415 - an extra
     except ImportError:
@@ -136,7 +136,10 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
 
 
 def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotModel:
-    """Return the robot with the mass properties of the named links replaced; the warnings are added to the notes of the model."""
+    """Return the robot with the mass properties of the named links replaced; the warnings are added to the notes of the model.
+
+    Raises `DescriptionError` for a name that is no link of the robot.
+    """
     for name in links:
         if name not in model.link_names:
             raise DescriptionError(

@@ -60,6 +60,8 @@ def robot_from_dh(
     Non-zero lengths get the letters `a<i>` and `b<i>` of their row i, also in the modified convention, where textbooks count `a` one lower.
     Angles within 1e-5 rad of a right angle become exact, with a note where this moves them by more than 1e-9.
 
+    Raises `DescriptionError` for an unknown convention, numbers that are not finite, and rows that hang on later ones.
+
     >>> arm = robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar")
     >>> arm.n_joints, dict(arm.lengths)
     (2, {'a1': 0.5, 'a2': 0.4})
@@ -94,7 +96,10 @@ def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
 
 
 def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
-    """Return the joint of a Denavit-Hartenberg row; `notes` takes a remark on every angle that was straightened."""
+    """Return the joint of a Denavit-Hartenberg row; `notes` takes a remark on every angle that was straightened.
+
+    Raises `DescriptionError` for numbers that are not finite and for a parent that is no earlier row.
+    """
     number = index + 1
     for column, value in (("a", row.a), ("alpha", row.alpha), ("b", row.b), ("theta", row.theta)):
         if not np.isfinite(value):

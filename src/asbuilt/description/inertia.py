@@ -25,7 +25,10 @@ _TRIANGLES = (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy"
 
 @dataclass(frozen=True, eq=False)
 class LinkInertia:
-    """Hold the ten inertial parameters of a link about its origin, in link axes: `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`."""
+    """Hold the ten inertial parameters of a link about its origin, in link axes: `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m` [kg m^2, kg m, kg].
+
+    Raises `InertiaError` for another number of them, and for one that is not finite.
+    """
 
     parameters: Array
 
@@ -101,7 +104,10 @@ class LinkInertia:
 
     @classmethod
     def from_pseudo_inertia(cls, pseudo_inertia: ArrayLike) -> LinkInertia:
-        """Build from the 4 x 4 pseudo-inertia: `I = tr(Sigma) 1 - Sigma` (Wensing, Kim and Slotine, 2018)."""
+        """Build from the 4 x 4 pseudo-inertia: `I = tr(Sigma) 1 - Sigma` (Wensing, Kim and Slotine, 2018).
+
+        Raises `InertiaError` for another shape and for a matrix that is not symmetric.
+        """
         J = np.asarray(pseudo_inertia, dtype=np.float64)
         if J.shape != (4, 4):
             raise InertiaError(f"a pseudo-inertia is a 4 x 4 matrix, got shape {J.shape}")
@@ -129,7 +135,10 @@ class LinkInertia:
 
     @classmethod
     def from_log_cholesky(cls, theta: ArrayLike) -> LinkInertia:
-        """Build from log-Cholesky parameters, shape (10,); any ten finite numbers give a physically consistent link (Rucker and Wensing, 2022)."""
+        """Build from log-Cholesky parameters, shape (10,); any ten finite numbers give a physically consistent link (Rucker and Wensing, 2022).
+
+        Raises `InertiaError` for another shape.
+        """
         values = np.asarray(theta, dtype=np.float64)
         if values.shape != (10,):
             raise InertiaError(f"log-Cholesky parameters are 10 numbers (alpha d1 d2 d3 s12 s23 s13 t1 t2 t3), got shape {values.shape}")
@@ -145,7 +154,7 @@ class LinkInertia:
 
     @classmethod
     def from_pinocchio_order(cls, parameters: ArrayLike) -> LinkInertia:
-        """Build from `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz`, the inverse of `to_pinocchio_order`."""
+        """Build from `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz`, the inverse of `to_pinocchio_order`; raises `InertiaError` for another shape."""
         given = np.asarray(parameters, dtype=np.float64)
         if given.shape != (10,):
             raise InertiaError(f"Pinocchio's dynamic parameters are 10 numbers, got shape {given.shape}")

@@ -255,7 +255,7 @@ class RobotModel:
         return tuple(reversed(chain))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:
-        """Return the same robot with other standard inertial parameters, shape (10 n,)."""
+        """Return the same robot with other standard inertial parameters, shape (10 n,); raises `DescriptionError` for another shape."""
         values = np.asarray(parameters, dtype=np.float64)
         if values.shape != (10 * self.n_joints,):
             raise DescriptionError(f"{self.name} has {10 * self.n_joints} inertial parameters, got shape {values.shape}")

@@ -29,7 +29,7 @@ def read_robot_toml(path: str | Path) -> RobotModel:
 
 
 def robot_from_toml(text: str, *, source: str = "TOML text") -> RobotModel:
-    """Read a robot from the text of a TOML file; `source` names it in errors and in the model."""
+    """Read a robot from the text of a TOML file; `source` names it in errors and in the model; raises `DescriptionError` as `read_robot_toml`."""
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

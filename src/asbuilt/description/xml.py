@@ -19,7 +19,10 @@ LARGEST_DESCRIPTION = 50_000_000
 
 
 def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
-    """Return the content and a name for error messages of a description given as a path or as the text itself."""
+    """Return the content and a name for error messages of a description given as a path or as the text itself.
+
+    Raises `DescriptionError` for a file that cannot be read or is larger than any description.
+    """
     if isinstance(path_or_text, bytes):
         return path_or_text, "the description"
     if isinstance(path_or_text, str) and "<" in path_or_text:

@@ -69,7 +69,10 @@ class BaseParameters:
         return tuple(self.standard_units[column] for column in self.columns)
 
     def values(self, chi: ArrayLike) -> Array:
-        """Return `beta = regrouping @ chi`, shape (n_base,); a NaN in chi reaches only the base parameters that contain it."""
+        """Return `beta = regrouping @ chi`, shape (n_base,); a NaN in chi reaches only the base parameters that contain it.
+
+        Raises `UsageError` for another shape than (n_standard,).
+        """
         given = np.asarray(chi, dtype=np.float64)
         if given.shape != (self.n_standard,):
             raise UsageError(

@@ -32,7 +32,10 @@ def chosen_threads(asked: int | None, usual: int) -> int:
 
 
 def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
-    """Return the arrays as contiguous (n_samples, n_joints), checked to be alike, finite and fit for the robot; (n_joints,) is one sample."""
+    """Return the arrays as contiguous (n_samples, n_joints), (n_joints,) being one sample.
+
+    Raises `UsageError` where they are not alike, not finite, or of other joints.
+    """
     n, arrays, shapes = model.n_joints, [], {}
     for name, value in given.items():
         array = np.asarray(value, dtype=np.float64)
@@ -54,7 +57,7 @@ def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
 
 
 def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Array:
-    """Return the standard inertial parameters as (n_joints, 10); the model's own where none are given."""
+    """Return the standard inertial parameters as (n_joints, 10); the model's own where none are given; raises `UsageError` for another number."""
     chi = model.parameters if parameters is None else np.array(parameters, dtype=np.float64)
     if chi.shape != (10 * model.n_joints,):
         raise UsageError(f"{model.name} has {10 * model.n_joints} inertial parameters, got shape {chi.shape}; leave drive parameters out")

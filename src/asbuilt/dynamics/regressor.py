@@ -127,6 +127,7 @@ class RegressorPlan:
 
         `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows, at least n_samples), best from `buffer`;
         the views are good until the next call with it. The numbers depend neither on `threads` nor on how a recording is cut into calls.
+        Raises UsageError for shapes that do not fit.
         """
         inputs = self.checked_inputs(q, qd, qdd)
         n_samples = inputs[0].shape[0]

@@ -140,7 +140,7 @@ def gather_evidence(
     """Go through the samples once more and reduce them to the evidence of causes.
 
     `base` are the base parameters of the result, whose drive terms are all among the columns. Without samples to judge by, every third
-    time block of the others is put aside for it.
+    time block of the others is put aside for it. Raises `IdentifiabilityError` where that leaves no samples to fit, or none to judge by.
     """
     drive = base.drive
     known = available_terms()

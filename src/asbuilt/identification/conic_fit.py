@@ -112,7 +112,10 @@ class RealBodies:
         return cls(prior, bodies, q0, torque, rows, room, smallest_part, pattern, places, told.T > 0.0, right, cones)
 
     def fit(self, factor: Array, weight: float = TINY_PULL, *, rough: bool = False) -> ConicFit:
-        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1); a `rough` one misses it by a thousandth of a standard error or so."""
+        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1); a `rough` one misses it by a thousandth of a standard error or so.
+
+        Raises `IdentifiabilityError` where the bounds leave nothing, or the solver gives up.
+        """
         prior, z = self.prior, factor[:-1, -1]
         p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
         torque = factor[:-1, :-1] @ self.torque

@@ -109,6 +109,7 @@ def fit_toward_cad(
 
     The distance is the divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its quadratic form at CAD (`"euclidean"`:
     a conic program). The entropic minimum is reached through those of stronger pulls, each from the last, for bodies may lie far from CAD. `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to nothing, are not pulled.
+    Raises `UsageError` for another metric.
     """
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")

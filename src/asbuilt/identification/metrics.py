@@ -95,7 +95,7 @@ class TorqueTally:
         self._spread = np.zeros(n)
 
     def add(self, measured: ArrayLike, predicted: ArrayLike) -> TorqueTally:
-        """Add a batch, both (n_samples, n_joints); returns itself."""
+        """Add a batch, both (n_samples, n_joints); returns itself. Raises `ResultError` for other shapes."""
         tau = np.asarray(measured, dtype=np.float64)
         hat = np.asarray(predicted, dtype=np.float64)
         if tau.shape != hat.shape or tau.ndim != 2 or tau.shape[1] != len(self.joint_names):

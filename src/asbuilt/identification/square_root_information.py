@@ -103,7 +103,7 @@ class SquareRootInformation:
         return np.array([float(factor[:, -1] @ factor[:, -1]) for factor in self.joint_factors])
 
     def select(self, blocks: Sequence[int] | Array | Indices) -> SquareRootInformation:
-        """Return the information of these blocks only; an index that comes twice counts twice."""
+        """Return the information of these blocks only; an index that comes twice counts twice; raises `IdentifiabilityError` without any."""
         chosen = np.arange(self.n_blocks)[np.asarray(blocks)]
         if chosen.size == 0:
             raise IdentifiabilityError(f"no block is selected; there are {self.n_blocks}")
@@ -117,7 +117,10 @@ class SquareRootInformation:
         )
 
     def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
-        """Return the information of this and other recordings of the same robot with the same base parameters, blocks one after another."""
+        """Return the information of this and other recordings of the same robot with the same base parameters, blocks one after another.
+
+        Raises `IdentifiabilityError` where joints or base parameters are others.
+        """
         for other in others:
             if other.base.names != self.base.names or other.joint_names != self.joint_names:
                 raise IdentifiabilityError(
@@ -153,7 +156,7 @@ class SquareRootInformation:
         return triangular_factor(rows)
 
     def residual_energy(self, beta: ArrayLike) -> Array:
-        """Return `|tau_k - W_k beta|^2` for every joint, shape (n,)."""
+        """Return `|tau_k - W_k beta|^2` for every joint, shape (n,); raises `IdentifiabilityError` for a beta of another shape than (p,)."""
         values = np.asarray(beta, dtype=np.float64)
         if values.shape != (self.base.n_base,):
             raise IdentifiabilityError(f"{self.base.robot} has {self.base.n_base} base parameters, got shape {values.shape}")

@@ -137,7 +137,7 @@ def standard_parameters(
 def deepest_inside(cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds) -> tuple[Array, float]:
     """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for every link and `bounds` hold with some t to spare.
 
-    t is negative where no real bodies have beta.
+    t is negative where no real bodies have beta. Raises `IdentifiabilityError` where the solver gives up.
     """
     bodies, q0 = near_one(cad)
     inertial = 10 * cad.n_links

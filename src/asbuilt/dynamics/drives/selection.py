@@ -59,6 +59,7 @@ class DriveSet:
 
         A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by slashes, for each: `smooth_coulomb:width=0.02/0.01`;
         and the numbers of the joints that have the term: `spring:joints=2/5`.
+        Raises UsageError for terms, shapes and values that do not exist.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
         chosen = [[part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()]
@@ -171,6 +172,7 @@ class DriveSet:
         `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory for the result; `joint` (counted from 0) is needed
         where shapes are stated joint by joint; `motor` is position, velocity and acceleration of a motor that several joints turn, without which the
         columns of terms `of_motor` are zero.
+        Raises UsageError where a term needs a load and none is given.
         """
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
         if load is None and self.needs_load:

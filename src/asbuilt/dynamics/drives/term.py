@@ -115,7 +115,7 @@ class DriveTerm(ABC):
         return tuple(shape for shape in self.shapes if shape.fitted and getattr(self, shape.name) is None)
 
     def value(self, name: str) -> float:
-        """Return the value of a shape: the stated one, or the default. A term with one value per joint must be taken `at` a joint first."""
+        """Return the value of a shape: the stated one, or the default. A term with one value per joint must be taken `at` a joint first, or raises UsageError."""
         stated: ShapeValue = getattr(self, name)
         if stated is None:
             return next(shape.default for shape in self.shapes if shape.name == name)
