@@ -11,12 +11,13 @@ import pytest
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import RecordingError, UsageError
+from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.sensors import SensorNoise
 from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.validation.attribution import attribute
 from asbuilt.validation.study import Study, StudyOptions, run_study
 
 UR10E_SHEET = """
@@ -64,6 +65,19 @@ def test_a_motion_too_poor_for_its_parameters_is_called_so(recordings: list[Reco
     short = [replace(recordings[0], **{name: getattr(recordings[0], name)[:150] for name in ("t", "q", "tau")})]
     study = run_study(load_robot("scara"), short, validation=recordings[1:], options=StudyOptions(checked=False))
     assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
+
+
+def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording]) -> None:
+    """One block of time can be fitted or judged by, not both."""
+    brief = replace(recordings[0], **{name: getattr(recordings[0], name)[:400] for name in ("t", "q", "tau")})
+    study = run_study(load_robot("scara"), [brief], options=StudyOptions(checked=False))
+    said = {warning.code: warning.message for warning in study.result.warnings}
+    assert study.result.evidence is None
+    assert "0 to judge by" in said["causes_untold"]
+    whole = run_study(load_robot("scara"), recordings[:1])
+    assert "causes_untold" not in {warning.code for warning in whole.result.warnings}
+    with pytest.raises(ResultError, match="recordings of some seconds"):
+        attribute(study.result)
 
 
 def test_nothing_to_learn_from_is_refused() -> None:

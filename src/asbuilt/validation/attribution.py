@@ -53,7 +53,7 @@ class CauseShare:
 class Attribution:
     """Hold which causes the error of CAD has.
 
-    `steps` are the nested models in the order of `CAUSES`; `chosen` is the combination with the smallest BIC; `shares` of the causes weighed (those chosen, and a
+    `steps` are the nested models in the order of `CAUSES`; `chosen` is the combination with the fewest causes among those about as likely as the best; `shares` of the causes weighed (those chosen, and a
     payload where it could be part of what is put down to the links) add up, with `unexplained` (n,), to 1 for every joint. `alike` are pairs that this recording
     does not tell apart. `rms_cad` (n,) and `rms_chosen` (n,) are errors on `judged_by`, beside the `torque` (n,) there, all RMS. `findings` say in sentences what the causes
     amount to, `sentences` what each joint's error is made of, and `reasons` the same without the size of the error.
@@ -185,14 +185,14 @@ class Attribution:
 def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> Attribution:
     """Attribute the torque error of CAD (or of `cad`, another description of the same geometry) to causes.
 
-    Every combination of causes present is fitted to `tau - tau_CAD` by least squares with each joint weighted by its noise, and judged on data held out. The
-    combination with the smallest BIC is chosen; within it the drop of each joint's squared error is divided by the Shapley value (Shapley, 1953) over
+    Every combination of causes present is fitted to `tau - tau_CAD` by least squares with each joint weighted by its noise, and judged on data held out. Of
+    those about as likely as the best the one with the fewest causes is chosen (`CauseFits.chosen`); within it the drop of each joint's squared error is divided by the Shapley value (Shapley, 1953) over
     the orders that take a special cause before the general one that contains it (Faigle & Kern, Int. J. Game Theory 21, 1992). Tilt and gain are linearised
     at CAD. Raises `ResultError` where the result carries no evidence.
     """
     if result.evidence is None:
         raise ResultError(
-            f"this result of {result.robot} carries no evidence of causes, which `asbuilt identify` and `run_study` gather from the recordings; identify again with either"
+            f"this result of {result.robot} carries no evidence of causes, which `asbuilt identify` and `run_study` gather from recordings of some seconds at least; identify again with either"
         )
     with one_blas_thread():
         return _attributed(CauseFits(result, result.evidence, cad), result)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -145,10 +144,7 @@ def run_study(
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
     result = with_findings(_with_drive_choice(result, chosen), checks, validations)
-    with suppress(IdentifiabilityError):
-        result = replace(
-            result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=options.block_seconds)
-        )
+    result = _with_evidence(result, learning, judging, options.block_seconds)
     attribution = None
     if result.evidence is not None and options.mounting == "as_described":
         attribution = attribute(result)
@@ -156,6 +152,17 @@ def run_study(
     result = with_hidden_causes(result, learning, chosen.drive, tilt=tilt, stands=stands, block_seconds=options.block_seconds)
     report("predict", 1.0)
     return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs, attribution)
+
+
+def _with_evidence(
+    result: IdentificationResult, learning: Sequence[Samples], judging: Sequence[Samples], block_seconds: float | None
+) -> IdentificationResult:
+    """Return the result with the evidence of causes, or with a warning that there is too little of it."""
+    try:
+        return replace(result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=block_seconds))
+    except IdentifiabilityError as problem:
+        message = f"Why CAD is off, and what differences cost in torque, is not told: {problem}. Record longer."
+        return replace(result, warnings=(*result.warnings, IdentificationWarning("causes_untold", message)))
 
 
 def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
