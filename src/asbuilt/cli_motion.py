@@ -12,7 +12,6 @@ import typer
 from asbuilt.cli_answers import answer, listed_files, progress_bar
 from asbuilt.cli_options import (
     AsJson,
-    Drive,
     Robot,
     Seed,
     described_robot,
@@ -33,18 +32,24 @@ if TYPE_CHECKING:
 
 def excite(
     robot: Robot,
-    drive: Drive = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(
+            "--drive", metavar="LIST", help="drive terms to identify (see asbuilt drives), or none (default: viscous,coulomb,offset)"
+        ),
+    ] = None,
     duration: Annotated[str, typer.Option("--duration", metavar="S", help="length of the motion, or auto (see --precision)")] = "20",
     parametrisation: Annotated[
         str, typer.Option("--parametrisation", metavar="KIND", help="fourier, bspline, quintic or point-to-point")
     ] = "fourier",
     harmonics: Annotated[
-        int | None, typer.Option("--harmonics", metavar="N", help="harmonics, or control or way points (default: by duration)")
+        int | None, typer.Option("--harmonics", metavar="N", help="harmonics, or control or way points (default: by duration and limits)")
     ] = None,
     criterion: Annotated[str, typer.Option("--criterion", metavar="NAME", help="d, a, e or condition")] = "d",
     focus: Annotated[str | None, typer.Option("--focus", metavar="LIST", help="names or ids of the base parameters that matter")] = None,
     given: Annotated[
-        Path | None, typer.Option("--given", metavar="RESULT", help="an earlier result: find what it left open, with its noise")
+        Path | None,
+        typer.Option("--given", metavar="RESULT", help="an earlier result: find what it left open, with its noise and drive terms"),
     ] = None,
     noise: Annotated[
         str | None, typer.Option("--noise", metavar="S1,S2,...", help="standard deviation of the torque, one or one per joint")
