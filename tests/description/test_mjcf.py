@@ -131,6 +131,12 @@ def test_equality_constraints_are_noted():
     assert any("equality constraints" in note for note in read_mjcf(text).notes)
 
 
+def test_springs_of_joints_are_noted():
+    (note,) = read_mjcf(TREE.replace('<joint name="twist"', '<joint name="twist" stiffness="3"')).notes
+    assert note.startswith("the springs of twist (stiffness) are left out")
+    assert read_mjcf(TREE).notes == ()
+
+
 def test_without_mujoco_the_extra_is_named(monkeypatch):
     import sys
 

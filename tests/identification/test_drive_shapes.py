@@ -236,6 +236,12 @@ def test_parameters_at_the_motor():
     assert found["Fv2"] == pytest.approx(1e-4)
     assert found["Fc2"] == pytest.approx(1e-2)
     assert found["Fp2"] == pytest.approx(1e-5)
+    assert found["Fo2"] == pytest.approx(1e-2)
+    turned = replace(model, joints=tuple(replace(joint, drive=DriveValues(gear_ratio=-100.0)) for joint in model.joints))
+    drive = DriveSet.parse("viscous,spring,balancer,offset")
+    result = identify(turned, recorded(turned, drive, np.tile([1.0, 3.0, 0.4, 0.5, 0.2], 3)), drive=drive)
+    found = {each.name: each.motor_side / each.joint_side for each in motor_side_parameters(result)}
+    assert {name[:2]: np.sign(ratio) for name, ratio in found.items()} == {"Fv": 1.0, "Ks": 1.0, "Bs": -1.0, "Bc": -1.0, "Fo": -1.0}
     with pytest.raises(DescriptionError, match="gear_ratio"):
         motor_side_parameters(identify(model, recorded(model, PLAIN, np.ones(9)), drive=PLAIN))
 

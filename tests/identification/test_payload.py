@@ -11,6 +11,7 @@ import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
+from asbuilt.description.model import Frame
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.excitation.fourier import FourierMotion
@@ -111,6 +112,19 @@ def test_what_a_scara_cannot_tell_has_errors_to_match() -> None:
     payload = identify_payload(result, prepared(robot.with_tool(TOOL), 2))
     assert payload.values[0] == pytest.approx(TOOL.mass, rel=0.1)
     assert {"com_z", "Ixx", "Iyy"} <= set(payload.not_determined)
+
+
+def test_the_frame_of_the_payload_is_named_by_words_and_not_by_chance() -> None:
+    model = load_robot("two-link")
+    pose = np.eye(4)
+
+    def chosen(*names: str) -> str:
+        return payload_frame(replace(model, frames=tuple(Frame(name, 1, pose) for name in names)))[0]
+
+    assert chosen("cable_sleeve", "steel-bracket") == model.link_names[1]
+    assert chosen("cable_sleeve", "arm_ee_link") == "arm_ee_link"
+    assert chosen("panda.EE", "TCP") == "panda.EE"
+    assert chosen("link_ee", "tool0", "toolflange") == "toolflange"
 
 
 def test_unknown_frame_lists_the_known_ones() -> None:

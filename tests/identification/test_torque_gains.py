@@ -89,6 +89,9 @@ def test_wrong_calls_are_refused(pair):
         identify_gains(ROBOT, [], pair[1], mass=3.0, drive=DRIVE)
     with pytest.raises(UsageError, match="com"):
         identify_gains(ROBOT, *pair, mass=1.0, inertia_about_com=np.eye(3))
+    for wrong in ([1.0, 2.0], 0.0, np.append(np.ones(6), np.nan)):
+        with pytest.raises(UsageError, match="one number or 7, one per joint, none of them 0"):
+            identify_gains(ROBOT, *pair, mass=3.0, drive=DRIVE, in_use=wrong)
     short = pair[1].between(1.0, 1.1)
     assert short.n_filtered == 0
     with pytest.raises(IdentifiabilityError, match="with the payload are left to find gains from"):

@@ -64,6 +64,11 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     if not tree.joints:
         raise DescriptionError(f"{source}: no body has a hinge or slide joint, so there is nothing to identify")
     tree.add_sites()
+    sprung = [joint.name for index, joint in enumerate(tree.joints) if np.any(compiled.jnt_stiffness[index])]
+    if sprung:
+        tree.notes.append(
+            f"the springs of {', '.join(sprung)} (stiffness) are left out; identify with --drive auto,spring:joints=... to have them found"
+        )
     if compiled.neq:
         tree.notes.append(f"{compiled.neq} equality constraints are left out; every joint counts as driven on its own")
     return RobotModel(

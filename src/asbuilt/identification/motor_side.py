@@ -45,7 +45,7 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
                 parameter = known.get(f"{letter}{joint + 1}")
                 if parameter is None:
                     continue
-                shrunk = float(np.abs(ratio) ** power) * (np.sign(ratio) if term.key == "offset" else 1.0)
+                shrunk = float(np.abs(ratio) ** power) * (np.sign(ratio) if term.turns_over else 1.0)
                 found.append(
                     MotorSideParameter(
                         parameter.name, ratio, parameter.estimate, parameter.estimate / shrunk, parameter.std_error / abs(shrunk), unit

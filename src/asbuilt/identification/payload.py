@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
@@ -36,6 +37,8 @@ PAYLOAD_NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Ixz", "Iyy", 
 """What is reported: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
 FLANGES = ("flange", "tool0", "tool", "ee", "tcp")
 """Words in a frame's name that make it the frame of the payload, most fitting first."""
+SHORT_WORD = 3
+"""Words of so few letters must stand by themselves: there is no hand in a sleeve."""
 WELL_TOLD = 0.25
 """Standard error, as a fraction of what the parameter is measured by (its own size, or the payload's), up to which a motion is said to tell it."""
 COM_SCALE = 0.04
@@ -104,7 +107,7 @@ def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int,
     last = model.n_joints - 1
     for word in FLANGES:
         for frame, (link, placement) in frames.items():
-            if word in frame.lower() and link == last:
+            if link == last and word in (re.split(r"[^a-z0-9]+", frame.lower()) if len(word) <= SHORT_WORD else frame.lower()):
                 return frame, link, placement
     return model.link_names[last], last, np.eye(4)
 

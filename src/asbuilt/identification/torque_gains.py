@@ -144,7 +144,7 @@ def identify_gains(
     Raises
     ------
     UsageError
-        If the mass is not positive, the inertia is given without the centre of mass, or recordings of either kind are missing.
+        If the mass is not positive, the inertia is given without the centre of mass, recordings of either kind are missing, or gains in use are no gains.
     IdentifiabilityError
         If the recordings leave the scale open.
     """
@@ -160,6 +160,10 @@ def identify_gains(
         )
     if terms.needs_load:
         raise UsageError(f"gains are found with friction that does not depend on load, got drive terms {terms}")
+    used = np.ones(model.n_joints) if in_use is None else np.atleast_1d(np.asarray(in_use, dtype=np.float64))
+    if used.shape not in ((1,), (model.n_joints,)) or not np.all(np.isfinite(used) & (used != 0.0)):
+        raise UsageError(f"gains in use are one number or {model.n_joints}, one per joint, none of them 0, got {used.tolist()}")
+    used = np.broadcast_to(used, (model.n_joints,)).copy()
     name, link, placement = payload_frame(model, frame)
     problem = _Problem(model, terms, without, under, link, shift_matrix(placement))
     centre = np.zeros(3) if com is None else np.asarray(com, dtype=np.float64)
@@ -173,7 +177,6 @@ def identify_gains(
     open_ended = ~(scatter < np.abs(gains))
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
-    used = np.ones(model.n_joints) if in_use is None else np.broadcast_to(np.asarray(in_use, dtype=np.float64), (model.n_joints,)).copy()
     labels = ["mass", *(["centre of mass"] if com is not None else []), *(["inertia"] if inertia_about_com is not None else [])]
     return TorqueGains(
         joint_names=model.joint_names,

@@ -20,6 +20,7 @@ class Balancer(DriveTerm):
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
     by_construction = True
+    turns_over = True
     formula = "Bs sin(q) + Bc cos(q)"
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

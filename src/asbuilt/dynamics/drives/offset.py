@@ -17,6 +17,7 @@ class Offset(DriveTerm):
     letters = ("Fo",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    turns_over = True
     formula = "Fo"
     default_for = ALL_SOURCES
 

@@ -77,6 +77,8 @@ class DriveTerm(ABC):
     """Whether no drive has parameters of it below zero: it is inertia, or friction that nothing beside it can take back."""
     ratio_powers: ClassVar[tuple[float, ...]] = ()
     """By which power of the gear ratio each parameter shrinks on its way to the motor, where that is not one as for torques; see `powers_of_ratio`."""
+    turns_over: ClassVar[bool] = False
+    """Whether its parameters change their sign on the way to a motor that turns against its joint: a torque with a direction of its own, whatever the motion."""
     needs_load: ClassVar[bool] = False
     """Whether the columns depend on the rigid-body torque of the joint."""
     of_motor: ClassVar[bool] = False
