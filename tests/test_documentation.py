@@ -140,6 +140,11 @@ def test_no_bar_stands_escaped_in_code() -> None:
     assert {name: code for name, code in shown.items() if code} == {}
 
 
+def test_the_python_interface_is_what_asbuilt_exports() -> None:
+    told = re.findall(r"^::: asbuilt\.(?:[\w]+\.)*(\w+)$", (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(told) == sorted(asbuilt.__all__)
+
+
 def test_examples_of_the_python_interface_stand_under_a_heading() -> None:
     """Without one the page shows `>>>` as three quotations within each other."""
     for name in re.findall(r"^::: ([\w.]+)$", (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE):

@@ -40,10 +40,26 @@ GAINS_TAKEN = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StudyOptions:
-    """Say how to identify: drive terms (None: by torque source; "auto", or "auto,spring:joints=2": chosen on held-out blocks), estimator, signal chain, what to hold out, what to do without excitation.
+    """Say how to identify.
 
-    `holdout` is a rule of `hold_out`; `checked` False uses recordings whatever `check_recording` says of them; `mounting` "estimate" finds how the robot stands;
-    `sweep_cutoff` chooses the low-pass cutoff by held-out error; `errors` come from time blocks by formula, by drawing them, or from the textbook.
+    | field | meaning |
+    |---|---|
+    | `drive` | drive terms; None: those that the torque source calls for; "auto" (or "auto,spring:joints=2"): chosen on held-out blocks |
+    | `method` | the estimator, a key of `methods`; the command line takes "auto" where none is named |
+    | `chain` | the signal chain; what it leaves open is chosen from the recordings |
+    | `holdout` | a rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out |
+    | `unexcited` | directions that no motion excites stay at CAD and are named, or the study refuses |
+    | `mounting` | gravity points as described, or its direction is found along with the bodies |
+    | `block_seconds` | length of the time blocks that errors are judged by [s]; None: 5 s, less in short recordings |
+    | `sweep_cutoff` | choose the cutoff of the low-pass by held-out error |
+    | `errors` | standard errors from time blocks by formula, by drawing the blocks, or from the textbook |
+    | `checked` | refuse recordings in which `check_recording` finds errors |
+    | `threads` | threads of the kernels; None: all cores where that pays |
+
+    Raises
+    ------
+    UsageError
+        If the rule cannot be read.
     """
 
     drive: DriveSet | str | None = None
