@@ -51,3 +51,5 @@ def test_page_without_evidence_has_the_torque_table(example: Any) -> None:
     page = comparison_html(example.result, compare(example.result), None, determination(example.result))
     assert 'id="torque-table"' in page
     assert "<img src=x" not in page
+    said = CadVerdict(compare(example.result), None, determination(example.result)).as_text()
+    assert all("Why CAD is off, and what differences cost in torque, is not told" in text for text in (page, said))

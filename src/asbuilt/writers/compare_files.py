@@ -13,7 +13,7 @@ from asbuilt.validation.comparison import Comparison
 from asbuilt.validation.controller_model import ControllerComparison
 from asbuilt.validation.drift import Drift
 from asbuilt.writers.cause_figures import attribution_figure, difference_figure
-from asbuilt.writers.compare_report import comparison_html
+from asbuilt.writers.compare_report import UNTOLD, comparison_html
 from asbuilt.writers.drift_report import drift_html
 from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.files import atomic_write, path_texts
@@ -35,8 +35,7 @@ class CadVerdict:
         parts = [self.comparison.heading()]
         if self.comparison.torque:
             parts.append(self.comparison.torque_table().as_text())
-        if self.attribution is not None:
-            parts.append(self.attribution.as_text())
+        parts.append(f"{UNTOLD}\n" if self.attribution is None else self.attribution.as_text())
         parts.append(self.comparison.parameter_table().as_text())
         parts.append("\n".join(["What this recording determines:", *(f"  {line}" for line in self.determination.sentences)]) + "\n")
         return "\n".join(parts)

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from asbuilt.identification.result import IdentificationResult
 
 
+UNTOLD = "Why CAD is off, and what differences cost in torque, is not told: the result carries no evidence of its recordings (too short, or identified without a study)."
+"""Said where there is no attribution."""
+
+
 def comparison_html(
     result: IdentificationResult, comparison: Comparison, attribution: Attribution | None, determination: Determination
 ) -> str:
@@ -29,7 +33,7 @@ def comparison_html(
         cad=comparison.cad_source,
         sources=", ".join(recording_name(source) for source in result.sources),
         findings=_findings(comparison, attribution, determination),
-        tests=comparison.tests(),
+        tests=(*comparison.tests(), *((UNTOLD,) if attribution is None else ())),
         comparison=comparison,
         attribution=attribution,
         determination=determination,
