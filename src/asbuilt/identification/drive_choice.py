@@ -20,6 +20,7 @@ from asbuilt.identification.drive_candidates import CandidateColumns, Choice, Fo
 from asbuilt.identification.drive_shapes import fit_shapes, thinned
 from asbuilt.identification.identify import LARGE_CONDITION
 from asbuilt.identification.least_squares import fit_least_squares
+from asbuilt.identification.shape_errors import ShapePlace
 from asbuilt.identification.square_root_information import accumulate_stream
 from asbuilt.identification.torque_prediction import carrying
 
@@ -88,7 +89,7 @@ class DriveChoice:
     """The drive terms chosen, with shapes stated; `sentences` say why, `warnings` what speaks against them.
 
     `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing was chosen among; `additions` are the terms that
-    were looked at beside the defaults and seemed to help.
+    were looked at beside the defaults and seemed to help; `fitted` are the shapes whose values the data told.
     """
 
     drive: DriveSet
@@ -96,6 +97,7 @@ class DriveChoice:
     warnings: tuple[str, ...] = ()
     gain: Gain | None = None
     additions: tuple[Addition, ...] = ()
+    fitted: tuple[ShapePlace, ...] = ()
 
 
 def settle_drive(model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None) -> DriveChoice:
@@ -140,11 +142,12 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
     Bioinformatics 7, 2006 (nested choice).
     """
     start = default if default is not None else usual_drive(model, samples[0].torque_source)
-    start = start if start.is_shaped else fit_shapes(model, start, samples).drive
+    fit = None if start.is_shaped else fit_shapes(model, start, samples)
+    start, told = (start, ()) if fit is None else (fit.drive, fit.places)
     n_blocks = len(thinned(model, samples))
     if n_blocks < FEWEST_BLOCKS:
         said = f"drive terms {_named(start)} kept: {n_blocks} time blocks are too few to choose among more by holding some out"
-        return DriveChoice(start, (said,))
+        return DriveChoice(start, (said,), fitted=told)
     plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     fitted = fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base))
     condition = fitted.solution.scaled_condition_number
@@ -153,7 +156,7 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
             f"drive terms {_named(start)} kept: the motion hardly tells these apart (scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer "
             "sets were not tried; record a richer motion"
         )
-        return DriveChoice(start, (said,))
+        return DriveChoice(start, (said,), fitted=told)
     tried = candidates(model, start, samples[0].torque_source, samples)
     arm = fitted.beta
     choice: Choice = ()
@@ -166,11 +169,12 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
                 break
             arm = columns.learnt(choice, columns.blocks)[: plain.base.n_base]
         gain = _nested_gain(columns) if choice else None
-    chosen, untold = _refined(loaded, samples, start, columns, choice)
+    chosen, untold, refined = _refined(loaded, samples, start, columns, choice)
     additions = [
         replace(each, taken=False, objection="its shape is not told") if (each.joint, each.term) in untold else each for each in additions
     ]
-    return _concluded(loaded.joint_names, start, chosen, len(tried), gain if chosen != start else None, additions)
+    concluded = _concluded(loaded.joint_names, start, chosen, len(tried), gain if chosen != start else None, additions)
+    return replace(concluded, fitted=(*told, *refined) if concluded.drive == chosen else told)
 
 
 def _chosen(columns: CandidateColumns, blocks: Indices) -> tuple[Choice, list[Addition]]:
@@ -285,23 +289,24 @@ def _shape_at(term: DriveTerm, shape: Shape, joint: int, names: Sequence[str]) -
 
 def _refined(
     loaded: RobotModel, samples: Sequence[Samples], start: DriveSet, columns: CandidateColumns, choice: Choice
-) -> tuple[DriveSet, set[tuple[int, str]]]:
-    """Return the set of a choice with its shapes refined between the values tried, less the terms, by joint and key, whose shape all blocks together do not tell."""
+) -> tuple[DriveSet, set[tuple[int, str]], tuple[ShapePlace, ...]]:
+    """Return the set of a choice with its shapes refined between the values tried, less the terms, by joint and key, whose shape all blocks together do not tell; and the shapes told."""
     n = loaded.n_joints
     rough = chosen_drive(start, columns.tried, choice, n)
     free = DriveSet(
         tuple(term if term.key in start.keys else replace(available_terms()[term.key], joints=term.joints) for term in rough.terms)
     )
     if free.is_shaped:
-        return rough, set()
-    fitted = fit_shapes(loaded, free, samples).shapes
+        return rough, set(), ()
+    found_all = fit_shapes(loaded, free, samples)
+    fitted = found_all.shapes
     untold = {(k, found.term) for found in fitted for k, c in choice if columns.tried[c].key == found.term and not found.told[k]}
     chosen = chosen_drive(start, columns.tried, tuple((k, c) for k, c in choice if (k, columns.tried[c].key) not in untold), n)
     for found in fitted:
         for term in chosen.terms:
             if term.key == found.term:
                 chosen = chosen.with_term(term.with_shapes({found.shape.name: found.values}))
-    return chosen, untold
+    return chosen, untold, tuple(place for place in found_all.places if (place.joint, place.term) not in untold)
 
 
 def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:
@@ -315,13 +320,13 @@ def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> D
     warnings = found.warnings(model.joint_names)
     both = [_judged(model, samples, each) for each in (plain, found.drive)]
     if both[0] is None or both[1] is None:
-        return DriveChoice(found.drive, found.sentences(model.joint_names), warnings)
+        return DriveChoice(found.drive, found.sentences(model.joint_names), warnings, fitted=found.places)
     gain = Gain.between(both[0], both[1])
     change = f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against {_named(plain)}"
     if gain.fraction < 0:
         listed = ", ".join(term.key for term in shaped)
         warnings = (*warnings, f"Fitted {listed} do not pay: {change}. Leave them out, or state their shapes.")
-    return DriveChoice(found.drive, (*found.sentences(model.joint_names), change), warnings, gain)
+    return DriveChoice(found.drive, (*found.sentences(model.joint_names), change), warnings, gain, fitted=found.places)
 
 
 def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:

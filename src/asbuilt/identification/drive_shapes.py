@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.term import DriveTerm, Shape
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.rows import Stretch, stretches
+from asbuilt.identification.shape_errors import ShapePlace
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
@@ -68,6 +69,17 @@ class ShapeFit:
 
     drive: DriveSet
     shapes: tuple[FittedShape, ...]
+
+    @property
+    def places(self) -> tuple[ShapePlace, ...]:
+        """The shapes and joints where the data told a value."""
+        present = {term.key: term for term in self.drive.terms}
+        return tuple(
+            ShapePlace(found.term, found.shape.name, k)
+            for found in self.shapes
+            for k in np.flatnonzero(found.told).tolist()
+            if present[found.term].is_at(k)
+        )
 
     def sentences(self, joint_names: Sequence[str]) -> tuple[str, ...]:
         """Say what was found, a sentence per shape."""

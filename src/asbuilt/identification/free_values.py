@@ -68,8 +68,11 @@ class FreeValues:
             raise ResultError(f"the free values are damaged ({type(problem).__name__} {problem}); identify again") from problem
 
 
-def free_values(information: SquareRootInformation, toward: ArrayLike) -> FreeValues:
-    """Fit by `wls` with errors from time blocks; what the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined."""
+def free_values(information: SquareRootInformation, toward: ArrayLike, beside: Array | None = None) -> FreeValues:
+    """Fit by `wls` with errors from time blocks; what the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined.
+
+    `beside` (p, p) is the covariance that fitted shapes of drive terms add.
+    """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
-    covariance = block_uncertainty(information, fitted).covariance
+    covariance = block_uncertainty(information, fitted).covariance + (0.0 if beside is None else beside)
     return FreeValues(fitted.beta, 0.5 * (covariance + covariance.T), fitted.std_errors, fitted.determined)

@@ -16,6 +16,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.drive_shapes import fit_shapes
 from asbuilt.identification.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
 from asbuilt.identification.evidence import Evidence, Unexcited
 from asbuilt.identification.free_values import free_values
@@ -23,6 +24,7 @@ from asbuilt.identification.least_squares import Estimate
 from asbuilt.identification.methods import find_method
 from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
+from asbuilt.identification.shape_errors import ShapeErrors, ShapePlace, shape_errors
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
 from asbuilt.identification.torque_prediction import carrying, predict_torque
 from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty, textbook_uncertainty
@@ -56,11 +58,13 @@ def identify(
     errors: ErrorKind = "blocks",
     block_seconds: float | None = None,
     threads: int | None = None,
+    fitted_shapes: Sequence[ShapePlace] = (),
 ) -> IdentificationResult:
     """Identify the base parameters of a robot from the samples of one or more recordings.
 
-    `method` names an estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
-    refused (`unexcited="refuse"`). `base` saves finding the base parameters again. `errors` says how standard errors are judged: `"blocks"` by formula from time blocks,
+    Shapes of `drive` that are not stated are fitted first. `base` saves finding the base parameters again, its drive terms with every shape stated; `fitted_shapes` are those of
+    them that were fitted to these samples, so that standard errors count what they leave open. `method` names an estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
+    refused (`unexcited="refuse"`). `errors` says how standard errors are judged: `"blocks"` by formula from time blocks,
     `"bootstrap"` by drawing them, all choices of the estimator held fixed, `"textbook"` as if residuals were independent.
 
     Raises
@@ -74,6 +78,9 @@ def identify(
     if not batches:
         raise UsageError(f"no samples are given to identify {model.name} from; pass at least one prepared recording")
     estimator = find_method(method)
+    fit = fit_shapes(model, drive, batches) if base is None and not drive.is_shaped else None
+    if fit is not None:
+        drive, fitted_shapes = fit.drive, fit.places
     found = base if base is not None else find_base_parameters(model, drive)
     information = accumulate_stream(model, found, batches, block_seconds=block_seconds, threads=threads)
     cad = design_values(model, found)
@@ -89,6 +96,11 @@ def identify(
             threads,
         )
     uncertainty = _judged(estimate.information or information, estimate, errors, automatic=method == "auto")
+    shapes = None
+    if fitted_shapes:
+        loading = carrying(model, found, estimate.beta) if found.drive.needs_load else model
+        shapes = shape_errors(loading, found, estimate, batches, fitted_shapes, textbook=errors == "textbook", block_seconds=block_seconds)
+        estimate = replace(estimate, notes=(*estimate.notes, shapes.sentence(model.joint_names)))
     source = ", ".join(information.sources)
     measured = []
     for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
@@ -98,7 +110,7 @@ def identify(
             tally.add(prediction.measured, prediction.predicted)
         measured.append(tally.metrics(source))
     first = batches[0]
-    return conclude(
+    result = conclude(
         model,
         information,
         estimate,
@@ -107,7 +119,12 @@ def identify(
         cad=measured[1],
         provenance=tuple(dict.fromkeys(line for batch in batches for line in batch.provenance)),
         uncertainty=uncertainty,
+        shapes=shapes,
     )
+    if fit is None:
+        return result
+    spoken = (IdentificationWarning("drive_shapes", warning) for warning in fit.warnings(model.joint_names))
+    return replace(result, warnings=(*result.warnings, *spoken), provenance=(*result.provenance, *fit.sentences(model.joint_names)))
 
 
 def _judged(information: SquareRootInformation, estimate: Estimate, errors: ErrorKind, *, automatic: bool) -> Uncertainty:
@@ -156,13 +173,16 @@ def conclude(
     cad: TorqueMetrics | None = None,
     provenance: tuple[str, ...] = (),
     uncertainty: Uncertainty | None = None,
+    shapes: ShapeErrors | None = None,
 ) -> IdentificationResult:
-    """Make a result of an estimate: errors, physical consistency, verdicts.
+    """Make a result of an estimate: errors, with those of `shapes` fitted along, physical consistency, verdicts.
 
     Without `train` and `cad` both come from the information alone, as for recordings larger than memory; the largest error is then unknown.
     """
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
+    if shapes is not None:
+        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + shapes.covariance)
     poor = _poorly_determined(information, estimate, uncertainty, design)
     dropped = np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
     std_errors, textbook = (np.where(dropped, np.nan, each) for each in (uncertainty.std_errors, estimate.std_errors))
@@ -214,7 +234,7 @@ def conclude(
         provenance=provenance,
         notes=estimate.notes,
         errors=uncertainty.basis,
-        free=None if estimate.method == "wls" else free_values(information, design),
+        free=None if estimate.method == "wls" else free_values(information, design, None if shapes is None else shapes.covariance),
     )
 
 

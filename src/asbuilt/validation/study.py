@@ -149,6 +149,7 @@ def run_study(
         errors=options.errors,
         block_seconds=options.block_seconds,
         threads=options.threads,
+        fitted_shapes=chosen.fitted,
     )
     if stands is not None:
         result = replace(result, notes=(*result.notes, stands.sentence))
