@@ -20,6 +20,7 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, search_all
 from asbuilt.excitation.precision import design_for_precision, predicted_precision
 from asbuilt.excitation.random_motion import random_fourier
+from asbuilt.writers.design_tables import excite_text
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 QUICK = DesignOptions(duration=8.0, size=4, starts=2, time_limit=60.0)
@@ -106,6 +107,26 @@ def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     assert det[0] < det[1]
     with pytest.raises(UsageError, match="no base parameter 'Izz9'"):
         design_motion(model, DRIVE, replace(QUICK, focus=("Izz9",)))
+    lines = excite_text(focused).splitlines()
+    heads = next(k for k, line in enumerate(lines) if line.startswith("what was asked for, then"))
+    assert [line.split()[0] for line in lines[heads + 3 : heads + 5]] == ["16", "11"]
+    assert lines[0].endswith(", for Izz2, 11")
+
+
+def test_what_a_motion_cannot_tell_has_an_infinite_error(arm) -> None:
+    _, design = arm
+    pair = [position_of(design.base, name) for name in ("Fv1", "Fc1")]
+    alike = np.eye(design.base.n_base)
+    alike[:, pair[1]] = 3.0 * alike[:, pair[0]]
+    blind = replace(design, mean_information=alike.T @ design.mean_information @ alike)
+    assert np.all(np.isinf(blind.std_errors[pair]))
+    rest = np.setdiff1d(np.arange(design.base.n_base), pair)
+    one = np.append(rest, pair[0])
+    expected = np.sqrt(np.diag(np.linalg.inv(design.information[np.ix_(one, one)])))[:-1]
+    np.testing.assert_allclose(blind.std_errors[rest], expected, rtol=1e-6)
+    written = excite_text(blind)
+    assert written.count("not told") == 2
+    assert "above 1e+07" in written
 
 
 def test_what_is_known_already_need_not_be_told_again(arm) -> None:

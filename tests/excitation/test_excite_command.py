@@ -38,7 +38,7 @@ FIELDS = {
     ("robot", "options"),
     [
         ("two-link", ()),
-        ("scara", ("--parametrisation", "point-to-point")),
+        ("scara", ("--parametrisation", "point-to-point", "--rate", 1000)),
         ("ur10e", ("--static", 8)),
         ("franka-panda", ("--collision", "skeleton:0.05", "--drive", "viscous")),
     ],

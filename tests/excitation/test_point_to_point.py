@@ -38,6 +38,19 @@ def test_duration_is_the_minimum_of_bang_bang_control(distance: float, velocity:
     assert motion.end[0] == pytest.approx(distance, rel=1e-12)
 
 
+def test_a_slower_pace_is_the_same_move_in_more_time() -> None:
+    poses = np.array([[0.0, 1.0], [2.0, 0.5], [1.0, 1.0]])
+    fast = PointToPointMotion.within(poses, velocity=1.0, acceleration=2.0)
+    slow = PointToPointMotion.within(poses, velocity=1.0, acceleration=2.0, pace=0.25)
+    t = np.linspace(0.0, fast.duration, 50)
+    np.testing.assert_allclose(slow.derivative(4 * t), fast.derivative(t), atol=1e-12)
+    mixed = PointToPointMotion.within(poses, velocity=1.0, acceleration=2.0, pace=[1.0, 0.5])
+    first = PointToPointMotion.within(poses[:2], velocity=1.0, acceleration=2.0).duration
+    assert mixed.duration == pytest.approx(first + 2 * (fast.duration - first))
+    with pytest.raises(MotionError, match="pace of a move"):
+        PointToPointMotion.within(poses, velocity=1.0, acceleration=2.0, pace=[1.0, 0.0])
+
+
 def test_every_pose_is_reached_and_held() -> None:
     poses = np.random.default_rng(1).uniform(-1, 1, size=(5, 3))
     dwell = [0.4, 0.0, 0.25]

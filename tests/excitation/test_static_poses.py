@@ -1,7 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pinocchio as pin
 import pytest
+from pinocchio_oracle import pinocchio_model
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -53,6 +57,23 @@ def test_travel_is_shorter_than_in_random_order() -> None:
 
     rng = np.random.default_rng(1)
     assert length(design.poses) < min(length(design.poses[rng.permutation(16)]) for _ in range(200))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_robot_that_hardly_carries_itself_finds_its_way(seed: int) -> None:
+    """The straight way between two poses may be too heavy where both are not."""
+    model = load_robot("ur10e")
+    weak = replace(
+        model, joints=tuple(replace(joint, limits=replace(joint.limits, torque=0.3 * joint.limits.torque)) for joint in model.joints)
+    )
+    design = design_static_poses(weak, 10, seed=seed)
+    q, qd, qdd = design.motion.at(design.motion.sample_times(1000.0))
+    other = pinocchio_model(weak)
+    data = other.createData()
+    tau = np.array([pin.rnea(other, data, *map(np.array, state)) for state in zip(q, qd, qdd, strict=True)])
+    assert np.all(np.abs(tau) <= 0.8 * MotionBounds.of(weak).torque * (1 + 1e-9))
+    for pose in design.poses:
+        assert np.abs(q - pose).max(axis=1).min() < 1e-4
 
 
 def test_too_few_poses_and_weightless_robots_are_refused() -> None:

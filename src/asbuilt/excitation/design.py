@@ -22,13 +22,14 @@ from asbuilt.excitation.crew import Crew
 from asbuilt.excitation.criteria import criterion_of
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.design_program import Objective
-from asbuilt.excitation.design_search import CHECK_RATE, DesignSearch, Task
+from asbuilt.excitation.design_search import DesignSearch, Task
 from asbuilt.excitation.information import Information, mean_information
 from asbuilt.excitation.information_bound import InformationBound, information_bound
 from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motion import Array, Motion
 from asbuilt.excitation.multistart import Deadline, SearchProgress, search_all
+from asbuilt.excitation.pacing import CHECK_RATE
 from asbuilt.excitation.parametrisations import Fourier
 
 USUAL_DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -41,6 +42,12 @@ REFINED = 4
 
 BOUND_SHARE, REFINEMENT_SHARE = 0.25, 0.15
 """The most that the bounds may take of the time limit, and what the search leaves of it to the refinement of what it finds."""
+
+UNTOLD = 1e-6
+"""Squared share of a parameter in what a motion does not tell, from which on its error counts as infinite."""
+
+SAME_DURATION = 0.1
+"""By what part a motion may last longer or shorter than asked for before that is told; only poses do, others last as long as asked."""
 
 LAST_REFINEMENT = 2.0
 """Time for refinement after an interrupt [s]."""
@@ -113,11 +120,14 @@ class Design:
 
     @property
     def std_errors(self) -> Array:
-        """Predicted standard errors of the base parameters (p,), from this motion and what was known before."""
+        """Predicted standard errors of the base parameters (p,), from this motion and what was known before; infinite where neither tells anything."""
         total = self.information if self.prior is None else self.information + self.prior
-        size = 1.0 / np.sqrt(np.diag(total))
-        errors: Array = size * np.sqrt(np.diag(np.linalg.inv(total * np.outer(size, size))))
-        return errors
+        size = 1.0 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
+        eigenvalues, vectors = np.linalg.eigh(total * np.outer(size, size))
+        told = eigenvalues > len(eigenvalues) * np.finfo(float).eps * eigenvalues[-1]
+        errors = size * np.sqrt((vectors[:, told] ** 2 / eigenvalues[told]).sum(axis=1))
+        untold = (vectors[:, ~told] ** 2).sum(axis=1)
+        return np.where(untold > UNTOLD, np.inf, errors)
 
 
 def design_motion(
@@ -186,6 +196,7 @@ def design_motion(
         candidates=tuple(candidate.value for candidate in candidates),
         seconds=whole.elapsed,
         interrupted=deadline.interrupted or final.interrupted,
+        notes=_other_duration(search, wanted, motion),
     )
 
 
@@ -203,6 +214,7 @@ def describe_design(
     candidates: tuple[float, ...] = (),
     seconds: float = 0.0,
     interrupted: bool = False,
+    notes: tuple[str, ...] = (),
 ) -> Design:
     """Return what a motion is worth, evaluated at 1 kHz with exact drive columns, and its margins there."""
     limited, assumed = limited_model(model)
@@ -228,6 +240,7 @@ def describe_design(
         candidates=candidates,
         solve_seconds=seconds,
         interrupted=interrupted,
+        notes=notes,
     )
 
 
@@ -278,6 +291,15 @@ def position_of(base: BaseParameters, name: str) -> int:
     raise UsageError(
         f"{base.robot} has no base parameter {text!r}; there are: {', '.join(f'{i} {n}' for i, n in zip(base.ids, base.names, strict=True))}"
     )
+
+
+def _other_duration(search: DesignSearch, options: DesignOptions, motion: Motion) -> tuple[str, ...]:
+    """Say where poses take another time than was asked for."""
+    more, share = search.family.size_name, motion.duration / options.duration
+    if abs(share - 1.0) < SAME_DURATION:
+        return ()
+    cure = f"more {more} fill the time" if share < 1.0 else f"fewer {more} take less"
+    return (f"as fast as the limits allow, the {more} take {motion.duration:.3g} s, not the {options.duration:g} s asked for; {cure}",)
 
 
 def _told_refinement(progress: Callable[[SearchProgress], None], best: float, state: SearchProgress) -> None:

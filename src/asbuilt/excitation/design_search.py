@@ -11,19 +11,18 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
+from asbuilt.excitation.admissible import random_states
 from asbuilt.excitation.crew import Crew
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.design_program import DesignProgram, Objective
+from asbuilt.excitation.information import mean_information
 from asbuilt.excitation.interior_point import StateConstraint, solve
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array, Motion, limit_array
 from asbuilt.excitation.multistart import Candidate, Deadline, SearchProgress, best_first, search_all
+from asbuilt.excitation.pacing import CHECK_RATE, paced_moves
 from asbuilt.excitation.parametrisations import Parametrisation, PointToPoint
-from asbuilt.excitation.point_to_point import PointToPointMotion
-from asbuilt.excitation.torque_limit import PowerLimit, TorqueLimit, perturbed_models
-
-CHECK_RATE = 1000.0
-"""Rate at which a motion must keep all limits [Hz]."""
+from asbuilt.excitation.torque_limit import STANDING, PowerLimit, TorqueLimit, WeightLimit, perturbed_models
 
 NODES_PER_WAVE = 40
 """Nodes per shortest wave of a motion during the search, twice as many in the end; with fewer, a search hides motion between the nodes."""
@@ -57,10 +56,11 @@ DISTURBANCE = (0.1, 0.5)
 
 REPAIRS = 12
 """Attempts to make a motion hold at 1 kHz,"""
-SLOWING = 0.93
-"""in each of which moves between poses slow down to this part of their speed,"""
-MOST_SHRINKING = 0.3
-"""while others shrink towards a point, by this part at most; beyond it a motion is given up."""
+LEAST_SHRINKING, MOST_SHRINKING = 0.005, 0.3
+"""in each of which it shrinks towards a point, poses by the least part to begin with; beyond the most a motion is given up."""
+SURVEYED = 200
+"""Random poses that tell whether a robot is anywhere too heavy for its drives."""
+
 SHORTEST_MOVE = 0.1
 """Least time that the design grants to a move between two poses [s]."""
 
@@ -90,6 +90,10 @@ class DesignSearch:
         torque = options.torque_fraction * MotionBounds.of(model).torque
         models = perturbed_models(model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20]))
         watch: tuple[StateConstraint, ...] = (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
+        if watch and isinstance(self.family, PointToPoint):
+            weight = WeightLimit(models, STANDING * torque)
+            poses = random_states(self._bounds, SURVEYED, np.random.default_rng(0))[0]
+            watch += (weight,) if weight.binds(poses) else ()
         if options.power:
             watch += (PowerLimit(model, limit_array(options.power, model.n_joints, "power")),)
         self._constraints = watch + constraints
@@ -187,23 +191,25 @@ class DesignSearch:
         kept = self._repaired(coefficients, family)
         if kept is None:
             return Candidate.of(candidate.number, None)
+        if isinstance(family, PointToPoint):
+            moved = self._paced(kept)
+            assert moved is not None
+            return Candidate(candidate.number, kept, self._objective.value(mean_information(self._objective.information, *moved)))
         return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
+    def _paced(self, poses: Array) -> tuple[Array, Array, Array] | None:
+        """Return the states at 1 kHz of what a controller makes of the poses, None where it can make nothing."""
+        motion = paced_moves(poses, self._bounds, self._constraints)
+        return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
+
     def motion(self, candidate: Candidate) -> Motion:
-        """Return the motion of a refined candidate; poses become what a controller makes of them, slowed down where a torque limit asks for it."""
+        """Return the motion of a refined candidate; poses become what a controller makes of them, slowed down on moves whose torque asks for it."""
         if not isinstance(self.family, PointToPoint):
             return self.family.motion(candidate.coefficients)
-        factor = 1.0
-        for _ in range(REPAIRS):
-            motion = PointToPointMotion.within(
-                candidate.coefficients, velocity=factor * self._bounds.velocity, acceleration=factor**2 * self._bounds.acceleration
-            )
-            states = motion.at(motion.sample_times(CHECK_RATE))
-            values = [(constraint.two_sided, constraint.values(*states)) for constraint in self._constraints]
-            if all(v.max() < 1 and (not both or v.min() > -1) for both, v in values):
-                return motion
-            factor *= SLOWING
-        raise MotionError(f"{self._model.name}: at full speed the designed poses ask for too much torque; allow a larger share of it")
+        motion = paced_moves(candidate.coefficients, self._bounds, self._constraints)
+        if motion is None:
+            raise MotionError(f"{self._model.name}: the designed poses ask for too much torque, however slow; allow a larger share of it")
+        return motion
 
     def _retimed(self, family: Parametrisation, poses: Array) -> Parametrisation:
         if not isinstance(family, PointToPoint):
@@ -258,7 +264,7 @@ class DesignSearch:
         return None
 
     def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
-        """Return the coefficients, drawn inwards until every constraint holds at 1 kHz."""
+        """Return the coefficients, drawn inwards until every constraint holds at 1 kHz, at the pace that a controller gives them."""
         span = family.duration / getattr(family, "periods", 1)
         grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), (0.0, 0.0), family)
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
@@ -267,7 +273,10 @@ class DesignSearch:
             part = 0.0
             for _ in range(REPAIRS):
                 trial: Array = coefficients + part * (pose - coefficients)
-                worst = min(float(slack.min()) for slack in grid.margins(trial))
+                if isinstance(family, PointToPoint):
+                    worst = -LEAST_SHRINKING if self._paced(trial) is None else 0.0
+                else:
+                    worst = min(float(slack.min()) for slack in grid.margins(trial))
                 if worst >= 0:
                     return trial
                 part = max(2 * part, -1.05 * worst, 1e-6)

@@ -18,13 +18,16 @@ class PointToPointMotion(PiecewisePolynomial):
     parametrisation = "point-to-point"
 
     @classmethod
-    def within(cls, poses: ArrayLike, *, velocity: ArrayLike, acceleration: ArrayLike, dwell: ArrayLike = 0.0) -> Self:
+    def within(
+        cls, poses: ArrayLike, *, velocity: ArrayLike, acceleration: ArrayLike, dwell: ArrayLike = 0.0, pace: ArrayLike = 1.0
+    ) -> Self:
         """Visit `poses` (m, n) in order, as fast as `velocity` and `acceleration` (one number or one per joint) allow, resting `dwell` at each.
 
         All joints follow one profile s(t) from 0 to 1: `s'' = a`, 0 and `-a` in turn, with `s' <= v`, where `v = min_j velocity_j / d_j` and
         `a = min_j acceleration_j / d_j`, d the distances (Biagiotti & Melchiorri 2008, section 3.2). With `v^2 < a` the velocity is a trapezoid,
         `T = 1/v + v/a`; otherwise a triangle, `T = 2 / sqrt(a)`. The limiting joint attains its limit exactly. `dwell` is one number for every
-        pose after the first but the last, or one per such pose (m - 2,); repeated poses take no time besides their dwell.
+        pose after the first but the last, or one per such pose (m - 2,); repeated poses take no time besides their dwell. `pace` is the share of the
+        velocity that is used, for all moves or one per move (m - 1,), with its square of the acceleration: the same move, slower.
 
         Raises
         ------
@@ -45,14 +48,17 @@ class PointToPointMotion(PiecewisePolynomial):
         dwells = np.broadcast_to(np.asarray(dwell, dtype=np.float64), (q.shape[0] - 2,))
         if np.any(dwells < 0) or not np.all(np.isfinite(dwells)):
             raise MotionError(f"dwell times must be finite and not negative, got {dwells.tolist()}")
+        paces = np.broadcast_to(np.asarray(pace, dtype=np.float64), (q.shape[0] - 1,))
+        if not np.all((paces > 0) & (paces <= 1)):
+            raise MotionError(f"the pace of a move must lie above 0 and at most at 1, got {paces.tolist()}")
         steps: list[float] = []
         pieces: list[np.ndarray] = []
         for k in range(q.shape[0] - 1):
             d = q[k + 1] - q[k]
             moving = np.abs(d) > STANDSTILL
             if np.any(moving):
-                v = float(np.min(v_max[moving] / np.abs(d[moving])))
-                a = float(np.min(a_max[moving] / np.abs(d[moving])))
+                v = float(np.min(v_max[moving] / np.abs(d[moving]))) * paces[k]
+                a = float(np.min(a_max[moving] / np.abs(d[moving]))) * paces[k] ** 2
                 ramp = min(v / a, 1 / np.sqrt(a))
                 cruise = max(1 / (a * ramp) - ramp, 0.0) if v * v < a else 0.0
                 top = a * ramp

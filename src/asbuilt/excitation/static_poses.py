@@ -20,9 +20,10 @@ from asbuilt.excitation.information import Information
 from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
 from asbuilt.excitation.motion import Array, read_only
+from asbuilt.excitation.pacing import CHECK_RATE
 from asbuilt.excitation.point_to_point import PointToPointMotion
-from asbuilt.excitation.torque_limit import TorqueLimit
-from asbuilt.excitation.travel import CHECK_RATE, Roadmap, travel_through, ways_clear
+from asbuilt.excitation.torque_limit import STANDING, TorqueLimit, WeightLimit
+from asbuilt.excitation.travel import Roadmap, travel_through, ways_clear
 
 CANDIDATES = 2000
 """Random poses to choose among."""
@@ -81,7 +82,7 @@ def design_static_poses(
     """Return the D-optimal poses for the parameters that gravity tells, ordered for short travel.
 
     Exchange (Fedorov 1972) among random admissible poses, then a climb of all poses together within the limits; then a short tour through them that keeps
-    the `constraints` on the way, too. `drive` may hold an offset.
+    the `constraints` on the way, too, and stays clear of poses in which the robot is too heavy for its drives. `drive` may hold an offset.
 
     Raises
     ------
@@ -97,12 +98,14 @@ def design_static_poses(
     bounds = MotionBounds.assumed(model, fraction)
     torque = torque_fraction * MotionBounds.of(model).torque
     loads: list[StateConstraint] = [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
-    watch = [*loads, *constraints]
-    pool = _admissible(watch, rng.uniform(bounds.lower, bounds.upper, size=(CANDIDATES, model.n_joints)))
+    weight = [WeightLimit((model,), STANDING * torque)] if loads else []
+    everywhere = rng.uniform(bounds.lower, bounds.upper, size=(CANDIDATES, model.n_joints))
+    barriers = [*constraints, *(limit for limit in weight if limit.binds(everywhere))]
+    pool = _admissible(barriers, everywhere)
     if len(pool) < 2:
         raise MotionError(f"{model.name}: no pose within the torque limits and clear of obstacles was found among {CANDIDATES}")
     pool = _unwound(model, bounds, pool)
-    roadmap = Roadmap.of(pool, bounds, constraints) if constraints else None
+    roadmap = Roadmap.of(pool, bounds, barriers) if barriers else None
     pool = pool if roadmap is None else roadmap.stations
     told = _told(information, pool)
     p = told.shape[1]
@@ -112,8 +115,8 @@ def design_static_poses(
     if count < max(2, least):
         raise UsageError(f"gravity tells {p} parameters of {model.name}; that takes at least {max(2, least)} poses, got {count}")
     poses = pool[_exchanged(_pose_rows(information, pool, told), count)]
-    poses = _refined(information, told, bounds, watch, constraints, poses)
-    travel = travel_through(poses, roadmap, bounds, constraints, loads, dwell)
+    poses = _refined(information, told, bounds, [*constraints, *weight], barriers, poses)
+    travel = travel_through(poses, roadmap, bounds, barriers, loads, dwell)
     poses, motion = travel.poses, travel.motion
     total = _information(information, told, poses)
     size = 1.0 / np.sqrt(np.diag(total))

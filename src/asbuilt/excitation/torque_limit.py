@@ -19,6 +19,9 @@ from asbuilt.excitation.motion import Array
 SIGN_WIDTH = 0.02
 """Width [rad/s or m/s] over which the sign in a described friction is smoothed where its derivative is needed."""
 
+STANDING = 0.9
+"""How much of the torque that may be used standing may take where a robot stops on its way; the rest sets it moving."""
+
 STEP = 1e-6
 """Step of the central differences through described friction."""
 
@@ -98,6 +101,24 @@ class TorqueLimit(StateConstraint):
         columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
         friction: Array = np.einsum("csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1))
         return friction
+
+
+class WeightLimit(TorqueLimit):
+    """Keep the torque at rest within the limit, so that the robot can be as slow as it likes."""
+
+    name = "weight"
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque at rest over its limit, (N, models x limited joints)."""
+        return super().values(q, np.zeros_like(q), np.zeros_like(q))
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values with respect to q, (N, models x limited joints, n, 1)."""
+        return super().slopes(q, np.zeros_like(q), np.zeros_like(q))[..., :1]
+
+    def binds(self, poses: Array) -> bool:
+        """Return whether the robot is too heavy in any of the poses (N, n)."""
+        return bool(np.any(np.abs(self.values(poses, poses, poses)) >= 1))
 
 
 class PowerLimit(StateConstraint):

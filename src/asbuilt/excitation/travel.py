@@ -15,6 +15,7 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motion import Array
+from asbuilt.excitation.pacing import paced_moves, violated
 from asbuilt.excitation.point_to_point import PointToPointMotion
 
 STRIDE = 0.01
@@ -27,7 +28,6 @@ AT_ONCE = 4096
 """Poses that are looked at together, for memory."""
 CHECK_RATE = 1000.0
 """Rate at which a way must hold [Hz]."""
-SLOWING, REPAIRS = 0.93, 12
 """By what factor a way is slowed down where its torque is too much, and how often."""
 
 
@@ -71,8 +71,8 @@ def travel_through(
 ) -> Travel:
     """Return a short way through all `poses` (K, n), straight in joint space where the values of `obstacles` stay below 1, else over the roadmap.
 
-    Without a roadmap obstacles are not looked for. The velocity is that of the bounds, or less where `loads` (limits of torque) ask for it; `dwell`
-    is the rest at each pose [s].
+    Without a roadmap obstacles are not looked for. The velocity is that of the bounds, or less on moves where `loads` (limits of torque) ask for it;
+    `dwell` is the rest at each pose [s].
 
     Raises
     ------
@@ -98,7 +98,9 @@ def travel_through(
                 )
             way = _with_turns(short_tour(lengths), before)
     first = [node < len(poses) and node not in way[:place] for place, node in enumerate(way)]
-    motion = _slow_enough(nodes[way], np.where(first, dwell, 0.0)[1:-1], bounds, [*obstacles, *loads])
+    motion = paced_moves(nodes[way], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1])
+    if motion is None:
+        raise MotionError("a way between the poses asks for too much torque, however slow; allow more of the torque, or give another seed")
     return Travel(nodes[way][first], motion, len(way) - len(poses))
 
 
@@ -138,15 +140,6 @@ def _distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
     return apart
 
 
-def _over(constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array) -> NDArray[np.bool_]:
-    """Return at which states (N,) a constraint does not hold."""
-    over = np.zeros(len(q), dtype=bool)
-    for constraint in constraints:
-        values = constraint.values(q, qd, qdd)
-        over |= (np.abs(values) if constraint.two_sided else values).max(axis=1) >= 1
-    return over
-
-
 def ways_clear(nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]) -> NDArray[np.bool_]:
     """Return whether the straight way between each pair of nodes is clear."""
     counts = [2 + int(np.abs(nodes[i] - nodes[j]).max() / STRIDE) for i, j in pairs]
@@ -156,7 +149,7 @@ def ways_clear(nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequen
     over = []
     for start in range(0, len(places), AT_ONCE):
         part = places[start : start + AT_ONCE]
-        over.append(_over(obstacles, part, np.zeros_like(part), np.zeros_like(part)))
+        over.append(violated(obstacles, part, np.zeros_like(part), np.zeros_like(part)))
     return ~np.logical_or.reduceat(np.concatenate(over), np.cumsum([0, *counts[:-1]]))
 
 
@@ -193,17 +186,3 @@ def _with_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
             between.append(int(before[start, between[-1]]))
         way += between[::-1]
     return way
-
-
-def _slow_enough(way: Array, rests: Array, bounds: MotionBounds, constraints: Sequence[StateConstraint]) -> PointToPointMotion:
-    factor = 1.0
-    for _ in range(REPAIRS):
-        motion = PointToPointMotion.within(
-            way, velocity=factor * bounds.velocity, acceleration=factor**2 * bounds.acceleration, dwell=rests
-        )
-        if not np.any(_over(constraints, *motion.at(motion.sample_times(CHECK_RATE)))):
-            return motion
-        factor *= SLOWING
-    raise MotionError(
-        "the way between the poses asks for too much torque or comes too near to obstacles, however slow; allow more of the torque or more room"
-    )

@@ -13,7 +13,7 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.excitation.collision import skeleton_distance
-from asbuilt.excitation.design import Design
+from asbuilt.excitation.design import Design, position_of
 from asbuilt.excitation.limits import LimitReport
 from asbuilt.excitation.motion import JUMPING, Motion
 from asbuilt.excitation.precision import DurationTrial, torque_effects
@@ -24,6 +24,9 @@ from asbuilt.writers.motion_files import write_motion
 
 LISTED = 12
 """How many of the worst determined parameters the text names."""
+
+TELLABLE = 1e7
+"""Largest condition number of an observation matrix that the product of the matrix with itself tells."""
 
 SAME_POSE = 1e-6
 """Poses that differ by less in every joint [rad or m] are told to be the same."""
@@ -117,8 +120,8 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
                 "name": name,
                 "unit": unit,
                 "cad": cad,
-                "std_error": error,
-                "torque_effect": None if np.isnan(effect) else effect,
+                "std_error": error if np.isfinite(error) else None,
+                "torque_effect": effect if np.isfinite(effect) else None,
             }
             for i, name, unit, cad, error, effect in zip(
                 design.base.ids,
@@ -143,14 +146,14 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
     """Return a design in words and two small tables."""
     head = (
         f"{design.model.name} - {design.options.parametrisation} motion of {design.motion.duration:g} s, "
-        f"{design.size} {design.size_name}{_periods(design)}, {design.base.n_base} parameters (drive terms {design.base.drive})"
+        f"{design.size} {design.size_name}{_periods(design)}, {design.base.n_base} parameters (drive terms {design.base.drive}){_criterion(design)}"
     )
     bound, family = design.d_efficiency, design.family_efficiency
     facts = [
         f"log det {design.log_det:.2f} for {design.n_samples:g} samples, noise {_joined(design.noise)} N m (N)",
         f"D-efficiency {share(bound)} of the bound over all states within the limits" if bound is not None else "",
         f"D-efficiency {share(family)} of the bound over motions with these harmonics" if family is not None else "",
-        f"condition number {design.condition_number:.1f}, scaled {design.scaled_condition_number:.2f}",
+        f"condition number {_condition(design.condition_number, 1)}, scaled {_condition(design.scaled_condition_number, 2)}",
         f"best of {len(design.candidates)} searches in {design.solve_seconds:.1f} s" + (", INTERRUPTED" if design.interrupted else ""),
     ]
     notes = list(design.notes)
@@ -170,7 +173,7 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
         notes.append(_unwatched(design.model, design.motion))
     tables = [
         _margins(design.limits).as_text(),
-        "what is told worst: predicted standard errors, and what one of them changes of the torque",
+        f"{'what was asked for, then ' if design.options.focus else ''}what is told worst: predicted standard errors, and what one of them changes of the torque",
         _errors(design).as_text(),
     ]
     return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *_numbered(notes)])
@@ -184,6 +187,17 @@ def _unwatched(model: RobotModel, motion: Motion) -> str:
         return told
     meeting = f"runs into itself by {-1000 * distance:.0f} mm" if distance < 0 else f"comes within {1000 * distance:.0f} mm of itself"
     return f"{told}; in capsules, its stick figure {meeting}"
+
+
+def _criterion(design: Design) -> str:
+    if design.options.focus:
+        return f", for {', '.join(name.strip() for name in design.options.focus)}"
+    return "" if design.options.criterion == "d" else f", criterion {design.options.criterion}"
+
+
+def _condition(number: float, digits: int) -> str:
+    """Return a condition number, which the information tells to half of its digits."""
+    return f"{number:.{digits}f}" if number < TELLABLE else f"above {TELLABLE:.0e}"
 
 
 def _periods(design: Design) -> str:
@@ -226,16 +240,18 @@ def _errors(design: Design) -> Table:
     cad, errors = np.array([np.nan if value is None else value for value in _cad(design)]), design.std_errors
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
     effects = torque_effects(design)
-    order = np.argsort(-errors * np.sqrt(np.diag(design.mean_information)))[:LISTED]
+    asked = [position_of(design.base, name) for name in design.options.focus]
+    worst = np.argsort(-errors * np.sqrt(np.diag(design.mean_information)))
+    order = [*asked, *(i for i in worst.tolist() if i not in asked)][: max(LISTED, len(asked))]
     rows = tuple(
         (
             int(design.base.ids[i]),
             design.base.names[i],
             None if np.isnan(cad[i]) else significant(float(cad[i]), 3),
-            significant(float(errors[i]), 2),
+            significant(float(errors[i]), 2) if np.isfinite(errors[i]) else "not told",
             design.base.units[i],
             share(float(ratio[i])) if np.isfinite(ratio[i]) else None,
-            None if np.isnan(effects[i]) else f"{100 * effects[i]:.2g} %",
+            f"{100 * effects[i]:.2g} %" if np.isfinite(effects[i]) else None,
         )
         for i in order
     )
