@@ -103,3 +103,10 @@ def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
     ratio = np.std(found, axis=0, ddof=1) / np.mean(stated, axis=0)
     assert 0.9 < np.median(ratio) < 1.1
     assert 0.8 < np.sqrt(np.mean(ratio**2)) < 1.2
+
+
+def test_weights_that_did_not_settle_are_said_to_be_the_methods(robot, struck, monkeypatch):
+    model, base, _ = robot
+    monkeypatch.setattr("asbuilt.identification.robust.MOST_ITERATIONS", 1)
+    said = {warning.code: warning.message for warning in identify(model, struck, base=base, method="huber").warnings}
+    assert said["not_converged"] == "The weights of huber had not settled after 1 iterations; compare with --method wls."

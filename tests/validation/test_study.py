@@ -16,7 +16,12 @@ from asbuilt.excitation.random_motion import random_fourier
 from asbuilt.experiment.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.sensors import SensorNoise
+from asbuilt.experiment.signal_chain import prepare_samples
 from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.identification.identify import identify
+from asbuilt.identification.mounting import Mounting
+from asbuilt.identification.result import IdentificationWarning
+from asbuilt.validation import hidden_causes
 from asbuilt.validation.attribution import attribute
 from asbuilt.validation.study import Study, StudyOptions, run_study
 
@@ -179,3 +184,23 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
     mended = run_study(model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"))
     assert mended.result.physically_consistent
     assert not {"bodies_strained", "bodies_refused", "mounting_askew"} & {warning.code for warning in mended.result.warnings}
+
+
+@pytest.mark.parametrize(("left", "said"), [(0.9995, False), (0.9, True)])
+def test_a_tilt_that_explains_nothing_is_not_spoken_of(left: float, said: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However sure the angle is: bodies that follow the torque as badly when the robot stands so are refused for another reason."""
+    model, drive = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
+    robot = InstalledRobot.ideal(model).with_noise(SensorNoise(torque_noise=0.02))
+    samples = prepare_samples(robot.record(random_fourier(model, rng=1, duration=10.0), 100.0, rng=1).recording)
+    result = identify(model, samples, drive=drive)
+    result = replace(result, warnings=(IdentificationWarning("bodies_refused", "no bodies"),))
+    angle = np.deg2rad(0.1)
+    stands = Mounting(
+        model, np.eye(3)[:2], np.array([angle, 0.0]), (0.01 * angle) ** 2 * np.eye(2), model.gravity, np.ones(2), np.full(2, left)
+    )
+    assert stands.is_askew
+    assert stands.relief == pytest.approx(1.0 - left)
+    monkeypatch.setattr(hidden_causes, "find_mounting", lambda *_, **__: stands)
+    monkeypatch.setattr(hidden_causes, "suspected_springs", lambda *_, **__: ())
+    found = hidden_causes.with_hidden_causes(result, [samples], drive, tilt=0.0)
+    assert ("mounting_askew" in {warning.code for warning in found.warnings}) is said

@@ -347,8 +347,7 @@ def _warnings(
             )
         )
     if not estimate.converged:
-        found.append(
-            ("not_converged", f"Joint weights had not settled after {estimate.iterations} iterations; a joint may have next to no noise.")
-        )
+        why = "a joint may have next to no noise" if estimate.method == "wls" else "compare with --method wls"
+        found.append(("not_converged", f"The weights of {estimate.method} had not settled after {estimate.iterations} iterations; {why}."))
     found += estimate.warnings
     return tuple(IdentificationWarning(code, message) for code, message in found)

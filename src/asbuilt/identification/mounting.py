@@ -74,6 +74,12 @@ class Mounting:
         return self.angle > NOTICEABLE and z > SIGNIFICANT**2
 
     @property
+    def relief(self) -> float:
+        """Part of the torque residual of the best real bodies, joints together, that standing as found takes away."""
+        before = float(np.linalg.norm(self.rms_as_given))
+        return 1.0 - float(np.linalg.norm(self.rms)) / before if before > 0.0 else 0.0
+
+    @property
     def model(self) -> RobotModel:
         """The robot standing as found; as described where that is not askew."""
         return self.as_given.with_gravity(self.gravity) if self.is_askew else self.as_given

@@ -17,6 +17,8 @@ from asbuilt.identification.spring_search import suspected_springs
 
 ASKEW = np.deg2rad(0.5)
 """Tilt of the mounting [rad] from which it is said so."""
+RELIEF = 0.02
+"""Part of the torque residual that a tilt found has to take away to be spoken of."""
 BADLY_FITTING = ("bodies_strained", "bodies_refused")
 """Warnings of an automatic choice where something acts that real bodies cannot follow,"""
 SEARCHED = 30_000
@@ -53,7 +55,7 @@ def _mounting(result: IdentificationResult, learning: Sequence[Samples], drive: 
 
 
 def _mounting_doubted(result: IdentificationResult, tilt: float, stands: Mounting | None) -> IdentificationResult:
-    if stands is not None and stands.is_askew:
+    if stands is not None and stands.is_askew and stands.relief > RELIEF:
         message = (
             f"The robot seems to stand askew by {np.rad2deg(stands.angle):.1f} deg, which values that no bodies have imitate and real bodies cannot follow: {stands.sentence}. "
             "Check the mounting or identify with --mounting estimate."
