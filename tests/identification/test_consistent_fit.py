@@ -23,6 +23,7 @@ from asbuilt.identification.consistency import consistency_margin, margin_is_con
 from asbuilt.identification.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.identify import identify
+from asbuilt.identification.known_information import known_information
 from asbuilt.identification.least_squares import fit_least_squares
 from asbuilt.identification.methods import find_method
 from asbuilt.identification.prior_weight import DEFAULT_WEIGHT
@@ -119,6 +120,25 @@ def test_unexcited_directions_lie_at_cad(trial):
     assert case.prior.divergence(estimate.standard)[:3].max() < 0.05
     errors = block_uncertainty(information, estimate).std_errors
     assert np.all(errors[~estimate.determined] > 0)
+
+
+@pytest.mark.parametrize("method", ["wls", "entropic"])
+def test_what_is_known_is_the_inverse_of_the_covariance(trial, method):
+    """Estimates that lean on CAD have errors in every direction, also where the recording tells nothing; weighted least squares has none there."""
+    case = trial("kuka-iiwa7-r800", "viscous,coulomb", noise=0.02, seed=7)
+    q, qd, qdd = (values.copy() for values in (case.samples.q, case.samples.qd, case.samples.qdd))
+    q[:, 5:], qd[:, 5:], qdd[:, 5:] = 0.3, 0.0, 0.0
+    W = observation_matrix(case.model, q, qd, qdd, drive=case.base.drive, columns=case.base.columns)
+    tau = (W @ case.beta).reshape(q.shape) + 0.05 * np.random.default_rng(0).normal(size=q.shape)
+    result = identify(case.model, replace(case.samples, q=q, qd=qd, qdd=qdd, tau=tau, tau_raw=np.zeros(0)), base=case.base, method=method)
+    assert result.rank < result.n_base
+    known, size = known_information(result), np.sqrt(np.diag(result.covariance))
+    scaled, covariance = (
+        known * np.outer(size, size),
+        result.covariance / np.outer(np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0)),
+    )
+    np.testing.assert_allclose(covariance @ scaled @ covariance, covariance, atol=1e-6)
+    assert np.linalg.matrix_rank(scaled, tol=1e-6) == (result.rank if method == "wls" else result.n_base)
 
 
 def med7(shared, log, rule):

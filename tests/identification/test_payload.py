@@ -114,6 +114,31 @@ def test_what_a_scara_cannot_tell_has_errors_to_match() -> None:
     assert {"com_z", "Ixx", "Iyy"} <= set(payload.not_determined)
 
 
+@pytest.mark.parametrize("still", [(6,), (5, 6)])
+def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ...]) -> None:
+    """What the bare arm's motion left open - friction of joints that stood - is found along with the payload; a frozen arm cannot know it."""
+    robot = arm_of("kuka-iiwa7-r800", 0.0)
+    bare = exact(robot, random_fourier(robot.model, rng=4, duration=10.0))
+    q, qd, qdd = (np.array(values) for values in (bare.q, bare.qd, bare.qdd))
+    q[:, still], qd[:, still], qdd[:, still] = 0.3, 0.0, 0.0
+    noise = 0.05 * np.random.default_rng(0).normal(size=(2, *q.shape))
+    stood = replace(bare, q=q, qd=qd, qdd=qdd, tau=robot.torque(q, qd, qdd) + noise[0], tau_raw=np.zeros(0))
+    frame, _, _ = payload_frame(robot.model)
+    loaded = exact(robot.with_tool(TOOL, at=frame), random_fourier(robot.model, rng=5, duration=10.0))
+    loaded = replace(loaded, tau=loaded.tau + noise[1], tau_raw=np.zeros(0))
+    result = identify(robot.model, stood, drive=DRIVE)
+    assert "Fv7" in result.undetermined
+    payload = identify_payload(result, replace(loaded, torque_source="current"))
+    truth = np.concatenate([[TOOL.mass], TOOL.com, TOOL.inertia_about_com[np.triu_indices(3)]])
+    assert np.all(np.abs(payload.values - truth) < 4.5 * payload.noise_errors + 1e-4)
+    assert payload.values[0] == pytest.approx(TOOL.mass, rel=0.02)
+    assert np.all(np.isfinite(payload.gain_errors))
+    friction = payload.arm[[result.base.names.index(name) for name in ("Fv7", "Fc7")]]
+    np.testing.assert_allclose(friction, [1.0, 2.0], atol=0.1)
+    with pytest.raises(IdentifiabilityError, match="moves what the result of the arm leaves open"):
+        identify_payload(result, loaded, arm="frozen")
+
+
 def test_the_frame_of_the_payload_is_named_by_words_and_not_by_chance() -> None:
     model = load_robot("two-link")
     pose = np.eye(4)

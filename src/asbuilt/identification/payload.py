@@ -20,6 +20,7 @@ from asbuilt.experiment.recording import TorqueSource
 from asbuilt.identification.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
 from asbuilt.identification.cone_program import solve_cone_program
 from asbuilt.identification.gain_uncertainty import arm_by_joint, gain_covariance, relative_gain_errors
+from asbuilt.identification.known_information import told_directions
 from asbuilt.identification.least_squares import solve_factor
 from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.payload_rows import PayloadRows
@@ -48,6 +49,8 @@ VAGUE_ARM = 0.5
 FEWEST_BLOCKS = 4
 LOAD_ITERATIONS = 4
 """Times that the load, of which friction may depend, is renewed with the payload."""
+OPEN = 1e-12
+"""Singular value, relative to the largest, below which what is known of the arm leaves a direction open."""
 INTERIOR = 1e-6
 """Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
 
@@ -152,9 +155,9 @@ def identify_payload(
     for _ in range(LOAD_ITERATIONS if result.base.drive.needs_load else 1):
         rows = PayloadRows.of(result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds)
         with one_blas_thread():
-            x, carried = _solved(rows.blocks, prior, vague, p, arm)
+            x, carried = _solved(rows.blocks, prior, vague, result.estimates, arm)
     with one_blas_thread():
-        noise = _jackknife(rows.blocks, prior, vague, p, arm) + carried
+        noise = _jackknife(rows.blocks, prior, vague, result.estimates, arm) + carried
         slopes = _gain_slopes(result, rows, prior, vague, arm)
     gains = slopes @ gain_covariance(uncertainty) @ slopes.T
     beta, estimate = x[:p], x[p:]
@@ -216,19 +219,21 @@ def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, 
 
 
 def _solved_symmetric(matrix: Array, sides: Array) -> Array:
-    scale = np.sqrt(np.diag(matrix))
+    scale = _lengths(matrix)
     return np.asarray(np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-14)[0] / scale[:, None])
 
 
+def _lengths(gram: Array) -> Array:
+    """Return the lengths of the columns of a Gram matrix, 1 for those that nothing tells."""
+    length = np.sqrt(np.diag(gram))
+    return np.where(length > 0.0, length, 1.0)
+
+
 def _prior(result: IdentificationResult) -> Array:
-    """Return rows (p, p + 11) that hold beta at the result, in units of its standard errors; parameters that it dropped, whose columns are zero elsewhere, at zero."""
-    p, kept = result.n_base, np.flatnonzero(~result.dropped)
-    covariance = result.covariance[np.ix_(kept, kept)]
-    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
-    values, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
-    root = np.eye(p)
-    root[np.ix_(kept, kept)] = (axes / np.sqrt(np.maximum(values, 1e-12 * values.max()))).T / scale
-    return np.concatenate([root, np.zeros((p, 10)), (root @ result.estimates)[:, None]], axis=1)
+    """Return rows (m, p + 11) that hold beta at the result, in units of its standard errors, where the result knows it; what it dropped, whose columns are zero elsewhere, at zero."""
+    scale, variances, directions = told_directions(result)
+    root = np.vstack([(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]])
+    return np.concatenate([root, np.zeros((len(root), 10)), (root @ result.estimates)[:, None]], axis=1)
 
 
 def _vague(model: RobotModel) -> Array:
@@ -247,21 +252,27 @@ def _arm_taken_out(factor: Array, beta: Array) -> Array:
     return np.column_stack([factor[:, p:-1], factor[:, -1] - factor[:, :p] @ beta])
 
 
-def _solved(blocks: Sequence[Array], prior: Array, vague: Array, p: int, arm: Arm) -> tuple[Array, Array]:
-    """Return [beta, pi], and the covariance (10, 10) of pi that comes from the result and from ignorance of the payload."""
+def _solved(blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm) -> tuple[Array, Array]:
+    """Return [beta, pi], and the covariance (10, 10) of pi that comes from the result and from ignorance of the payload.
+
+    What of the arm neither the result nor the recordings tell stays at the result's `estimates` (p,).
+    """
+    p = len(estimates)
     data = triangular_factor(np.vstack(blocks))
     ignorance = np.concatenate([np.zeros((10, p)), vague], axis=1)
     if arm == "frozen":
-        root = np.linalg.pinv(prior[:, :p])
-        beta = root @ prior[:, -1]
+        root, beta = np.linalg.pinv(prior[:, :p]), estimates
+        _demand_known_arm(data[:, :p], prior[:, :p])
         own = _arm_taken_out(data, beta)
         _demand(solve_factor(triangular_factor(own), len(own)).rank)
         solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
         spread = solution.inverse_root @ solution.inverse_root.T
         carried = np.column_stack([spread @ own[:, :-1].T @ data[:, :p] @ root, spread @ vague[:, :-1].T])
         return np.concatenate([beta, solution.x]), carried @ carried.T
-    _demand(solve_factor(triangular_factor(np.vstack([prior, data])), len(data)).rank - p)
-    solution = solve_factor(triangular_factor(np.vstack([prior, ignorance, data])), len(data))
+    both = np.vstack([prior, data])
+    without = np.delete(both, slice(p, p + 10), axis=1)
+    _demand(solve_factor(triangular_factor(both), len(data)).rank - solve_factor(triangular_factor(without), len(data)).rank)
+    solution = solve_factor(triangular_factor(np.vstack([prior, ignorance, data])), len(data), np.append(estimates, np.zeros(10)))
     held = np.vstack([prior, ignorance])[:, :-1]
     carried = (solution.inverse_root @ solution.inverse_root.T @ held.T)[p:]
     return solution.x, carried @ carried.T
@@ -275,26 +286,38 @@ def _demand(rank: int) -> None:
         )
 
 
-def _jackknife(blocks: Sequence[Array], prior: Array, vague: Array, p: int, arm: Arm) -> Array:
+def _demand_known_arm(rows: Array, prior: Array) -> None:
+    """Raise `IdentifiabilityError` where rows (m, p) of the arm feel what the rows (k, p) of the prior leave open."""
+    size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
+    scaled = np.where(size > 0.0, size, 1.0)
+    _, s, vt = np.linalg.svd(prior / scaled)
+    free = vt[int(np.sum(s > OPEN * s.max(initial=0.0))) :]
+    if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(OPEN) * np.linalg.norm(rows / scaled):
+        raise IdentifiabilityError(
+            "the recording under load moves what the result of the arm leaves open (joints that stood still, say), so that a frozen arm does not predict it; "
+            "take the arm refined, or identify it again from richer motion"
+        )
+
+
+def _jackknife(blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm) -> Array:
     """Return the covariance (10, 10) of pi from leaving out one time block at a time."""
-    n = len(blocks)
+    n, p = len(blocks), len(estimates)
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
             f"{n} time blocks are too few to judge the errors of a payload, {FEWEST_BLOCKS} are needed; record longer"
         )
     if arm == "frozen":
-        beta: Array = np.asarray(np.linalg.lstsq(prior[:, :p], prior[:, -1], rcond=None)[0], dtype=np.float64)
-        rows, held = [_arm_taken_out(block, beta) for block in blocks], vague
+        rows, held = [_arm_taken_out(block, estimates) for block in blocks], vague
     else:
         rows, held = list(blocks), np.vstack([prior, np.concatenate([np.zeros((10, p)), vague], axis=1)])
     total = sum((row.T @ row for row in rows), start=held.T @ held)
-    scale = np.sqrt(np.diag(total))[:-1]
-    estimates = []
+    scale = _lengths(total)[:-1]
+    found = []
     for row in rows:
         rest = total - row.T @ row
         solved = np.linalg.lstsq(rest[:-1, :-1] / np.outer(scale, scale), rest[:-1, -1] / scale, rcond=1e-14)[0] / scale
-        estimates.append(solved[-10:])
-    deviations: Array = np.array(estimates) - np.mean(estimates, axis=0)
+        found.append(solved[-10:])
+    deviations: Array = np.array(found) - np.mean(found, axis=0)
     return np.asarray((n - 1) / n * deviations.T @ deviations, dtype=np.float64)
 
 
