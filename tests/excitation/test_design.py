@@ -204,6 +204,15 @@ def test_a_wanted_precision_finds_its_duration(arm) -> None:
         design_for_precision(model, DRIVE, QUICK, 0.0)
 
 
+def test_a_search_that_does_worse_with_more_time_is_told_so(arm, monkeypatch) -> None:
+    model, design = arm
+    found = iter([0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08])
+    monkeypatch.setattr("asbuilt.excitation.precision.design_motion", lambda *_, **__: design)
+    monkeypatch.setattr("asbuilt.excitation.precision.predicted_precision", lambda _: next(found))
+    with pytest.raises(MotionError, match=r"10 s with 4 harmonics would give 0\.01, but .* the search finds nothing better"):
+        design_for_precision(model, DRIVE, QUICK, 0.005)
+
+
 def test_a_recording_is_told_how_much_it_carries(arm) -> None:
     model, design = arm
     good = information_efficiency(model, DRIVE, design.motion.sample(100))

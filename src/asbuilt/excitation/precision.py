@@ -110,6 +110,12 @@ def design_for_precision(
         duration = max(duration + STEP, STEP * math.ceil(min(needed, 4 * duration) / STEP))
         if duration > LONGEST:
             break
+    best = min(trials, key=lambda trial: trial.precision)
+    if best is not trials[-1]:
+        raise MotionError(
+            f"{model.name}: a precision of {precision:g} of the torque was not found. {best.duration:g} s with {best.size} {design.size_name} would give "
+            f"{best.precision:.3g}, but among the many of longer motions the search finds nothing better; allow it more time, or take a Fourier series, which repeats"
+        )
     raise MotionError(
         f"{model.name}: a precision of {precision:g} of the torque takes more than {duration:.0f} s; the last try of {trials[-1].duration:g} s gives "
         f"{trials[-1].precision:.3g}. Allow more harmonics or more of the limits, reduce the noise, or ask for less"
