@@ -86,6 +86,7 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
         "undetermined": list(result.undetermined),
         "determination": determination(result).as_dict(),
         "warnings": [{"code": warning.code, "message": warning.message} for warning in result.warnings],
+        "notes": list(result.notes),
         "provenance": list(result.provenance),
         "files": path_texts(files),
     }
