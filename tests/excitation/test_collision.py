@@ -15,6 +15,8 @@ from asbuilt.excitation.collision import CollisionGuard, ToolBox, watched
 from asbuilt.excitation.design import design_motion
 from asbuilt.excitation.design_options import DesignOptions
 from asbuilt.excitation.distances import nearest_on_segments, nearest_to_box
+from asbuilt.excitation.static_poses import design_static_poses
+from asbuilt.writers.design_tables import excite_text, static_text
 
 coal = pytest.importorskip("coal")
 
@@ -112,6 +114,18 @@ def test_pairs_that_touch_by_construction_or_permission_are_left_out(guard) -> N
     assert "link_1 - link_3" in watch.left_out
     names = [model.link_names[capsule.link] for capsule in skeleton_capsules(model, 0.05)]
     assert not any({names[a], names[b]} == {"link_2", "link_4"} for a, b in watch.pairs if b < len(names))
+
+
+def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text('skeleton = 0.05\n[[obstacles]]\nname = "crate"\nsize = [0.5, 0.5, 1.0]\nposition = [0, 0, 0.5]\n')
+    model = load_robot("kuka-iiwa7-r800")
+    constraints = watched(model, collision=str(cell))
+    options = DesignOptions(duration=6.0, size=4, starts=1, time_limit=4.0)
+    design = design_motion(model, DriveSet(), options, constraints=constraints, with_bound=False, cores=1)
+    standing = design_static_poses(model, 4, constraints=constraints)
+    for written in (excite_text(design), static_text(standing)):
+        assert re.search(r"NOT WATCHED, for they touch in nearly every pose: .*link_\d - crate", written)
 
 
 def test_a_design_keeps_clear_and_in_the_box(guard) -> None:

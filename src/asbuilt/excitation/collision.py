@@ -172,6 +172,12 @@ def watched(
     return tuple(found)
 
 
+def not_watched(constraints: Sequence[StateConstraint]) -> tuple[str, ...]:
+    """Return a sentence about the pairs of bodies that the constraints leave out, none where they leave out none."""
+    pairs = [pair for constraint in constraints if isinstance(constraint, CollisionGuard) for pair in constraint.left_out]
+    return (f"NOT WATCHED, for they touch in nearly every pose: {', '.join(pairs)}",) if pairs else ()
+
+
 def skeleton_distance(model: RobotModel, q: Array) -> float | None:
     """Return the smallest distance between capsules along the robot's stick figure over poses (N, n) [m], None where it has none that could meet."""
     try:

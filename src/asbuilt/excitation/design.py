@@ -18,6 +18,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model, parameter_scale
+from asbuilt.excitation.collision import not_watched
 from asbuilt.excitation.crew import Crew
 from asbuilt.excitation.criteria import criterion_of
 from asbuilt.excitation.design_options import DesignOptions
@@ -240,7 +241,7 @@ def describe_design(
         candidates=candidates,
         solve_seconds=seconds,
         interrupted=interrupted,
-        notes=notes,
+        notes=(*notes, *not_watched(constraints)),
     )
 
 

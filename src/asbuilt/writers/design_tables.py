@@ -77,7 +77,7 @@ def static_text(design: StaticDesign) -> str:
         ),
     )
     rows = tuple((k, *pose) for k, pose in enumerate(design.poses.tolist(), 1))
-    notes = []
+    notes = list(design.notes)
     if design.turns:
         notes.append(f"the way turns at {design.turns} further poses, without a rest, to get round what is watched")
     if design.collision_distance is not None:
