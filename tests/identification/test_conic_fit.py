@@ -119,6 +119,28 @@ def test_impossible_bounds_are_refused(trial):
         body_bounds(case.prior, com={2: ([0, 0, 0], [1, 1, 1])})
 
 
+def test_a_panic_of_the_solver_is_told_as_any_failure(trial, monkeypatch):
+    """Its exception is none of Python's `Exception`s and would end the program."""
+    case = trial("two-link", "none", noise=0.1, seed=5, duration=4.0)
+
+    class PanicException(BaseException):
+        pass
+
+    class Solver:
+        def __init__(self, *_):
+            pass
+
+        def solve(self):
+            raise PanicException("Eigval error")
+
+    monkeypatch.setattr("clarabel.DefaultSolver", Solver)
+    with pytest.raises(IdentifiabilityError, match=r"two-link .* the solver says Panic \(Eigval error\)"):
+        fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
+    monkeypatch.setattr(Solver, "solve", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
+
+
 def test_slack_of_bounds():
     bounds = BodyBounds(np.eye(2), np.array([0.0, 1.0]), ("a", "b"))
     np.testing.assert_allclose(bounds.slack([2.0, -3.0]), [2.0, -2.0])

@@ -117,6 +117,16 @@ def test_a_coupled_wrist_comes_back():
     np.testing.assert_array_equal(stored.predict(samples).predicted, result.predict(samples).predicted)
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.0])
+def test_nothing_is_chosen_where_the_defaults_leave_nothing(scale):
+    """Torque without noise, or none at all: held-out errors are rounding, whose logarithms must not decide, nor be of numbers below zero."""
+    model = elbow()
+    samples = recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3), noise=0.0)
+    samples = replace(samples, tau=scale * samples.tau, tau_raw=np.empty((0, 0)))
+    with np.errstate(divide="raise", invalid="raise"):
+        assert choose_drive(model, [samples]).drive == PLAIN
+
+
 @pytest.mark.parametrize("key", ["stribeck", "power"])
 def test_a_recording_shorter_than_the_filter_tells_no_shapes(key):
     model, drive = elbow(), DriveSet.parse(f"coulomb,{key},offset")

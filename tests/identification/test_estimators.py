@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from three_links import DRIVE, arm, recording
 
+from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.experiment.samples import Samples
 from asbuilt.identification.identify import identify
 from asbuilt.identification.methods import find_method, methods
 from asbuilt.identification.result import IdentificationResult
@@ -102,6 +104,28 @@ def test_too_few_samples_are_refused(robot, method):
     few = recording(model, base, beta, seconds=0.1, parallel=False)
     with pytest.raises(IdentifiabilityError, match="too few"):
         identify(model, few, drive=DRIVE, base=base, method=method)
+
+
+@every_method
+@pytest.mark.parametrize("errors", ["blocks", "bootstrap"])
+def test_rest_without_gravity_tells_nothing_and_is_said_so(method, errors):
+    """No torque depends on any parameter: rank 0, and everything stays where CAD has it."""
+    model = arm().with_gravity([0.0, 0.0, 0.0])
+    base = find_base_parameters(model)
+    still = np.zeros((600, 3))
+    samples = Samples(
+        np.arange(600) / 50.0,
+        still,
+        still,
+        still,
+        0.1 * np.random.default_rng(0).normal(size=(600, 3)),
+        rate=50.0,
+        joint_names=model.joint_names,
+    )
+    result = identify(model, samples, base=base, method=method, errors=errors)
+    assert result.rank == 0
+    assert len(result.undetermined) == base.n_base
+    assert np.all(np.isfinite(result.estimates))
 
 
 def test_unknown_method_is_answered_with_the_list():

@@ -108,7 +108,7 @@ def _stepped(information: SquareRootInformation, estimate: Estimate, counts: NDA
     identity = np.eye(root.shape[1])
     for extra in more:
         values, axes = np.linalg.eigh(identity + np.tensordot(extra, gram, axes=1))
-        if values[0] >= LEAST_TOLD:
+        if values.min(initial=1.0) >= LEAST_TOLD:
             estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
     return estimates
 

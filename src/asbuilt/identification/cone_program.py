@@ -39,5 +39,10 @@ def solve_cone_program(
     chosen.max_threads = 1
     for name, value in settings.items():
         setattr(chosen, name, value)
-    found = clarabel.DefaultSolver(quadratic, linear, constraints, right, cones, chosen).solve()
+    try:
+        found = clarabel.DefaultSolver(quadratic, linear, constraints, right, cones, chosen).solve()
+    except BaseException as problem:  # a panic of the solver, whose type nothing exports, is no Exception
+        if type(problem).__name__ != "PanicException":
+            raise
+        return ConeSolution(f"Panic ({problem})", np.full(len(linear), np.nan), 0)
     return ConeSolution(str(found.status), np.array(found.x, dtype=np.float64), int(found.iterations))

@@ -161,9 +161,11 @@ class CandidateColumns:
         return parameters
 
     def judged(self, grams: Sequence[Array], parameters: Array) -> Array:
-        """Return the squared error of each joint, (n,)."""
+        """Return the squared error of each joint, (n,), no less than the rounding of its torque's: normal equations tell no smaller one, and may say below zero."""
         left = np.append(-parameters, 1.0)
-        return np.array([left[positions] @ gram @ left[positions] for positions, gram in zip(self._positions, grams, strict=True)])
+        errors = [left[positions] @ gram @ left[positions] for positions, gram in zip(self._positions, grams, strict=True)]
+        rounding = [np.finfo(np.float64).eps * gram[-1, -1] + np.finfo(np.float64).tiny for gram in grams]
+        return np.maximum(errors, rounding)
 
 
 def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Indices]]:

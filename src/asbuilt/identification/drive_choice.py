@@ -19,7 +19,7 @@ from asbuilt.errors import UsageError
 from asbuilt.identification.drive_candidates import CandidateColumns, Choice, Folds, Placed, candidates, chosen_drive
 from asbuilt.identification.drive_shapes import fit_shapes, thinned
 from asbuilt.identification.identify import LARGE_CONDITION
-from asbuilt.identification.least_squares import fit_least_squares
+from asbuilt.identification.least_squares import fit_least_squares, noise_floor
 from asbuilt.identification.shape_errors import ShapePlace
 from asbuilt.identification.square_root_information import accumulate_stream
 from asbuilt.identification.torque_prediction import carrying
@@ -163,7 +163,9 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
     with one_blas_thread():
         for _ in range(LOADS):
             loaded, before = carrying(model, plain.base, arm), choice
-            columns = CandidateColumns(loaded, plain.base, tried, samples, 1.0 / fitted.sigma)
+            columns = CandidateColumns(
+                loaded, plain.base, tried, samples, 1.0 / np.where(fitted.sigma > 0.0, fitted.sigma, noise_floor(plain))
+            )
             choice, additions = _chosen(columns, columns.blocks)
             if choice == before or not any(tried[c].term.needs_load for _, c in choice):
                 break

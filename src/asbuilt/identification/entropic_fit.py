@@ -195,7 +195,12 @@ class _Search:
         a: Indices | slice = active if m < len(self.y) else slice(None)
         error, q, slack, multipliers, own = self.error[a], self.q[a], self.slack[a], self.multipliers[a], self.weights[:, None]
         gradient, hessian, T, V = self.model(a)
-        step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]), dtype=np.float64)[:, :, 0]
+        try:
+            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]), dtype=np.float64)[:, :, 0]
+        except np.linalg.LinAlgError:
+            raise IdentifiabilityError(
+                f"no closest bodies of {problem.prior.robot} were found: the curvature is singular; the data or values may be of extreme size"
+            ) from None
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
         narrowing, swing = step @ problem.slopes.T, _times(self.A[a], step)

@@ -142,7 +142,9 @@ def _slope_where_it_counts(rows: Rows, residuals: list[list[Array]], sigma: Arra
             assumed += slope[k] * seen @ seen.T
             found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
     eigenvalues, vectors = np.linalg.eigh(assumed)
-    told = eigenvalues > TOLD * eigenvalues[-1]
+    told = eigenvalues > TOLD * eigenvalues.max(initial=0.0)
+    if not told.any():
+        return 1.0
     turned = vectors[:, told] / np.sqrt(eigenvalues[told])
     parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), LEAST_SLOPE)
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
