@@ -139,6 +139,8 @@ def test_a_design_keeps_clear_and_in_the_box(guard) -> None:
     poses = link_poses(model, q)[:, -1]
     flange = next(frame for frame in model.frames if frame.name == "flange").placement[:3, 3]
     tool = poses[:, :3, :3] @ flange + poses[:, :3, 3]
+    room = 1000 * min(float((0.7 - np.abs(tool[:, :2])).min()), float(tool[:, 2].min()), float((1.2 - tool[:, 2]).min()))
+    assert f"the tool stays in its box, {room:.0f} mm from the nearest side" in design.notes
     assert np.all(np.abs(tool[:, :2]) <= 0.7 + 1e-4)
     assert np.all((tool[:, 2] >= -1e-4) & (tool[:, 2] <= 1.2 + 1e-4))
 

@@ -160,6 +160,7 @@ def test_power_and_other_robots_tighten_a_design(arm) -> None:
     limit = 0.5 * power(design)
     weak = design_motion(model, DRIVE, replace(QUICK, power=(limit,)), with_bound=False)
     assert power(weak) <= limit * (1 + 1e-6)
+    assert f"power at most {power(weak):.3g} W of the {limit:g} W allowed" in weak.notes[0]
     assert weak.log_det < design.log_det
     careful = design_motion(model, DRIVE, replace(QUICK, perturbed=2, spread=0.3, torque_fraction=0.3), with_bound=False)
     assert careful.limits.worst["torque"].margin >= 0.7 - 1e-6

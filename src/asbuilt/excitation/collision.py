@@ -151,6 +151,10 @@ class ToolBox(StateConstraint):
             gradient[:, :, k] = speed / self._half
         return gradient[..., None]
 
+    def smallest_room(self, q: Array) -> float:
+        """Return how near the point comes to a side of the box from within over all poses (N, n) [m]; negative outside."""
+        return float((self._half - np.abs(self._places(q) - self._centre)).min())
+
     def _places(self, q: Array) -> Array:
         pose = link_poses(self._model, q)[:, self._link]
         place: Array = pose[:, :3, :3] @ self._point + pose[:, :3, 3]
@@ -172,10 +176,12 @@ def watched(
     return tuple(found)
 
 
-def not_watched(constraints: Sequence[StateConstraint]) -> tuple[str, ...]:
-    """Return a sentence about the pairs of bodies that the constraints leave out, none where they leave out none."""
+def told_constraints(constraints: Sequence[StateConstraint], q: Array) -> tuple[str, ...]:
+    """Return sentences about how poses (N, n) keep a box, and about the pairs of bodies that are not watched."""
+    boxes = [constraint.smallest_room(q) for constraint in constraints if isinstance(constraint, ToolBox)]
     pairs = [pair for constraint in constraints if isinstance(constraint, CollisionGuard) for pair in constraint.left_out]
-    return (f"NOT WATCHED, for they touch in nearly every pose: {', '.join(pairs)}",) if pairs else ()
+    told = [f"the tool stays in its box, {1000 * room:.0f} mm from the nearest side" for room in boxes]
+    return (*told, f"NOT WATCHED, for they touch in nearly every pose: {', '.join(pairs)}") if pairs else tuple(told)
 
 
 def skeleton_distance(model: RobotModel, q: Array) -> float | None:

@@ -18,7 +18,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.torque_derivatives import torque_derivatives
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model, parameter_scale
-from asbuilt.excitation.collision import not_watched
+from asbuilt.excitation.collision import told_constraints
 from asbuilt.excitation.crew import Crew
 from asbuilt.excitation.criteria import criterion_of
 from asbuilt.excitation.design_options import DesignOptions
@@ -28,10 +28,11 @@ from asbuilt.excitation.information import Information, mean_information
 from asbuilt.excitation.information_bound import InformationBound, information_bound
 from asbuilt.excitation.interior_point import StateConstraint
 from asbuilt.excitation.limits import LimitReport, MotionBounds, check_motion
-from asbuilt.excitation.motion import Array, Motion
+from asbuilt.excitation.motion import Array, Motion, limit_array
 from asbuilt.excitation.multistart import Deadline, SearchProgress, search_all
 from asbuilt.excitation.pacing import CHECK_RATE
 from asbuilt.excitation.parametrisations import Fourier
+from asbuilt.excitation.torque_limit import PowerLimit
 
 USUAL_DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
@@ -220,8 +221,9 @@ def describe_design(
     """Return what a motion is worth, evaluated at 1 kHz with exact drive columns, and its margins there."""
     limited, assumed = limited_model(model)
     t = (np.arange(max(1, int(motion.duration * CHECK_RATE))) + 0.5) * motion.duration / max(1, int(motion.duration * CHECK_RATE))
-    mean = mean_information(objective.information, *motion.at(t))
-    distances = [constraint.smallest_distance(motion.at(t)[0]) for constraint in constraints if hasattr(constraint, "smallest_distance")]
+    states = motion.at(t)
+    mean = mean_information(objective.information, *states)
+    distances = [constraint.smallest_distance(states[0]) for constraint in constraints if hasattr(constraint, "smallest_distance")]
     return Design(
         model=model,
         base=base,
@@ -241,7 +243,7 @@ def describe_design(
         candidates=candidates,
         solve_seconds=seconds,
         interrupted=interrupted,
-        notes=(*notes, *not_watched(constraints)),
+        notes=(*notes, *_told_power(model, options, states), *told_constraints(constraints, states[0])),
     )
 
 
@@ -301,6 +303,16 @@ def _other_duration(search: DesignSearch, options: DesignOptions, motion: Motion
         return ()
     cure = f"more {more} fill the time" if share < 1.0 else f"fewer {more} take less"
     return (f"as fast as the limits allow, the {more} take {motion.duration:.3g} s, not the {options.duration:g} s asked for; {cure}",)
+
+
+def _told_power(model: RobotModel, options: DesignOptions, states: tuple[Array, Array, Array]) -> tuple[str, ...]:
+    if not options.power:
+        return ()
+    limit = limit_array(options.power, model.n_joints, "power")
+    used = np.zeros(model.n_joints)
+    used[np.isfinite(limit)] = np.abs(PowerLimit(model, limit).values(*states)).max(axis=0)
+    k = int(np.argmax(used))
+    return (f"power at most {used[k] * limit[k]:.3g} W of the {limit[k]:g} W allowed, by {model.joint_names[k]}",)
 
 
 def _told_refinement(progress: Callable[[SearchProgress], None], best: float, state: SearchProgress) -> None:

@@ -15,7 +15,7 @@ from asbuilt.dynamics.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.admissible import limited_model
-from asbuilt.excitation.collision import not_watched
+from asbuilt.excitation.collision import told_constraints
 from asbuilt.excitation.criteria import DOptimality
 from asbuilt.excitation.information import Information
 from asbuilt.excitation.interior_point import StateConstraint
@@ -138,7 +138,7 @@ def design_static_poses(
         turns=travel.turns,
         collision_distance=min(distances, default=None),
         solve_seconds=time.monotonic() - begin,
-        notes=not_watched(constraints),
+        notes=told_constraints(constraints, visited),
     )
 
 
