@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,6 +49,13 @@ def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
     assert sweep.why in text
     assert "blocks:2s:3 of the recordings identified from" in text
     json.dumps(sweep.as_document(), allow_nan=False)
+
+
+def test_a_statistic_that_is_not_known_is_a_dash(sweep: CutoffSweep) -> None:
+    """At a low cutoff the stretches held out may be shorter than half a period."""
+    unknown = replace(sweep, trials=(replace(sweep.trials[0], durbin_watson=np.nan), *sweep.trials[1:]))
+    assert "nan" not in unknown.table().as_text()
+    assert json.loads(json.dumps(unknown.as_document(), allow_nan=False))["trials"][0]["durbin_watson"] is None
 
 
 def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:

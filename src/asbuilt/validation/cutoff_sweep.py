@@ -17,7 +17,7 @@ from asbuilt.experiment.hold_out import hold_out, parse_rule
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.identify import identify
-from asbuilt.tables import Column, Table, significant
+from asbuilt.tables import MISSING, Column, Table, significant
 from asbuilt.validation.prediction import Validation, validate
 from asbuilt.validation.residuals import whiteness_in_band
 
@@ -39,7 +39,7 @@ AS_GOOD = 1.02
 class CutoffTrial:
     """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean squared error relative to the joint's noise.
 
-    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever the cutoff; `effective_share` how many samples it is worth of
+    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever the cutoff, NaN where all runs are shorter than half its period; `effective_share` how many samples it is worth of
     the 2 cutoff a second that it then would be.
     """
 
@@ -71,7 +71,7 @@ class CutoffSweep:
                 f"{trial.score:.3f}",
                 f"{trial.in_band:.3f}",
                 *(significant(float(x)) for x in trial.rms_recorded),
-                f"{trial.durbin_watson:.2f}",
+                f"{trial.durbin_watson:.2f}" if np.isfinite(trial.durbin_watson) else MISSING,
                 f"{100 * trial.effective_share:.0f}",
             )
             for trial in self.trials
@@ -108,7 +108,7 @@ class CutoffSweep:
                     "in_band": trial.in_band,
                     "rms_recorded": trial.rms_recorded.tolist(),
                     "rms": trial.rms.tolist(),
-                    "durbin_watson": trial.durbin_watson,
+                    "durbin_watson": trial.durbin_watson if np.isfinite(trial.durbin_watson) else None,
                     "effective_share": trial.effective_share,
                 }
                 for trial in self.trials
