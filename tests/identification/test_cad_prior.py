@@ -90,6 +90,15 @@ def test_links_without_mass_are_guessed_and_count_less():
     assert cad_prior(silent, NO_DRIVE).parameters[19] == pytest.approx(silent.links[0].inertia.mass)
 
 
+def test_a_negative_mass_is_called_impossible():
+    model = bundled_robot("two-link")
+    chi = np.array(model.parameters)
+    chi[9] = -1.5
+    prior = cad_prior(model.with_parameters(chi), NO_DRIVE)
+    assert prior.notes[0].startswith(f"CAD gives {model.link_names[0]} an impossible mass of -1.5 kg: ")
+    assert prior.parameters[9] > 0.0
+
+
 def test_bodies_without_thickness_and_impossible_ones_are_mended():
     model = bundled_robot("two-link")
     for inertia in (

@@ -159,7 +159,8 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         else:
             mended = eigenvalues
         if masses[i] <= 0:
-            notes.append(f"CAD gives {link.name} no mass: {mass:.3g} kg guessed from its neighbours")
+            given = f"an impossible mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
+            notes.append(f"CAD gives {link.name} {given}: {mass:.3g} kg guessed from its neighbours")
         elif np.any(mended != eigenvalues):
             notes.append(
                 f"CAD gives {link.name} an inertia of no solid body; mended ({link.inertia.inconsistency() or 'it has no thickness'})"
