@@ -205,6 +205,17 @@ def test_a_wanted_precision_finds_its_duration(arm) -> None:
         design_for_precision(model, DRIVE, QUICK, 0.0)
 
 
+def test_an_interrupt_ends_the_search_for_a_duration(arm) -> None:
+    model, _ = arm
+
+    def stop(_) -> None:
+        raise KeyboardInterrupt
+
+    design, trials = design_for_precision(model, DRIVE, replace(QUICK, size=None), 1e-4, progress=stop)
+    assert design.interrupted
+    assert [trial.duration for trial in trials] == [10.0]
+
+
 def test_a_search_that_does_worse_with_more_time_is_told_so(arm, monkeypatch) -> None:
     model, design = arm
     found = iter([0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08])

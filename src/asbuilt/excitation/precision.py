@@ -83,7 +83,7 @@ def design_for_precision(
 
     Errors fall with the square root of the duration; that gives the next duration to try, in steps of 5 s. Beyond 40 s the motion is repeated in
     periods. The harmonics are those of the options, or go with the period. The time limit of the options holds for the last design; each try
-    before it takes some seconds.
+    before it takes some seconds. A keyboard interrupt ends the tries; the motion of that moment is returned.
 
     Raises
     ------
@@ -103,6 +103,8 @@ def design_for_precision(
         design = design_motion(model, drive, quick, prior=prior, constraints=constraints, with_bound=False, progress=told)
         reached = predicted_precision(design)
         trials.append(DurationTrial(wanted.duration, design.size, design.options.periods or 1, reached))
+        if design.interrupted:
+            return design, tuple(trials)
         if reached <= precision:
             final = design_motion(model, drive, wanted, prior=prior, constraints=constraints, progress=progress)
             return (final if predicted_precision(final) <= precision else design), tuple(trials)
