@@ -251,6 +251,9 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     found = document(capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--out", tmp_path)
     assert found["payload"]["mass"]["estimate"] == pytest.approx(2.0, abs=0.02)
     assert found["payload"]["validation"][0]["source"].endswith("loaded.csv, the data used")
+    assert "kuka-iiwa7-r800: payload at flange" in Path(found["files"]["summary"]).read_text()
+    assert 'id="payload-values"' in Path(found["files"]["report"]).read_text()
+    assert json.loads(Path(found["files"]["payload"]).read_text())["mass"] == found["payload"]["mass"]
     held = document(
         capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--holdout", "last:0.3"
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -44,8 +44,12 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield report
 
 
-def listed_files(files: Mapping[str, Path]) -> str:
-    """Return the lines that say which files were written, empty where none were."""
-    width = max((len(kind) for kind in files), default=0)
-    lines = [f"  {kind:<{max(width, 11)}} {path}" for kind, path in files.items()]
-    return "\n".join(["", "", "written:", *lines]) if lines else ""
+def listed_files(files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None) -> str:
+    """Return the lines that say which files were written and what is to be known of them, empty where none were."""
+    width = max((*(len(kind) for kind in files), 11))
+    lines = []
+    for kind in dict.fromkeys((*files, *(notes or {}))):
+        said = list((notes or {}).get(kind, ()))
+        lines.append(f"  {kind:<{width}} {files[kind] if kind in files else said.pop(0)}")
+        lines += [f"  {'':<{width}} note: {note}" for note in said]
+    return "\n".join(["", "", "written:", *lines]) if files else ""

@@ -73,9 +73,7 @@ def identify(
     from asbuilt.identification.error_basis import ERROR_KINDS
     from asbuilt.validation.payload_study import run_payload_study
     from asbuilt.validation.study import StudyOptions, run_study
-    from asbuilt.writers.payload_tables import payload_document, payload_text
     from asbuilt.writers.study_files import study_document, study_text, write_study
-    from asbuilt.writers.tabular import write_json
 
     distinct_logs(log, validate, payload)
     model, swept = described_robot(robot), filtering.cutoff == "auto"
@@ -99,13 +97,11 @@ def identify(
             if loaded
             else None
         )
-        files = write_study(out, study, command=sys.argv[1:]) if out is not None else {}
-        if out is not None and carried is not None:
-            files["payload"] = write_json(out / "payload.json", payload_document(carried))
+        files, notes = write_study(out, study, payload=carried, command=sys.argv[1:]) if out is not None else ({}, {})
     answer(
         as_json,
-        lambda: study_document(study, files) | ({"payload": payload_document(carried)} if carried is not None else {}),
-        lambda: study_text(study) + (f"\n\n{payload_text(carried)}" if carried is not None else "") + listed_files(files),
+        lambda: study_document(study, files, notes, carried),
+        lambda: study_text(study, carried) + listed_files(files, notes),
     )
 
 

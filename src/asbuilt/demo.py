@@ -96,7 +96,7 @@ def run_demo(folder: Path, *, progress: Progress | None = None, search_seconds: 
         **write_design(folder / "motion.csv", design, 1000.0),
         **write_simulation(folder / "recording.csv", training),
         "validation": write_simulation(folder / "validation.csv", test)["recording"],
-        **write_study(folder, study, command=("demo", "--out", str(folder))),
+        **write_study(folder, study, command=("demo", "--out", str(folder)))[0],
     }
     export, refusal = None, ""
     try:

@@ -62,7 +62,8 @@ def rounded(value: float, error: float | None) -> tuple[str, str]:
         exponent = int(f"{lead:.{max(0, decimals + math.floor(math.log10(lead)))}e}".split("e")[1])
         kept = decimals + exponent
         lifted, uncertainty = Decimal(value).scaleb(-exponent), Decimal(error).scaleb(-exponent)
-        return f"{_signless(lifted, kept)}e{exponent:+03d}", f"{uncertainty:.{kept}f}e{exponent:+03d}"
+        power = f"e{exponent:+03d}" if exponent else ""
+        return f"{_signless(lifted, kept)}{power}", f"{uncertainty:.{kept}f}{power}"
     if decimals < 0:
         step = 10.0**-decimals
         value, error, decimals = round(value / step) * step, round(error / step) * step, 0

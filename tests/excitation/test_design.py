@@ -296,7 +296,11 @@ def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
     assert [getattr(DesignOptions(duration=100.0).for_limits(quick), name) for name in ("size", "periods")] == [15, 4]
     assert [getattr(DesignOptions(duration=100.0, periods=1).for_limits(quick), name) for name in ("size", "periods")] == [25, 1]
     assert DesignOptions(duration=20.0, size=7).for_limits(quick).size == 7
-    assert DesignOptions(duration=20.0, parametrisation="bspline").for_limits(quick).size is None
+    for family, few, many in (("bspline", 17, 39), ("quintic", 17, 20), ("point-to-point", 17, 17)):
+        assert DesignOptions(duration=20.0, parametrisation=family).family.size == few
+        assert DesignOptions(duration=20.0, parametrisation=family).for_limits(slow).size == few
+        assert DesignOptions(duration=20.0, parametrisation=family).for_limits(quick).size == many
+    assert DesignOptions(duration=60.0, parametrisation="bspline").for_limits(quick).size == 49
 
 
 def test_no_motion_is_nearer_to_the_bound_of_all_states_than_to_that_of_its_own(arm) -> None:

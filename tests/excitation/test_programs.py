@@ -88,6 +88,13 @@ def test_sheet_is_read_and_names_the_joints(form: str, robot: str, tmp_path: Pat
     assert sheet.torque_source == {"sunrise": "sensor", "fri": "sensor", "franka": "sensor", "urscript": "current"}.get(form, "unknown")
 
 
+@pytest.mark.parametrize("form", ["ros2", "csv"])
+def test_speeds_of_the_approach_name_their_joints_where_units_differ(form: str) -> None:
+    model = bundled_robot("scara")
+    header = " ".join(line.lstrip("# ") for line in program_text(make_program(model, excitation(model), form)).splitlines())
+    assert "to the start pose at no more than 0.2 rad/s (joint_1, joint_2, joint_4); 0.05 m/s (joint_3)" in header
+
+
 def test_formats_refuse_robots_that_they_cannot_move() -> None:
     for form, kind in PROGRAM_FORMATS.items():
         for robot in ("kuka-iiwa7-r800", "ur10e", "scara", "two-link"):

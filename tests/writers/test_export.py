@@ -23,6 +23,7 @@ from asbuilt.identification.metrics import torque_metrics
 from asbuilt.identification.result import IdentificationResult, IdentifiedParameter
 from asbuilt.validation.study import StudyOptions, run_study
 from asbuilt.writers.export import export_result
+from asbuilt.writers.recording_files import write_recording
 from asbuilt.writers.sample_states import sample_states
 from asbuilt.writers.urdf import urdf_text
 from command_line import call
@@ -222,3 +223,20 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(shared: Path, tm
         export_result(other, toml=tmp_path / "other.toml", nearest=True)
     assert not (tmp_path / "other.toml").exists()
     assert export_result(other, toml=tmp_path / "other.toml", nearest=True, force=True).cost is not None
+
+
+def test_a_study_says_what_its_files_cannot_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The robot of an identification comes as URDF, too: what is left out of that is told where the file is named, and in the JSON."""
+    original = arm_urdf(tmp_path)
+    model = load_robot(original)
+    log = tmp_path / "log.csv"
+    write_recording(log, InstalledRobot.ideal(model).record(random_fourier(model, rng=3), 100.0).recording)
+    call_of = ("identify", original, log, "--drive", ALL, "--out", tmp_path / "out")
+    status, out, _ = call(capsys, *call_of)
+    assert status == 0
+    listing = out[out.index("written:") :]
+    assert "robot.urdf\n              note: URDF has no place for the armature" in listing
+    document = json.loads(call(capsys, *call_of, "--json")[1])
+    assert any("offset" in note for note in document["file_notes"]["urdf"])
+    impossible = json.loads(call(capsys, *call_of, "--method", "wls", "--drive", "viscous,coulomb,offset", "--json")[1])
+    assert ("urdf" in impossible["files"]) == (not any("not written" in note for note in impossible["file_notes"].get("urdf", ())))

@@ -16,6 +16,9 @@ LEAST_FREQUENCY = 0.25
 LEAST_HARMONICS, MOST_HARMONICS = 4, 16
 """Fewest and most harmonics in a period where none are asked for."""
 
+LEAST_POINTS, MOST_POINTS, POINTS_PER_WAVE = 4, 49, 3.2
+"""Fewest and most control points where none are asked for, and how many there are in a wave of the useful frequency."""
+
 
 @dataclass(frozen=True)
 class DesignOptions:
@@ -68,10 +71,12 @@ class DesignOptions:
             raise UsageError(f"a design needs at least 2 harmonics, 3 way points or control points; got {self.size}")
 
     def for_limits(self, bounds: MotionBounds) -> DesignOptions:
-        """Return the options with the harmonics and periods that suit a robot with these limits, where none are asked for."""
-        if self.size is not None or self.parametrisation != "fourier":
+        """Return the options with the harmonics and periods, control points or way points that suit a robot with these limits, where none are asked for."""
+        if self.size is not None:
             return self
         useful = useful_frequency(bounds)
+        if self.parametrisation != "fourier":
+            return replace(self, size=usual_points(self.parametrisation, self.duration, useful))
         periods = self.periods or (max(1, round(useful * self.duration / MOST_HARMONICS)) if useful > 1.01 * LEAST_FREQUENCY else 1)
         return replace(self, periods=periods, size=usual_harmonics(self.duration / periods, bounds))
 
@@ -81,8 +86,7 @@ class DesignOptions:
         if self.parametrisation == "fourier":
             periods = self.periods or 1
             return Fourier(self.duration, self.size or usual_harmonics(self.duration / periods), periods)
-        size = self.size or max(4, round(self.duration / 1.25) + 1)
-        return PARAMETRISATIONS[self.parametrisation](self.duration, size)
+        return PARAMETRISATIONS[self.parametrisation](self.duration, self.size or usual_points(self.parametrisation, self.duration))
 
 
 def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
@@ -92,6 +96,17 @@ def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
     """
     slow = max(LEAST_HARMONICS, round(LEAST_FREQUENCY * period))
     return slow if bounds is None else max(slow, min(MOST_HARMONICS, round(useful_frequency(bounds) * period)))
+
+
+def usual_points(parametrisation: str, duration: float, useful: float = LEAST_FREQUENCY) -> int:
+    """Return the number of control points, way points or poses where none is asked for: at least 4 and one every 1.25 s; up to 49 control points or 25 way points for a quick robot.
+
+    `useful` is its useful frequency [Hz]. A way point brings a velocity and an acceleration of its own, so that half as many are as rich as control points. Poses are not
+    thickened, for a controller stops at each.
+    """
+    slow = max(LEAST_POINTS, round(POINTS_PER_WAVE * LEAST_FREQUENCY * duration) + 1)
+    density = {"bspline": 1.0, "quintic": 0.5}.get(parametrisation, 0.0)
+    return max(slow, min(round(density * (MOST_POINTS - 1)), round(density * POINTS_PER_WAVE * useful * duration)) + 1)
 
 
 def useful_frequency(bounds: MotionBounds) -> float:

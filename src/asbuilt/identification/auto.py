@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from asbuilt.dynamics.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.identification.cad_prior import cad_prior
-from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.consistency import consistency_margin, margin_is_consistent, pushing_drives
 from asbuilt.identification.consistent_fit import estimate_consistent, estimate_entropic, fit_consistent, fit_toward_cad, quietest_noise
 from asbuilt.identification.evidence import Evidence
 from asbuilt.identification.least_squares import Estimate, estimate_wls
@@ -45,7 +45,7 @@ def estimate_auto(evidence: Evidence) -> Estimate:
     1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust standard deviations, or a joint's residual variance is more than
        30 times the robust one;
     2. `ridge` where directions are not excited or the scaled condition number is above 200;
-    3. where no real bodies have the values found so far, `consistent`, or `entropic` where that predicts better (after `ridge` the other way round, for the
+    3. where no real bodies and passive drives have the values found so far, `consistent`, or `entropic` where that predicts better (after `ridge` the other way round, for the
        design must be leant on there), if it predicts as well as the values found; else these stay, with a warning. Judged on time blocks of this recording held out in turn: as well is within one standard error of the difference,
        group by group, better is beyond it (the rule by which the weight of CAD is chosen). That bodies are real is certain, that they are near CAD is not,
        so the one is asked not to do harm, the other to do good.
@@ -95,7 +95,9 @@ def _joined(later: Estimate, earlier: Estimate) -> Estimate:
 
 
 def _possible(evidence: Evidence, estimate: Estimate) -> bool:
-    """Return whether real bodies can have the estimate; True where that cannot be decided."""
+    """Return whether real bodies and passive drives can have the estimate; True where that cannot be decided."""
+    if pushing_drives(evidence.base, estimate.beta):
+        return False
     try:
         return margin_is_consistent(consistency_margin(evidence.base, estimate.beta), estimate.beta)
     except AsbuiltError:
@@ -105,6 +107,8 @@ def _possible(evidence: Evidence, estimate: Estimate) -> bool:
 def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
     """Return the fit of real bodies, or the free one where that predicts held-out blocks better by more than one standard error, and why."""
     information, prior = seen.information, cad_prior(seen.model, seen.base.drive)
+    pushing = pushing_drives(seen.base, free.beta)
+    who = f"{', '.join(pushing)} would push with" if pushing else "no real bodies have"
     energy, n = information.residual_energy(free.beta), information.n_samples
     sigma = np.maximum(np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)), quietest_noise(information))
     consistent, entropic = estimate_consistent(seen), estimate_entropic(seen)
@@ -115,7 +119,7 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
     estimator = estimate_ridge if free.method == "ridge" else estimate_wls
     before = _held_out(information, lambda part: estimator(replace(seen, information=part)), sigma)
     if len(before) < FEWEST_FOLDS:
-        why = f"consistent, since no real bodies have the values of {free.method}; time blocks are too few to hold any out"
+        why = f"consistent, since {who} the values of {free.method}; time blocks are too few to hold any out"
         return _strained(information, _joined(consistent, free), free, sigma), why
     errors = {estimate.method: _held_out(information, again, sigma) for estimate, again in candidates}
     preferred = [estimate for estimate, _ in (candidates[::-1] if free.method == "ridge" else candidates)]
@@ -126,7 +130,7 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
     for real, sentence in zip(preferred, told, strict=True):
         if not _better(before, errors[real.method]):
             judged = "better" if _better(errors[real.method], before) else "as well within one standard error"
-            why = f"{real.method}, since no real bodies have the values of {free.method} and it predicts {judged}, {on}: {sentence}"
+            why = f"{real.method}, since {who} the values of {free.method} and it predicts {judged}, {on}: {sentence}"
             return _strained(information, _joined(real, free), free, sigma), why
     refused = (
         f"No real bodies have the values of {free.method}, and real bodies predict worse by more than one standard error, {on} ({'; '.join(told)}), so these "

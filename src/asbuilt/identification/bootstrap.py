@@ -134,6 +134,8 @@ def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate
     textbook = np.diag(estimate.covariance)
     told = textbook > 0
     covariance = drawn.covariance * (few**2 * n / (n - 1.0))
+    still = np.flatnonzero(told & (np.diag(covariance) == 0.0))
+    covariance[still, still] = textbook[still]
     swell = np.sqrt(np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)) * told
     covariance = covariance * np.outer(swell, swell)
     ratio = np.diag(covariance)[told] / textbook[told]

@@ -176,7 +176,7 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         parameters=chi,
         strength=strength,
         reach=reach,
-        non_negative=_non_negative(model, drive),
+        non_negative=non_negative_columns(model.n_joints, drive),
         notes=tuple(notes),
     )
 
@@ -201,6 +201,7 @@ def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
     return float(np.exp(np.mean(np.log(known))))
 
 
-def _non_negative(model: RobotModel, drive: DriveSet) -> NDArray[np.int64]:
-    bounded = [term.non_negative for term in drive.terms for _ in term.letters] * model.n_joints
-    return 10 * model.n_joints + np.flatnonzero(bounded)
+def non_negative_columns(n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
+    """Return the standard parameters of drives that no passive drive has below zero, as columns of the standard regressor."""
+    bounded = [term.non_negative for term in drive.terms for _ in term.letters] * n_joints
+    return 10 * n_joints + np.flatnonzero(bounded)

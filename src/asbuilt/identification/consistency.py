@@ -9,13 +9,16 @@ from scipy import sparse
 
 from asbuilt.dynamics.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
+from asbuilt.identification.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC, non_negative_columns
 from asbuilt.identification.cone_program import solve_cone_program
 
 Array = NDArray[np.float64]
 
 MARGIN_TOLERANCE = 1e-8
 """How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be rounding of the solver."""
+
+ROUNDING_OF_DRIVES = 1e-9
+"""How far below zero friction or an armature may be and still be rounding: at unit velocity and acceleration that makes no more than 1e-9 N m."""
 
 
 def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
@@ -62,3 +65,11 @@ def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
     """Return whether a margin says that real bodies can have `beta`: it is not negative beyond the solver's rounding."""
     scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
     return margin >= -MARGIN_TOLERANCE * scale
+
+
+def pushing_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
+    """Return the names of the base parameters (p,) that are a drive parameter by itself and below zero, where a passive drive has it at zero or above."""
+    values = np.asarray(beta, dtype=np.float64)
+    n_links = sum(name.startswith("Ixx") for name in base.standard_names)
+    alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(base.columns, non_negative_columns(n_links, base.drive))
+    return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))

@@ -15,7 +15,7 @@ from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
-from asbuilt.identification.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.consistency import consistency_margin, margin_is_consistent, pushing_drives
 from asbuilt.identification.drive_shapes import fit_shapes
 from asbuilt.identification.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
 from asbuilt.identification.evidence import Evidence, Unexcited
@@ -28,6 +28,7 @@ from asbuilt.identification.shape_errors import ShapeErrors, ShapePlace, shape_e
 from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
 from asbuilt.identification.torque_prediction import carrying, predict_torque
 from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty, textbook_uncertainty
+from asbuilt.tables import plus_minus
 
 if TYPE_CHECKING:
     from asbuilt.experiment.samples import Samples
@@ -207,6 +208,7 @@ def conclude(
         margin: float | None = consistency_margin(base, estimate.beta)
     except IdentifiabilityError:
         margin = None
+    pushing = pushing_drives(base, estimate.beta)
     return IdentificationResult(
         model=model,
         base=base,
@@ -228,9 +230,9 @@ def conclude(
         train=train if train is not None else information_metrics(information, estimate.beta),
         validation=(),
         cad=cad if cad is not None else information_metrics(information, np.nan_to_num(design, nan=0.0)),
-        physically_consistent=None if margin is None else margin_is_consistent(margin, estimate.beta),
+        physically_consistent=None if margin is None else margin_is_consistent(margin, estimate.beta) and not pushing,
         consistency_margin=margin,
-        warnings=_warnings(parameters, estimate, uncertainty, margin),
+        warnings=_warnings(parameters, estimate, uncertainty, margin, pushing),
         provenance=provenance,
         notes=estimate.notes,
         errors=uncertainty.basis,
@@ -283,7 +285,11 @@ def _poorly_determined(
 
 
 def _warnings(
-    parameters: tuple[IdentifiedParameter, ...], estimate: Estimate, uncertainty: Uncertainty, margin: float | None
+    parameters: tuple[IdentifiedParameter, ...],
+    estimate: Estimate,
+    uncertainty: Uncertainty,
+    margin: float | None,
+    pushing: tuple[str, ...],
 ) -> tuple[IdentificationWarning, ...]:
     found: list[tuple[str, str]] = []
     if estimate.undetermined:
@@ -344,6 +350,15 @@ def _warnings(
             (
                 "inconsistent",
                 f"No real bodies have these parameters: best attainable smallest eigenvalue {margin:.3g} (below 0). Predictions hold, simulators may not run.",
+            )
+        )
+    if pushing:
+        listed = ", ".join(f"{p.name} {plus_minus(p.estimate, p.std_error)}" for p in parameters if p.name in pushing)
+        found.append(
+            (
+                "pushing_drives",
+                f"Below zero, where no passive drive is: {listed}. Files for other software are not written with these. Impose it (--method consistent), or leave out drive terms that "
+                "the recording does not tell.",
             )
         )
     if not estimate.converged:

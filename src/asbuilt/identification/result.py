@@ -95,7 +95,7 @@ class IdentificationResult:
     | `condition_number`, `scaled_condition_number` | of the weighted stack, and with columns scaled to unit length |
     | `undetermined` | the combinations of parameters that this recording does not excite, readable |
     | `train`, `validation`, `cad` | torque metrics: on the data used, on other data, and of the CAD values |
-    | `physically_consistent`, `consistency_margin` | whether any standard parameters of real bodies have these base parameters; None if unknown |
+    | `physically_consistent`, `consistency_margin` | whether any real bodies and passive drives have these base parameters, and how far inside the bodies are; None if unknown |
     | `warnings`, `provenance` | what to know, and how the samples were made |
     | `notes` | what the estimator decided, in sentences |
     | `evidence` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |

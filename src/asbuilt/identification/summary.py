@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asbuilt.identification.consistency import pushing_drives
 from asbuilt.identification.determination import determination
 from asbuilt.identification.methods import method_title
 from asbuilt.tables import Cell, Column, Shown, Table, beside, deviation, percent, rounded, share, significant
@@ -67,7 +68,9 @@ def summarise(result: IdentificationResult) -> Summary:
     method = method_title(result.method)
     drives = f" + {n_drive} drive" if n_drive else ""
     held_out = f" (held out {', '.join(share(metrics.relative_error) for metrics in result.validation)})" if result.validation else ""
-    consistency = {True: "OK", False: "IMPOSSIBLE FOR REAL BODIES", None: "not decided"}[result.physically_consistent]
+    pushing = ", ".join(pushing_drives(result.base, result.estimates))
+    impossible = f"{pushing} BELOW ZERO" if pushing else "IMPOSSIBLE FOR REAL BODIES"
+    consistency = {True: "OK", False: impossible, None: "not decided"}[result.physically_consistent]
     condition = (
         f"{significant(result.condition_number)} (scaled {significant(result.scaled_condition_number)})"
         if np.isfinite(result.condition_number)

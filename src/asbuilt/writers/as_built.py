@@ -11,6 +11,8 @@ from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.dynamics.drive_torque import drive_torque
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.identification.cad_prior import non_negative_columns
+from asbuilt.identification.consistency import ROUNDING_OF_DRIVES
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.identification.standard_parameters import StandardParameters, standard_parameters
 from asbuilt.writers.sample_states import sample_states
@@ -69,10 +71,13 @@ def _torque_information(result: IdentificationResult) -> Array:
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
-    """Return a robot with other standard parameters (n_standard,), and these drive terms with their values and shapes in place of its own."""
+    """Return a robot with other standard parameters (n_standard,), and these drive terms with their values and shapes in place of its own; friction that is below zero by rounding is zero."""
     rigid = 10 * model.n_joints
     robot = model.with_parameters(parameters[:rigid])
-    values = parameters[rigid:].reshape(model.n_joints, -1)
+    drives = np.array(parameters[rigid:])
+    bounded = non_negative_columns(model.n_joints, drive) - rigid
+    drives[bounded] = np.where(np.abs(drives[bounded]) < ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded])
+    values = drives.reshape(model.n_joints, -1)
     turned = np.any(model.motor_shares, axis=1)
     joints = []
     for k, joint in enumerate(robot.joints):

@@ -105,7 +105,7 @@ def export_result(
         refuse_bad_stand_in(result, found.beta, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
-    (in_simulators, kept), load = keeping_described_drives(model, result.model), _load_note(result, built)
+    (in_simulators, kept), load = keeping_described_drives(model, result.model), load_note(result, built)
     if c is not None:
         files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
         notes["c"] = load
@@ -150,11 +150,11 @@ def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | 
     return None, ()
 
 
-def _load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
+def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
     """Return a note where friction that depends on load is not quite that of the result."""
     apart = load_counted(result, built)
     if not apart:
         return ()
     return (
-        f"load-dependent friction sees the load of the links alone; in the result the load counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque",
+        f"load-dependent friction sees the load of the links alone; in the result the load counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque in random motion",
     )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.identification.payload import Payload
-from asbuilt.tables import Column, Shown, Table, percent, rounded, significant, stacked
+from asbuilt.tables import Column, Shown, Table, percent, rounded, share, significant, stacked
 from asbuilt.validation.comparison import recording_name
 from asbuilt.writers.files import path_texts
 
@@ -82,15 +82,13 @@ def payload_torque_table(payload: Payload) -> Table:
     """Return the RMS torque error of each joint with the payload and for the bare arm."""
     rows = []
     for bare, carried in zip(payload.metrics_bare, payload.metrics, strict=True):
-        rows.append(
-            (recording_name(bare.source), "arm alone", *(significant(float(x)) for x in bare.rms), significant(bare.relative_error))
-        )
+        rows.append((recording_name(bare.source), "arm alone", *(significant(float(x)) for x in bare.rms), share(bare.relative_error)))
         rows.append(
             (
                 recording_name(carried.source),
                 "with payload",
                 *(significant(float(x)) for x in carried.rms),
-                significant(carried.relative_error),
+                share(carried.relative_error),
             )
         )
     names = payload.metrics[0].joint_names
@@ -98,7 +96,7 @@ def payload_torque_table(payload: Payload) -> Table:
         Column("recording", width=60),
         Column("prediction"),
         *(Column(name, align="decimal", width=16) for name in names),
-        Column("relative", align="decimal"),
+        Column("relative error", align="decimal"),
     )
     return Table(columns, tuple(rows), title="RMS torque error")
 

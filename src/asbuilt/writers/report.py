@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
 from asbuilt.identification.determination import determination
+from asbuilt.identification.payload import Payload
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import beside, deviation, percent, rounded, share, significant
 from asbuilt.validation.attribution import Attribution, attribute
@@ -30,6 +31,7 @@ from asbuilt.writers.cause_figures import attribution_figure
 from asbuilt.writers.figure_style import figure_address
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.page import page, resource, table_markup
+from asbuilt.writers.payload_tables import payload_table, payload_torque_table
 from asbuilt.writers.report_verdict import verdict
 from asbuilt.writers.thinning import thinned
 
@@ -46,10 +48,11 @@ def write_report(
     *,
     fitted: Sequence[Validation] = (),
     attribution: Attribution | None = None,
+    payload: Payload | None = None,
     command: Sequence[str] = (),
 ) -> Path:
     """Write the report of a result; see `report_html`."""
-    return atomic_write(path, report_html(result, validations, fitted=fitted, attribution=attribution, command=command))
+    return atomic_write(path, report_html(result, validations, fitted=fitted, attribution=attribution, payload=payload, command=command))
 
 
 def report_html(
@@ -58,12 +61,14 @@ def report_html(
     *,
     fitted: Sequence[Validation] = (),
     attribution: Attribution | None = None,
+    payload: Payload | None = None,
     command: Sequence[str] = (),
 ) -> str:
     """Return the page as text.
 
     `validations` are predictions of data not used for fitting, by which the model is judged; `fitted` are predictions of the data used, which the
-    plots show too. `attribution` says why CAD is off; it is worked out where none is given and the result carries the evidence. `command` is the command line that repeats the identification.
+    plots show too. `attribution` says why CAD is off; it is worked out where none is given and the result carries the evidence. `payload` is
+    what the flange carries, where that was identified too. `command` is the command line that repeats the identification.
     """
     comparison = compare(result, validation=validations or None)
     if attribution is None and result.evidence is not None:
@@ -86,6 +91,9 @@ def report_html(
         attribution=attribution,
         attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
         share_table="" if attribution is None else table_markup(attribution.share_table(), "shares"),
+        payload_tables=()
+        if payload is None
+        else (table_markup(payload_table(payload), "payload-values"), table_markup(payload_torque_table(payload), "payload-torque")),
         labels=labels,
         residual_rows=[_residual_rows(item, analysis) for item, analysis in zip(shown, analyses, strict=True)],
         data=_page_data(result, shown, analyses),

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from asbuilt.identification.consistency import pushing_drives
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import share, significant
@@ -69,7 +70,13 @@ def _consistency(result: IdentificationResult) -> Finding:
         return Finding("neutral", "not checked", "physical consistency", "Whether rigid bodies can have these parameters was not checked.")
     if result.physically_consistent:
         return Finding("good", "consistent", "physically", "Rigid bodies with these parameters exist, so a simulator can use the model.")
-    sentence = "NO rigid bodies have these parameters: torques are predicted well enough, but a simulator may become unstable. Fit with consistency imposed."
+    pushing = ", ".join(pushing_drives(result.base, result.estimates))
+    who = (
+        f"Drives would push: {pushing} {'are' if ',' in pushing else 'is'} below zero"
+        if pushing
+        else "NO rigid bodies have these parameters"
+    )
+    sentence = f"{who}. Torques are predicted well enough, but a simulator may become unstable. Fit with consistency imposed."
     return Finding("bad", "inconsistent", "physically", sentence)
 
 

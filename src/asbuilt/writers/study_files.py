@@ -8,67 +8,106 @@ from typing import Any
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.identification.motor_side import gear_ratios, motor_side_parameters
+from asbuilt.identification.payload import Payload
 from asbuilt.identification.result import IdentificationResult
 from asbuilt.tables import stacked
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.study import Study
-from asbuilt.writers.as_built import as_built_model, keeping_described_drives
+from asbuilt.writers.as_built import as_built, keeping_described_drives
 from asbuilt.writers.cutoff_figure import cutoff_figure
 from asbuilt.writers.drive_tables import motor_side_table
-from asbuilt.writers.export import urdf_to_edit
+from asbuilt.writers.export import load_note, urdf_to_edit
 from asbuilt.writers.figure_style import save_figure
 from asbuilt.writers.figures import torque_figure
 from asbuilt.writers.files import atomic_write
+from asbuilt.writers.payload_tables import payload_document, payload_text
 from asbuilt.writers.physical import impossibilities
 from asbuilt.writers.report import write_report
 from asbuilt.writers.robot_toml import write_robot_toml
-from asbuilt.writers.tabular import identify_document, prediction_table, write_parameters_csv
+from asbuilt.writers.tabular import identify_document, prediction_table, write_json, write_parameters_csv
 from asbuilt.writers.urdf import write_urdf
 
 
-def study_text(study: Study) -> str:
-    """Return what `asbuilt identify` prints: the summary, torque errors of CAD and as built, and the verdict."""
+def study_text(study: Study, payload: Payload | None = None) -> str:
+    """Return what `asbuilt identify` prints: the summary, torque errors of CAD and as built, the verdict, and what the flange carries where that was identified too."""
     parts = [study.result.summary().as_text()]
     if gear_ratios(study.result.model):
         parts.append("Drives at the motor\n" + motor_side_table(motor_side_parameters(study.result)).as_text())
     if study.cutoffs is not None:
         parts.append(study.cutoffs.table().as_text())
-    return "\n".join([*parts, stacked([study.comparison.torque_table()]), study.comparison.verdict()])
+    parts += [stacked([study.comparison.torque_table()]), study.comparison.verdict()]
+    return "\n".join(parts if payload is None else [*parts, "", payload_text(payload)])
 
 
-def study_document(study: Study, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return what `asbuilt identify --json` prints."""
-    document = identify_document(study.result, files=files)
-    return document if study.cutoffs is None else document | {"cutoff_sweep": study.cutoffs.as_document()}
+def study_document(
+    study: Study, files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None, payload: Payload | None = None
+) -> dict[str, Any]:
+    """Return what `asbuilt identify --json` prints; `notes` are those of `write_study`."""
+    document = identify_document(study.result, files=files) | {"file_notes": {kind: list(said) for kind, said in (notes or {}).items()}}
+    if study.cutoffs is not None:
+        document["cutoff_sweep"] = study.cutoffs.as_document()
+    if payload is not None:
+        document["payload"] = payload_document(payload)
+    return document
 
 
-def write_study(folder: Path, study: Study, *, command: Sequence[str] = ()) -> dict[str, Path]:
-    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as built, robot.toml.
+def write_study(
+    folder: Path, study: Study, *, payload: Payload | None = None, command: Sequence[str] = ()
+) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as built, robot.toml; cutoff.png and payload.json where there is one.
 
-    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built; a robot that cannot be made whole, or whose URDF has changed since, has
-    neither. Returns the path of each, by kind; `command` is the command line that repeats the study.
+    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built. Returns the path of each, by kind, and what the reader of a file must
+    know, by kind too: what a URDF cannot hold, or why a file was not written. `command` is the command line that repeats the study.
     """
     result = study.result
     files = {
         "result": atomic_write(folder / "result.json", result.to_json()),
-        "summary": atomic_write(folder / "summary.txt", study_text(study)),
+        "summary": atomic_write(folder / "summary.txt", study_text(study, payload)),
         "parameters": write_parameters_csv(folder / "parameters.csv", result),
     }
+    if payload is not None:
+        files["payload"] = write_json(folder / "payload.json", payload_document(payload))
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
     if study.cutoffs is not None:
         files["cutoff"] = save_figure(cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"), folder / "cutoff.png")
     files["report"] = write_report(
-        folder / "report.html", result, study.validations, fitted=study.training, attribution=study.attribution, command=command
+        folder / "report.html",
+        result,
+        study.validations,
+        fitted=study.training,
+        attribution=study.attribution,
+        payload=payload,
+        command=command,
     )
+    robots, notes = _write_robot(folder, result)
+    return files | robots, notes
+
+
+def _write_robot(folder: Path, result: IdentificationResult) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    """Write robot.toml and robot.urdf where there can be such, and say what they lack, or why there are none."""
+    files: dict[str, Path] = {}
+    notes: dict[str, tuple[str, ...]] = {}
     try:
-        robot = as_built_model(result)
-        files["robot"] = write_robot_toml(folder / "robot.toml", robot)
-        original, _ = urdf_to_edit(result.model)
-        if original is not None and not impossibilities(robot):
-            files["urdf"], _ = write_urdf(folder / "robot.urdf", keeping_described_drives(robot, result.model)[0], original=original)
-    except (IdentifiabilityError, DescriptionError):
-        return files
-    return files
+        built = as_built(result)
+        files["robot"], notes["robot"] = write_robot_toml(folder / "robot.toml", built.model), load_note(result, built)
+    except (IdentifiabilityError, DescriptionError) as problem:
+        notes["robot"] = (f"not written: {problem}",)
+        return files, notes
+    try:
+        original, missing = urdf_to_edit(result.model)
+        notes["urdf"] = tuple(f"not written: {why}" for why in missing)
+        if original is not None:
+            impossible, (in_simulators, kept) = impossibilities(built.model), keeping_described_drives(built.model, result.model)
+            if impossible:
+                notes["urdf"] = (
+                    f"not written, for no robot is like this: {impossible[0]}; asbuilt export --nearest writes the nearest that one can be",
+                )
+            else:
+                files["urdf"], said = write_urdf(folder / "robot.urdf", in_simulators, original=original)
+                notes["urdf"] = (*said, *kept)
+    except DescriptionError as problem:
+        notes["urdf"] = (f"not written: {problem}",)
+    return files, {kind: said for kind, said in notes.items() if said}
 
 
 def write_validations(folder: Path, result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Path]:

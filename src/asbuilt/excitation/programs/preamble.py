@@ -23,9 +23,7 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
     names = [plain_text(name) for name in model.joint_names]
     start = ", ".join(f"{q:.4f}" for q in motion.start)
     degrees = ", ".join(f"{q * (180 / np.pi if turns else 1000):.2f}" for q, turns in zip(motion.start, request.revolute, strict=True))
-    approach = ", ".join(f"{speed:.3g}" for speed in np.unique(request.approach_speed))
     length = "m" if not any(request.revolute) else "rad" if all(request.revolute) else "rad or m"
-    rate = "rad/s or m/s" if length == "rad or m" else f"{length}/s"
     facts = [
         ("", f"{title}, written by asbuilt"),
         ("Robot:    ", f"{plain_text(model.name)}, {model.n_joints} joints: {', '.join(names)}"),
@@ -36,7 +34,7 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
         ),
         ("Rate:     ", f"{request.rate:g} Hz"),
         ("Start:    ", f"{start} {length}" + (f" ({degrees} deg)" if all(request.revolute) else "")),
-        ("Approach: ", f"to the start pose at no more than {approach} {rate} per joint"),
+        ("Approach: ", f"to the start pose at no more than {_approach(request)}"),
     ]
     limits = [("", "Smallest margins to the limits of the description, on a 1 kHz grid (0 % is the limit):")]
     for quantity, margin in request.report.worst.items():
@@ -73,6 +71,16 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             lines += wrapped(text, label)
         lines.append("")
     return tuple(lines[:-1])
+
+
+def _approach(request: ProgramRequest) -> str:
+    """Return the top speeds on the way to the start pose, with the joints that have each where they are not all alike."""
+    joints: dict[str, list[str]] = {}
+    for name, turns, speed in zip(request.model.joint_names, request.revolute, request.approach_speed, strict=True):
+        joints.setdefault(f"{speed:.3g} {'rad/s' if turns else 'm/s'}", []).append(plain_text(name))
+    if len(joints) == 1:
+        return f"{next(iter(joints))} per joint"
+    return "; ".join(f"{speed} ({', '.join(names)})" for speed, names in joints.items())
 
 
 def _checked(request: ProgramRequest) -> str:
