@@ -12,6 +12,7 @@ import pytest
 from asbuilt.hayat2015 import published
 from asbuilt.reproduce import Reproduction, reproduce
 from asbuilt.reproduce_tables import reproduction_document, reproduction_text, write_reproduction
+from command_line import documented_fields
 
 
 @pytest.fixture(scope="module")
@@ -64,4 +65,6 @@ def test_text_says_what_cannot_be_reproduced_and_files_are_written(redone: Repro
     files = write_reproduction(tmp_path, redone)
     assert {"text", "table1", "table2", "table3", "figure3", "figure4"} == set(files)
     assert all(path.stat().st_size > 0 for path in files.values())
-    json.dumps(reproduction_document(redone, files), allow_nan=False)
+    document = reproduction_document(redone, files)
+    json.dumps(document, allow_nan=False)
+    assert set(document) == documented_fields()["reproduce"][0]
