@@ -129,3 +129,27 @@ def test_the_payload_found_along_with_the_arm_is_among_the_files(
     written = json.loads(Path(found["files"]["payload"]).read_text())
     assert written["mass"] == found["payload"]["mass"]
     assert written["mass"]["estimate"] == pytest.approx(MASS, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("columns", "signs", "said"),
+    [((12, 11), (1, 1), "wrist_2_joint and wrist_3_joint look swapped"), ((11, 12), (1, -1), "wrist_3_joint alone has the opposite sign")],
+)
+def test_wrists_that_only_the_known_arm_tells_apart_are_put_right(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    logs: tuple[Path, Path, Path],
+    result: Path,
+    columns: tuple[int, int],
+    signs: tuple[int, int],
+    said: str,
+) -> None:
+    """Friction of a wrist is as large as what CAD knows of its torque; with the arm identified any body at the flange leaves the wrong order unexplained."""
+    table = np.loadtxt(logs[1], delimiter=",", skiprows=1)
+    table[:, [11, 12]] = table[:, list(columns)] * signs
+    bad = write(tmp_path / "bad.csv", table)
+    status, out, err = call(capsys, "payload", result, bad, "--torque-source", "sensor")
+    assert status == 1
+    assert said in err
+    assert not out
+    assert call(capsys, "payload", result, bad, "--torque-source", "sensor", "--unchecked")[0] == 0

@@ -13,8 +13,9 @@ from asbuilt.experiment.hold_out import hold_out
 from asbuilt.experiment.long_recordings import RecordingStream, head_of, prepare_logged
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal_chain import SignalChain
-from asbuilt.identification.payload import Arm, Payload, identify_payload
+from asbuilt.identification.payload import Arm, Payload, identify_payload, payload_frame
 from asbuilt.identification.result import IdentificationResult
+from asbuilt.validation.payload_order import refuse_exchanged
 
 
 def run_payload_study(
@@ -33,7 +34,7 @@ def run_payload_study(
     """Identify what the flange carries and judge it on what was held out of the loaded recordings, on other ones, or else on the data used.
 
     All recordings go through one signal chain, whose open choices are made for the loaded ones. `gain_uncertainty` and errors as of `identify_payload`. Raises RecordingError where
-    a check finds that a recording is spoilt, unless `checked` is False.
+    a check finds that a recording is spoilt or its torques do not belong to their joints, unless `checked` is False.
     """
     if not loaded:
         raise UsageError(f"no recording under load is given for {result.robot}")
@@ -41,6 +42,8 @@ def run_payload_study(
         refuse_spoilt(result.model, (*loaded, *unloaded, *validation))
     resolved = (chain or SignalChain()).resolved(*(head_of(recording) for recording in loaded))
     learning = [prepare_logged(recording, resolved) for recording in loaded]
+    if checked:
+        refuse_exchanged(result, learning, *payload_frame(result.model, frame)[1:])
     judging = [prepare_logged(recording, resolved) for recording in validation]
     if holdout is not None:
         parts = [hold_out(samples, holdout) for samples in learning]
