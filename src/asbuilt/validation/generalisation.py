@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.experiment.checks import RecordingCheck
+from asbuilt.experiment.samples import Samples
 from asbuilt.identification.metrics import TorqueMetrics
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.comparison import recording_name
 from asbuilt.validation.prediction import Validation
+from asbuilt.validation.repeated_motion import repeated_share
 from asbuilt.validation.standing import StandingErrors, standing_errors
 
 STANDING_ERROR = 0.5
@@ -21,6 +23,8 @@ OVERFIT = 2.0
 """Held-out error of a joint, in multiples of its error on the data used, from which the fit is said not to generalise."""
 NOTICEABLE = 0.1
 """Held-out error of a joint, as a fraction of its own torque, below which that is not said."""
+REPEATED = 0.6
+"""Share of held-out states that the motion fitted came near to from which it is said to be the same motion; 0 to .2 for others, .5 for blocks of 2 s of a slow one."""
 BEHIND_CAD = 1.05
 """Held-out error of a joint as built, in multiples of that of CAD, from which CAD is said to predict better."""
 
@@ -49,6 +53,20 @@ def with_findings(
         cad=validations[0].metrics_cad if validations else result.cad,
         warnings=(*result.warnings, *found),
     )
+
+
+def with_repeats(result: IdentificationResult, fitted: Sequence[Samples], held_out: Sequence[Samples]) -> IdentificationResult:
+    """Return the result with a warning for held-out data whose motion is that of the data used."""
+    found = [
+        IdentificationWarning(
+            "held_out_repeats",
+            f"{recording_name(samples.source)} repeats the motion fitted ({100 * share:.0f} % of its states were there before): its errors say how well the robot repeats itself, not how "
+            "well the model predicts another motion. Judge by another motion (--validate), or hold out part of a motion that does not come again.",
+        )
+        for samples in held_out
+        if (share := repeated_share(fitted, samples)) > REPEATED
+    ]
+    return replace(result, warnings=(*result.warnings, *found))
 
 
 def _standstill(validation: Validation) -> list[IdentificationWarning]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.spring import Spring
 from asbuilt.errors import IdentifiabilityError, UsageError
@@ -21,6 +22,8 @@ RELIEF = 0.02
 """Part of the torque residual that a tilt found has to take away to be spoken of."""
 BADLY_FITTING = ("bodies_strained", "bodies_refused")
 """Warnings of an automatic choice where something acts that real bodies cannot follow,"""
+IN_STEP = 0.995
+"""Correlation of positions from which joints move in step."""
 SEARCHED = 30_000
 """for which, up to so many samples, it is looked whether the robot stands askew, and for springs."""
 
@@ -84,6 +87,25 @@ def _springs_suspected(
     terms = ",".join((*drive.without(Spring.key).specifications, f"{Spring.key}:joints={joints}"))
     message = (
         f"A spring would explain what real bodies cannot follow at {', '.join(map(str, springs))}: cables or hoses that wind up there, or a sensor that drifts with position. "
+        f"{_in_step(model, learning, [spring.joint for spring in springs])}"
         f"Where that can be, identify with {'--mounting estimate ' if askew else ''}--drive {terms}."
     )
     return replace(result, warnings=(*result.warnings, IdentificationWarning("spring_suspected", message)))
+
+
+def _in_step(model: RobotModel, learning: Sequence[Samples], suspects: Sequence[int]) -> str:
+    """Say which joints move in step with those of springs, so that what looks like a spring may go with any of them; empty where none does."""
+    q = np.concatenate([samples.q for samples in learning])
+    q = q - q.mean(axis=0)
+    spread = q.std(axis=0)
+    alike = np.abs(q.T @ q) > IN_STEP * len(q) * np.outer(spread, spread)
+    told = []
+    for k in suspects:
+        others = [model.joint_names[j] for j in np.flatnonzero(alike[k]).tolist() if j != k]
+        if others:
+            told.append(f"{model.joint_names[k]} moves in step with {', '.join(others)}")
+    return (
+        f"In this motion {'; '.join(told)}: what looks like a spring may go with any of these, which only another motion can tell. "
+        if told
+        else ""
+    )

@@ -26,7 +26,7 @@ from asbuilt.identification.result import IdentificationResult, IdentificationWa
 from asbuilt.validation.attribution import Attribution, attribute
 from asbuilt.validation.comparison import Comparison, compare
 from asbuilt.validation.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.validation.generalisation import with_findings
+from asbuilt.validation.generalisation import with_findings, with_repeats
 from asbuilt.validation.hidden_causes import with_hidden_causes
 from asbuilt.validation.prediction import Validation, validate
 
@@ -160,7 +160,7 @@ def run_study(
     report("predict", 0.0)
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
-    result = with_findings(_with_drive_choice(result, chosen), checks, validations)
+    result = with_repeats(with_findings(_with_drive_choice(result, chosen), checks, validations), learning, judging)
     result = _with_evidence(result, learning, judging, options.block_seconds)
     attribution = None
     if result.evidence is not None and options.mounting == "as_described":
