@@ -15,6 +15,7 @@ from asbuilt.experiment.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.survey import Survey
 from asbuilt.experiment.tallies import Indices
 from asbuilt.experiment.torque_fit import TorqueFit, best_assignment
+from asbuilt.experiment.torque_order import exchanged_torques
 
 _CLEAR = 0.9
 """Correlation with the model's torque from which a joint's torque speaks clearly,"""
@@ -72,6 +73,8 @@ def torque_findings(
     best = best_assignment(fit)
     if best is not fit:
         yield from _exchanges(model, fit, best)
+    else:
+        yield from _exchanges_without_cad(model, fit)
     yield from _sign_and_scale(model, recording, best, ratio)
 
 
@@ -91,6 +94,20 @@ def _exchanges(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Iterator[F
         "Check the order of the columns; name them in a recording sheet: [columns] position = [...], torque = [...]",
         joint=names[moved[0]],
     )
+
+
+def _exchanges_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Finding]:
+    exchange = exchanged_torques(fit)
+    if exchange is not None:
+        one, other = (model.joint_names[k] for k in exchange.joints)
+        yield Finding(
+            "joints-swapped",
+            "error",
+            f"the torques of {one} and {other} look swapped: whatever the masses and friction, {100 * exchange.as_logged:.2g} % of their variance is left unexplained as logged and "
+            f"{100 * exchange.exchanged:.2g} % once exchanged",
+            "Check the order of the torque columns; name them in a recording sheet: [columns] torque = [...]",
+            joint=one,
+        )
 
 
 def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio: float) -> Iterator[Finding]:

@@ -16,7 +16,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.recording import Array
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
 
-_BREAKAWAY = 0.02
+BREAKAWAY = 0.02
 """Width of the sign of velocity [rad/s or m/s]."""
 _FLOOR = 0.02
 """Misfit below which a better fit counts no more."""
@@ -60,7 +60,7 @@ class TorqueFit:
         x = inverse_dynamics(self.model, self.q[:, pick], qd, self.qdd[:, pick], threads=1)
         y = self.tau[:, list(self.torque_of)].copy()
         for k in range(x.shape[1]):
-            basis, _ = np.linalg.qr(np.column_stack([np.ones(len(qd)), qd[:, k], np.tanh(qd[:, k] / _BREAKAWAY)]))
+            basis, _ = np.linalg.qr(np.column_stack([np.ones(len(qd)), qd[:, k], np.tanh(qd[:, k] / BREAKAWAY)]))
             x[:, k] -= basis @ (basis.T @ x[:, k])
             y[:, k] -= basis @ (basis.T @ y[:, k])
         return x, y
@@ -110,7 +110,7 @@ class TorqueFit:
             lengths = np.linalg.norm(rows[:, k], axis=0)
             basis, values, _ = np.linalg.svd(rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False)
             basis = basis[:, values > 1e-6 * values[0]]
-            both = np.column_stack([np.tanh(qd[:, k] / _BREAKAWAY), self.tau[:, self.torque_of[k]]])
+            both = np.column_stack([np.tanh(qd[:, k] / BREAKAWAY), self.tau[:, self.torque_of[k]]])
             way, left = (both - basis @ (basis.T @ both)).T
             norm = float(np.linalg.norm(way) * np.linalg.norm(left))
             if norm > 0 and abs(way @ left) / np.linalg.norm(way) > 0.1 * np.linalg.norm(both[:, 1] - both[:, 1].mean()):
