@@ -46,10 +46,8 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 def listed_files(files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None) -> str:
     """Return the lines that say which files were written and what is to be known of them, empty where none were."""
-    width = max((*(len(kind) for kind in files), 11))
-    lines = []
-    for kind in dict.fromkeys((*files, *(notes or {}))):
-        said = list((notes or {}).get(kind, ()))
-        lines.append(f"  {kind:<{width}} {files[kind] if kind in files else said.pop(0)}")
-        lines += [f"  {'':<{width}} note: {note}" for note in said]
-    return "\n".join(["", "", "written:", *lines]) if files else ""
+    if not files:
+        return ""
+    from asbuilt.writers.files import file_lines
+
+    return "\n".join(["", "", "written:", *file_lines(files, notes or {}, max((*(len(kind) for kind in files), 11)))])

@@ -13,7 +13,7 @@ from asbuilt.excitation.motion import STANDSTILL, Array
 from asbuilt.excitation.point_to_point import PointToPointMotion
 
 CHECK_RATE = 1000.0
-"""Rate at which a move must keep its constraints [Hz]."""
+"""Rate of the grid on which a motion must keep its constraints [Hz]."""
 
 SLOWING, SLOWEST = 0.93, 0.1
 """By what factor a move is slowed at a time, and at which share of its speed that is given up."""

@@ -26,9 +26,6 @@ STATIONS, NEIGHBOURS = 1000, 12
 
 AT_ONCE = 4096
 """Poses that are looked at together, for memory."""
-CHECK_RATE = 1000.0
-"""Rate at which a way must hold [Hz]."""
-"""By what factor a way is slowed down where its torque is too much, and how often."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,14 +12,13 @@ from asbuilt.experiment.finding import Finding, joined
 from asbuilt.experiment.recording import Array
 from asbuilt.experiment.smoothed_motion import SmoothedMotion
 from asbuilt.experiment.survey import Survey
+from asbuilt.experiment.tallies import IN_STEP
 
 DEGREE = np.pi / 180
 """A degree in radians."""
 _STILL_ANGLE = 0.05
 _STILL_LENGTH = 0.005
 """Travel below which a joint hardly moves [rad], and a sliding one [m]."""
-_ALIKE = 0.995
-"""Correlation of positions from which joints move in step."""
 _LAG = 0.3
 """Lag of logged velocities, in sampling periods, from which it is told."""
 _END = 0.4
@@ -119,7 +118,7 @@ def _alike(recording: Survey) -> Iterator[Finding]:
     if len(moving) < 3:
         return
     likeness = np.abs(recording.likeness.correlations(moving))
-    group = max((np.flatnonzero(row > _ALIKE) for row in likeness), key=len)
+    group = max((np.flatnonzero(row > IN_STEP) for row in likeness), key=len)
     if len(group) < 3:
         return
     names = [recording.joint_names[moving[k]] for k in group]

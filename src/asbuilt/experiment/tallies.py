@@ -11,6 +11,9 @@ from asbuilt.experiment.recording import Array
 
 Indices = NDArray[np.int64]
 
+IN_STEP = 0.995
+"""Correlation of positions from which joints move in step."""
+
 
 @dataclass(frozen=True, eq=False)
 class Extremes:

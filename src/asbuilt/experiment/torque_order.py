@@ -50,20 +50,20 @@ def exchanged_torques(fit: TorqueFit) -> Exchange | None:
     W[:, range(n), range(base.n_base, p)] = np.tanh(qd / BREAKAWAY)
     y = torque - torque.mean(axis=0)
     spread = y.std(axis=0)
-    y = y / np.where(spread > 0.0, spread, 1.0)
     spread = np.where(spread > 0.0, spread, 1.0)
-    normal = _Normal(np.einsum("skp,skq->kpq", W, W), np.einsum("skp,sj->kjp", W, y), np.mean(y**2, axis=0), samples)
+    y = y / spread
+    normal = _Normal(np.einsum("skp,skq->kpq", W, W), np.einsum("skp,sj->kjp", W, y), np.mean(y**2, axis=0), spread, samples)
 
     def cost(shares: Array) -> float:
         return float(np.sum(np.log(shares + FLOOR)))
 
     order = np.arange(n)
-    logged = normal.unexplained(order, spread)
+    logged = normal.unexplained(order)
     best, found = cost(logged) - DECISIVE, None
     for pair in combinations(range(n), 2):
         tried = order.copy()
         tried[list(pair)] = pair[::-1]
-        shares = normal.unexplained(tried, spread)
+        shares = normal.unexplained(tried)
         if cost(shares) < best:
             both = list(pair)
             best, found = cost(shares), Exchange(pair, float(logged[both].mean()), float(shares[both].mean()))
@@ -72,16 +72,17 @@ def exchanged_torques(fit: TorqueFit) -> Exchange | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """The normal equations of each joint: `grams` (n, p, p), `sides` (n, n, p) of its rows with each torque, of unit variance, `power` (n,) of the torques, and the samples."""
+    """The normal equations of each joint: `grams` (n, p, p), `sides` (n, n, p) of its rows with each torque, of unit variance, `power` and `spread` (n,) of the torques, scaled and as they are, and the samples."""
 
     grams: Array
     sides: Array
     power: Array
+    spread: Array
     samples: int
 
-    def unexplained(self, torque_of: NDArray[np.intp], spread: Array) -> Array:
+    def unexplained(self, torque_of: NDArray[np.intp]) -> Array:
         """Return the unexplained share (n,) of the torque of every joint where joint k has torque `torque_of[k]`."""
-        scale = 1.0 / spread[torque_of]
+        scale = 1.0 / self.spread[torque_of]
         side = np.stack([self.sides[k, j] for k, j in enumerate(torque_of)])
         gram = np.einsum("k,kpq->pq", scale**2, self.grams)
         size = np.sqrt(np.diag(gram))

@@ -207,8 +207,7 @@ def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, 
     pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
     """
     p = result.n_base
-    weights = 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny)
-    of_arm = arm_by_joint(result, rows.joints, weights)
+    of_arm = arm_by_joint(result, rows.joints, result.weights)
     sides = np.column_stack([joint[:, :-1].T @ joint[:, -1] for joint in rows.joints])
     matrix = sum((block[:, :-1].T @ block[:, :-1] for block in rows.blocks), start=np.zeros((p + 10, p + 10)))
     matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]

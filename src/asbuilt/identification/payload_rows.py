@@ -45,7 +45,7 @@ class PayloadRows:
 
         The columns of parameters that the result dropped are zero: zero they stay.
         """
-        p, weights = result.n_base, 1.0 / np.maximum(result.sigma, np.finfo(np.float64).tiny)
+        p, weights = result.n_base, result.weights
         link_columns = np.arange(10 * link, 10 * link + 10)
         columns = np.union1d(result.base.columns, link_columns)
         own, carried = np.searchsorted(columns, result.base.columns), np.searchsorted(columns, link_columns)

@@ -171,6 +171,11 @@ class IdentificationResult:
         return np.array([parameter.estimate for parameter in self.parameters])
 
     @property
+    def weights(self) -> Array:
+        """One over the standard deviation of the torque residual of each joint, (n,); large but finite where there is none."""
+        return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
+
+    @property
     def cad_values(self) -> Array:
         """Base parameters by design, shape (p,); NaN where the description is silent."""
         return np.array([parameter.cad for parameter in self.parameters])

@@ -12,6 +12,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.spring import Spring
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.samples import Samples
+from asbuilt.experiment.tallies import IN_STEP, Likeness
 from asbuilt.identification.mounting import Mounting, find_mounting
 from asbuilt.identification.result import IdentificationResult, IdentificationWarning
 from asbuilt.identification.spring_search import suspected_springs
@@ -22,8 +23,6 @@ RELIEF = 0.02
 """Part of the torque residual that a tilt found has to take away to be spoken of."""
 BADLY_FITTING = ("bodies_strained", "bodies_refused")
 """Warnings of an automatic choice where something acts that real bodies cannot follow,"""
-IN_STEP = 0.995
-"""Correlation of positions from which joints move in step."""
 SEARCHED = 30_000
 """for which, up to so many samples, it is looked whether the robot stands askew, and for springs."""
 
@@ -95,13 +94,14 @@ def _springs_suspected(
 
 def _in_step(model: RobotModel, learning: Sequence[Samples], suspects: Sequence[int]) -> str:
     """Say which joints move in step with those of springs, so that what looks like a spring may go with any of them; empty where none does."""
-    q = np.concatenate([samples.q for samples in learning])
-    q = q - q.mean(axis=0)
-    spread = q.std(axis=0)
-    alike = np.abs(q.T @ q) > IN_STEP * len(q) * np.outer(spread, spread)
+    likeness = Likeness.none(model.n_joints)
+    for samples in learning:
+        likeness = likeness.with_more(samples.q)
+    moving = likeness.moving
+    alike = np.abs(likeness.correlations(moving)) > IN_STEP
     told = []
-    for k in suspects:
-        others = [model.joint_names[j] for j in np.flatnonzero(alike[k]).tolist() if j != k]
+    for k in (joint for joint in suspects if joint in moving):
+        others = [model.joint_names[j] for j, same in zip(moving, alike[moving.index(k)], strict=True) if same and j != k]
         if others:
             told.append(f"{model.joint_names[k]} moves in step with {', '.join(others)}")
     return (

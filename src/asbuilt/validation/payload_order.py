@@ -29,7 +29,7 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
 
     CAD tells the order of joints that gravity loads; this tells that of wrists, whose friction the result knows. Each recording is judged alone.
     """
-    shift, sigma = shift_matrix(placement), np.maximum(result.sigma, np.finfo(np.float64).tiny)
+    shift, weights = shift_matrix(placement), result.weights
     n = result.model.n_joints
     for samples in loaded:
         arm = predict_torque(result.model, result.base, result.estimates, samples)
@@ -38,14 +38,9 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
             links = np.zeros(10 * n)
             links[10 * link : 10 * link + 10] = shift[:, i]
             columns[:, :, i] = samples.filtered(inverse_dynamics(result.model, samples.q, samples.qd, samples.qdd, parameters=links))
-        basis, lengths, _ = np.linalg.svd((columns / sigma[:, None]).reshape(-1, 10), full_matrices=False)
+        basis, lengths, _ = np.linalg.svd((columns * weights[:, None]).reshape(-1, 10), full_matrices=False)
         basis = basis[:, lengths > np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)]
-
-        def left(measured: Array, arm: Array = arm.predicted, basis: Array = basis) -> float:
-            y = ((measured - arm) / sigma).ravel()
-            return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size
-
-        as_logged = left(arm.measured)
+        as_logged = _left((arm.measured - arm.predicted) * weights, basis)
         if as_logged < AUDIBLE:
             continue
         tried: list[tuple[float, str, str]] = []
@@ -55,7 +50,7 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
             pair = f"those of {result.joint_names[j]} and {result.joint_names[k]} look swapped"
             tried.append(
                 (
-                    left(arm.measured[:, order]),
+                    _left((arm.measured[:, order] - arm.predicted) * weights, basis),
                     pair,
                     "Check the order of the torque columns; name them in a recording sheet: [columns] torque = [...]",
                 )
@@ -65,7 +60,7 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
             listed = ", ".join(f"{sign:g}" for sign in signs)
             tried.append(
                 (
-                    left(arm.measured * signs),
+                    _left((arm.measured * signs - arm.predicted) * weights, basis),
                     f"that of {result.joint_names[k]} alone has the opposite sign",
                     f"Turn it in a recording sheet: sign = [{listed}]",
                 )
@@ -76,3 +71,9 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
                 f"{samples.source}: the torques do not fit the arm of the result with any body at its flange; {what} (error {significant(np.sqrt(as_logged), 2)} times the noise of the "
                 f"result as logged, {significant(np.sqrt(best), 2)} times then). {cure}; --unchecked takes the recording as it is"
             )
+
+
+def _left(error: Array, basis: Array) -> float:
+    """Return the mean square of a weighted torque error (N, n) beside what orthonormal columns (N n, r) of a body explain."""
+    y = error.ravel()
+    return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size

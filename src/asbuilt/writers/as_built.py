@@ -76,7 +76,7 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     robot = model.with_parameters(parameters[:rigid])
     drives = np.array(parameters[rigid:])
     bounded = non_negative_columns(model.n_joints, drive) - rigid
-    drives[bounded] = np.where(np.abs(drives[bounded]) < ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded])
+    drives[bounded] = np.where(drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded])
     values = drives.reshape(model.n_joints, -1)
     turned = np.any(model.motor_shares, axis=1)
     joints = []

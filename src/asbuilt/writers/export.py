@@ -18,7 +18,7 @@ from asbuilt.tables import significant
 from asbuilt.validation.stand_in import StandIn, stand_in
 from asbuilt.writers.as_built import AsBuilt, as_built, keeping_described_drives, load_counted
 from asbuilt.writers.c_code import write_c
-from asbuilt.writers.files import path_texts
+from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.mjcf import write_mjcf
 from asbuilt.writers.physical import refuse_bad_stand_in, refuse_impossible_result
 from asbuilt.writers.robot_toml import write_robot_toml
@@ -60,9 +60,7 @@ class Export:
             lines += ["", *self.cost.table().as_text().splitlines(), ""]
         if self.beyond:
             lines += [self.beyond, ""]
-        for kind, path in self.files.items():
-            lines += [f"  {kind:<9} {path}", *[f"            note: {note}" for note in self.notes.get(kind, ())]]
-        return "\n".join(lines)
+        return "\n".join([*lines, *file_lines(self.files, self.notes, 9)])
 
 
 def export_result(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from asbuilt.errors import UsageError
@@ -43,6 +43,16 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
 def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
     """Return the paths of what was written as texts, by kind, for documents; none where nothing was."""
     return {kind: os.fspath(path) for kind, path in (files or {}).items()}
+
+
+def file_lines(files: Mapping[str, Path], notes: Mapping[str, Sequence[str]], width: int) -> list[str]:
+    """Return the lines that name every file by kind, in a column of this width, with what is to be known of it; of a kind without a file the notes stand in its place."""
+    lines = []
+    for kind in dict.fromkeys((*files, *notes)):
+        said = list(notes.get(kind, ()))
+        lines.append(f"  {kind:<{width}} {files[kind] if kind in files else said.pop(0)}")
+        lines += [f"  {'':<{width}} note: {note}" for note in said]
+    return lines
 
 
 def check_writable(folder: Path) -> None:

@@ -11,9 +11,8 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.capsules import surroundings
 from asbuilt.excitation.collision import CollisionGuard
 from asbuilt.excitation.motion import Motion
+from asbuilt.excitation.pacing import CHECK_RATE
 
-CHECK_RATE = 1000.0
-"""Rate of the grid on which distances are taken [Hz]."""
 POSES_AT_ONCE = 4000
 """Poses that are looked at together, for memory."""
 
