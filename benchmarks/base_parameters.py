@@ -8,16 +8,16 @@ import time
 
 import numpy as np
 
-from asbuilt.description.dh import DHRow, robot_from_dh
+from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 
 DRIVE = "armature,viscous,coulomb,offset"
 COLD = (
-    "import time; from asbuilt import load_robot, find_base_parameters; m = load_robot('kuka-iiwa7-r800'); import asbuilt.dynamics.base_parameters; "
+    "import time; from asbuilt import load_robot, find_base_parameters; m = load_robot('kuka-iiwa7-r800'); import asbuilt.dynamics.base.base_parameters; "
     "t = time.perf_counter(); find_base_parameters(m); print(time.perf_counter() - t)"
 )
 

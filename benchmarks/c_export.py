@@ -9,7 +9,7 @@ from pathlib import Path
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import DriveValues
-from asbuilt.writers.c_code import c_code, write_c
+from asbuilt.writers.models.c.c_code import c_code, write_c
 
 ROBOTS = ("kuka-iiwa7-r800", "franka-panda", "ur10e")
 CALLS = 200_000

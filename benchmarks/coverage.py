@@ -13,18 +13,21 @@ from scipy.signal import lfilter
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
-from asbuilt.identification.cad_prior import CadPrior, cad_prior
-from asbuilt.identification.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
+from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
+from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.estimators.least_squares import Estimate, fit_least_squares
 from asbuilt.identification.identify import design_values
-from asbuilt.identification.least_squares import Estimate, fit_least_squares
-from asbuilt.identification.square_root_information import SquareRootInformation, accumulate
-from asbuilt.identification.uncertainty import block_uncertainty
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate,
+)
 
 Array = NDArray[np.float64]
 

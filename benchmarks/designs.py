@@ -17,17 +17,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.catalogue import robot_names
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
-from asbuilt.excitation.attained import information_efficiency
-from asbuilt.excitation.design import USUAL_DRIVE, Design, design_motion
-from asbuilt.excitation.design_options import DesignOptions
-from asbuilt.excitation.information import Information, mean_information
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.excitation.design.design import USUAL_DRIVE, Design, design_motion
+from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.information.efficiency import information_efficiency
+from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motion import Array
-from asbuilt.experiment.readers import read_recordings
-from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
 from drive_terms import CASES, SHARED, UR10E_SHEET
 
 DURATIONS = (10.0, 20.0, 40.0)

@@ -14,10 +14,10 @@ import numpy as np
 
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.hold_out import hold_out
-from asbuilt.experiment.readers import read_recordings
-from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
-from asbuilt.identification.drive_choice import settle_drive
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.drives.drive_choice import settle_drive
 from asbuilt.identification.identify import identify
 from asbuilt.validation.prediction import validate
 

@@ -9,20 +9,20 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import minimize
 
+from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.batches import available_cores
-from asbuilt.dynamics.blas import one_blas_thread
-from asbuilt.excitation.admissible import parameter_scale
-from asbuilt.excitation.criteria import DOptimality
-from asbuilt.excitation.design import USUAL_DRIVE, design_motion
-from asbuilt.excitation.design_options import DesignOptions
-from asbuilt.excitation.design_program import DesignProgram, Objective
-from asbuilt.excitation.information import Information, mean_information
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.excitation.design.design import USUAL_DRIVE, design_motion
+from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.design.program import DesignProgram, Objective
+from asbuilt.excitation.design.torque_limit import TorqueLimit
+from asbuilt.excitation.information.criteria import DOptimality
+from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motion import Array
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.excitation.torque_limit import TorqueLimit
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.excitation.state_bounds import parameter_scale
 
 ROBOT, DURATION, HARMONICS, FRACTION, TORQUE_FRACTION = "kuka-iiwa7-r800", 20.0, 5, 0.95, 0.8
 RANDOM_MOTIONS = 1000

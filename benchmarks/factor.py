@@ -8,17 +8,17 @@ from scipy.linalg import qr
 
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base_parameters import find_base_parameters
-from asbuilt.dynamics.blas import one_blas_thread
-from asbuilt.dynamics.drive_torque import drive_torque
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import drive_torque
+from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import inverse_dynamics
-from asbuilt.experiment.parallel_filter import design_parallel_filter
-from asbuilt.experiment.samples import Samples
-from asbuilt.identification.consistency import consistency_margin
+from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.bodies.consistency import consistency_margin
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.identify import design_values
-from asbuilt.identification.least_squares import fit_least_squares
-from asbuilt.identification.square_root_information import accumulate
+from asbuilt.identification.information.square_root_information import accumulate
 from peer import best, pinocchio_model
 
 ROBOT = "kuka-iiwa7-r800"

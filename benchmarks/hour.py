@@ -14,13 +14,13 @@ import numpy as np
 import polars as pl
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.experiment.signal_chain import stream_samples
-from asbuilt.experiment.streaming import stream_recording
+from asbuilt.experiment.logs.streaming import stream_recording
+from asbuilt.experiment.signal.signal_chain import stream_samples
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.identify import conclude, design_values
-from asbuilt.identification.least_squares import fit_least_squares
-from asbuilt.identification.square_root_information import accumulate_stream
+from asbuilt.identification.information.square_root_information import accumulate_stream
 from factor import DRIVE, RATE, ROBOT, recorded
 
 HOUR = 3600.0

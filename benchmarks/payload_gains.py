@@ -9,14 +9,14 @@ import numpy as np
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.samples import Samples
-from asbuilt.experiment.sensors import SensorNoise
-from asbuilt.experiment.signal_chain import prepare_samples
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.identification.cause_evidence import gather_evidence
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.identification.calibration.payload import identify_payload, payload_frame
 from asbuilt.identification.identify import identify
-from asbuilt.identification.payload import identify_payload, payload_frame
+from asbuilt.identification.information.cause_data import gather_evidence
 
 ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 DRAWS = 60

@@ -8,17 +8,17 @@ from collections.abc import Callable
 import numpy as np
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.samples import Samples
-from asbuilt.identification.body_bounds import generous_bounds
-from asbuilt.identification.cad_prior import cad_prior
-from asbuilt.identification.conic_fit import fit_real_bodies
-from asbuilt.identification.consistent_fit import fit_consistent, fit_toward_cad
-from asbuilt.identification.square_root_information import accumulate
-from asbuilt.identification.standard_parameters import standard_parameters
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.bodies.body_bounds import generous_bounds
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.conic_fit import fit_real_bodies
+from asbuilt.identification.bodies.standard_parameters import standard_parameters
+from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.information.square_root_information import accumulate
 
 ROBOT = "kuka-iiwa7-r800"
 REPEATS = 15

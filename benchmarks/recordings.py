@@ -19,9 +19,9 @@ from typing import Literal, NamedTuple
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError
-from asbuilt.experiment.readers import read_recordings
-from asbuilt.identification.metrics import TorqueMetrics
-from asbuilt.validation.study import StudyOptions, run_study
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.workflow.study import StudyOptions, run_study
 from drive_terms import CASES as TERM_CASES
 from drive_terms import SHARED, UR10E_SHEET, Case
 

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.description.catalogue import bundled_robot
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.data_logger import DataLogger
-from asbuilt.experiment.sensors import PERFECT_SENSORS
-from asbuilt.experiment.virtual_robot import VirtualRobot
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.validation.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, run_study
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")
 SEEDS = range(5)

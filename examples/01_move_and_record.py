@@ -9,9 +9,9 @@ import numpy as np
 
 from asbuilt import load_robot, simulate_recording
 from asbuilt.excitation.limits import check_motion
-from asbuilt.excitation.motion_csv import read_motion
-from asbuilt.excitation.random_motion import random_fourier, random_point_to_point
-from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.excitation.motions.motion_csv import read_motion
+from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
+from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.writers.motion_files import write_motion
 
 model = load_robot("kuka-iiwa7-r800")

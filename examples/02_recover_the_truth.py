@@ -16,17 +16,17 @@ import numpy as np
 from asbuilt import load_robot
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
-from asbuilt.excitation.motion import Motion
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.data_logger import DataLogger
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.sensors import PERFECT_SENSORS
-from asbuilt.experiment.signal_chain import prepare_samples
-from asbuilt.experiment.virtual_robot import VirtualRobot
-from asbuilt.identification.torque_gains import identify_gains
+from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.calibration.torque_gains import identify_gains
 from asbuilt.tables import Column, Table, columns, share, significant
 from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.validation.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, run_study
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")
 WEIGHTS = {"ur10e": 8.0, "scara": 4.0}

@@ -1,8 +1,8 @@
 """From a recording to a result that predicts another motion: the main job from Python, on a virtual UR10e."""
 
 import asbuilt
-from asbuilt.excitation.random_motion import random_fourier, random_point_to_point
-from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
+from asbuilt.experiment.virtual.simulation import InstalledRobot
 
 model = asbuilt.load_robot("ur10e")
 robot = InstalledRobot.typical(model, rng=1)

@@ -3,9 +3,9 @@
 import numpy as np
 
 import asbuilt
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.identification.payload import identify_payload, payload_frame
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.identification.calibration.payload import identify_payload, payload_frame
 
 model = asbuilt.load_robot("franka-panda")
 drive = asbuilt.DriveSet.parse("viscous,coulomb,offset")

@@ -9,12 +9,12 @@ import numpy as np
 
 from asbuilt import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.collision import watched
-from asbuilt.excitation.design import design_motion
-from asbuilt.excitation.design_options import DesignOptions
-from asbuilt.excitation.information import Information, mean_information
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.excitation.static_poses import design_static_poses
+from asbuilt.excitation.collision.constraint import watched
+from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.design.static_poses import design_static_poses
+from asbuilt.excitation.information.information import Information, mean_information
+from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.writers.motion_files import write_motion
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")

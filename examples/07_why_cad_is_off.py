@@ -3,9 +3,9 @@
 import numpy as np
 
 import asbuilt
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.validation.attribution import attribute
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.validation.attribution.attribution import attribute
 
 model = asbuilt.load_robot("kuka-iiwa7-r800")
 drive = asbuilt.DriveSet.parse("viscous,coulomb,offset")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from asbuilt import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.validation.study import StudyOptions, run_study
-from asbuilt.writers.export import export_result
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.writers.models.export import export_result
 
 model = load_robot("ur10e")
 recording = InstalledRobot.typical(model, rng=3).record(random_fourier(model, rng=1, duration=20.0), rng=4).recording

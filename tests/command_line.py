@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from asbuilt.cli import main
+from asbuilt.cli.app import main
 
 JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "json.md"
 EXTRA = {"identify": {"payload", "cutoff_sweep"}}

@@ -7,17 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from asbuilt.description.dh import DHRow, robot_from_dh
+from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import DriveValues, JointLimits, RobotModel
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.parallel_filter import design_parallel_filter
-from asbuilt.experiment.samples import Samples
-from asbuilt.identification.metrics import torque_metrics
-from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
+from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.result.metrics import torque_metrics
+from asbuilt.identification.result.result import (
+    IdentificationResult,
+    IdentificationWarning,
+    IdentifiedParameter,
+)
 
 HOSTILE = "<img src=x onerror=alert(1)>\"&'"
 

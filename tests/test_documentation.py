@@ -16,11 +16,11 @@ import pytest
 import typer
 
 import asbuilt
-from asbuilt.cli import app
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.simulation import InstalledRobot
+from asbuilt.cli.app import app
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.recording_files import write_recording
-from asbuilt.writers.urdf import write_urdf
 
 HOUSE = Path(__file__).resolve().parents[1]
 PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]

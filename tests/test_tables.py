@@ -7,7 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from asbuilt.tables import Column, Shown, Table, columns, deviation, percent, plus_minus, rounded, shortened, significant, stacked
+from asbuilt.tables import (
+    Column,
+    Shown,
+    Table,
+    columns,
+    deviation,
+    percent,
+    plus_minus,
+    rounded,
+    shortened,
+    significant,
+    stacked,
+)
 
 GOLDEN = """\
 Parameters

@@ -15,69 +15,74 @@ if TYPE_CHECKING:
     from asbuilt.description.inertia import LinkInertia
     from asbuilt.description.load import load_robot
     from asbuilt.description.model import RobotModel
-    from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+    from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.dynamics.newton_euler import forward_dynamics, gravity_torque, inverse_dynamics, mass_matrix
+    from asbuilt.dynamics.newton_euler import (
+        forward_dynamics,
+        gravity_torque,
+        inverse_dynamics,
+        mass_matrix,
+    )
     from asbuilt.dynamics.regressor import observation_matrix, regressor
     from asbuilt.errors import AsbuiltError
-    from asbuilt.excitation.design import design_motion
-    from asbuilt.excitation.design_options import DesignOptions
-    from asbuilt.experiment.checks import check_recording
-    from asbuilt.experiment.free_motion import run_free
-    from asbuilt.experiment.readers import read_recording
+    from asbuilt.excitation.design.design import design_motion
+    from asbuilt.excitation.design.options import DesignOptions
+    from asbuilt.experiment.logs.readers import read_recording
+    from asbuilt.experiment.quality.checks import check_recording
     from asbuilt.experiment.recording import Recording
-    from asbuilt.experiment.samples import Samples
-    from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
-    from asbuilt.experiment.simulation import simulate_recording
-    from asbuilt.experiment.virtual_robot import VirtualRobot
+    from asbuilt.experiment.signal.samples import Samples
+    from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+    from asbuilt.experiment.virtual.free_motion import run_free
+    from asbuilt.experiment.virtual.simulation import simulate_recording
+    from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+    from asbuilt.identification.calibration.payload import identify_payload
     from asbuilt.identification.identify import identify
-    from asbuilt.identification.payload import identify_payload
-    from asbuilt.identification.result import IdentificationResult
-    from asbuilt.validation.attribution import attribute
-    from asbuilt.validation.comparison import compare
+    from asbuilt.identification.result.result import IdentificationResult
+    from asbuilt.validation.attribution.attribution import attribute
+    from asbuilt.validation.comparison.comparison import compare
     from asbuilt.validation.prediction import validate
-    from asbuilt.validation.study import Study, StudyOptions, run_study
-    from asbuilt.writers.export import export_result
-    from asbuilt.writers.report import write_report
+    from asbuilt.workflow.study import Study, StudyOptions, run_study
+    from asbuilt.writers.models.export import export_result
+    from asbuilt.writers.reports.report import write_report
 
 __version__ = "0.1.0"
 
 _HOME = {
     "AsbuiltError": "errors",
-    "BaseParameters": "dynamics.base_parameters",
-    "DesignOptions": "excitation.design_options",
+    "BaseParameters": "dynamics.base.base_parameters",
+    "DesignOptions": "excitation.design.options",
     "DriveSet": "dynamics.drives.selection",
-    "IdentificationResult": "identification.result",
+    "IdentificationResult": "identification.result.result",
     "LinkInertia": "description.inertia",
     "Recording": "experiment.recording",
     "RobotModel": "description.model",
-    "Samples": "experiment.samples",
-    "SignalChain": "experiment.signal_chain",
-    "Study": "validation.study",
-    "StudyOptions": "validation.study",
-    "VirtualRobot": "experiment.virtual_robot",
-    "attribute": "validation.attribution",
-    "check_recording": "experiment.checks",
-    "compare": "validation.comparison",
-    "design_motion": "excitation.design",
-    "export_result": "writers.export",
-    "find_base_parameters": "dynamics.base_parameters",
+    "Samples": "experiment.signal.samples",
+    "SignalChain": "experiment.signal.signal_chain",
+    "Study": "workflow.study",
+    "StudyOptions": "workflow.study",
+    "VirtualRobot": "experiment.virtual.virtual_robot",
+    "attribute": "validation.attribution.attribution",
+    "check_recording": "experiment.quality.checks",
+    "compare": "validation.comparison.comparison",
+    "design_motion": "excitation.design.design",
+    "export_result": "writers.models.export",
+    "find_base_parameters": "dynamics.base.base_parameters",
     "forward_dynamics": "dynamics.newton_euler",
     "gravity_torque": "dynamics.newton_euler",
     "identify": "identification.identify",
-    "identify_payload": "identification.payload",
+    "identify_payload": "identification.calibration.payload",
     "inverse_dynamics": "dynamics.newton_euler",
     "load_robot": "description.load",
     "mass_matrix": "dynamics.newton_euler",
     "observation_matrix": "dynamics.regressor",
-    "prepare_samples": "experiment.signal_chain",
-    "read_recording": "experiment.readers",
+    "prepare_samples": "experiment.signal.signal_chain",
+    "read_recording": "experiment.logs.readers",
     "regressor": "dynamics.regressor",
-    "run_free": "experiment.free_motion",
-    "run_study": "validation.study",
-    "simulate_recording": "experiment.simulation",
+    "run_free": "experiment.virtual.free_motion",
+    "run_study": "workflow.study",
+    "simulate_recording": "experiment.virtual.simulation",
     "validate": "validation.prediction",
-    "write_report": "writers.report",
+    "write_report": "writers.reports.report",
 }
 
 __all__ = [

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from asbuilt.description.dh import DHRow, robot_from_dh
+from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, RobotModel
 from asbuilt.description.rotation import axes_across, placement, rotation_x

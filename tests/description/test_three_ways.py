@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from asbuilt.description.dh import DHRow, robot_from_dh
+from asbuilt.description.formats.dh import DHRow, robot_from_dh
+from asbuilt.description.formats.toml import robot_from_toml
+from asbuilt.description.formats.urdf import read_urdf
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, RobotModel
-from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, rpy_from_rotation
-from asbuilt.description.toml import robot_from_toml
-from asbuilt.description.urdf import read_urdf
+from asbuilt.description.rotation import (
+    composed,
+    placement,
+    rotation_x,
+    rotation_z,
+    rpy_from_rotation,
+)
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 
 

@@ -11,6 +11,7 @@ from pinocchio_oracle import pinocchio_model, random_inertia, random_robot
 from scipy.integrate import solve_ivp
 
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.dynamics.newton_euler import (
     coriolis_matrix,
     coriolis_torque,
@@ -21,7 +22,6 @@ from asbuilt.dynamics.newton_euler import (
     mass_matrix,
     potential_energy,
 )
-from asbuilt.dynamics.recursion import BLOCK
 from asbuilt.errors import InertiaError, UsageError
 
 CASES = [(style, n) for style in ("general", "distal", "proximal") for n in (1, 2, 7, 12)]

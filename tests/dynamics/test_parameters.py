@@ -9,7 +9,12 @@ from pinocchio_oracle import random_robot
 
 from asbuilt.description.model import DriveValues
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.parameters import parameter_count, parameter_names, parameter_units, parameter_values
+from asbuilt.dynamics.parameters import (
+    parameter_count,
+    parameter_names,
+    parameter_units,
+    parameter_values,
+)
 
 
 def test_links_come_first_then_drives_joint_by_joint():

@@ -11,9 +11,9 @@ from pinocchio_oracle import pinocchio_model, random_robot
 
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.dynamics.recursion import BLOCK
 from asbuilt.dynamics.regressor import RegressorPlan, joint_support, observation_matrix, regressor
 from asbuilt.errors import UsageError
 

@@ -9,9 +9,9 @@ from asbuilt.description.model import DriveValues, Joint, JointLimits, Link, Rob
 from asbuilt.description.rotation import placement, rotation_x
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds, check_motion
-from asbuilt.excitation.point_to_point import PointToPointMotion
-from asbuilt.excitation.quintic import QuinticMotion
-from asbuilt.excitation.random_motion import random_fourier, random_point_to_point
+from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+from asbuilt.excitation.motions.quintic import QuinticMotion
+from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
 
 SILENT = DriveValues()
 

@@ -10,13 +10,13 @@ from three_links import DRIVE, arm, truth
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.samples import Samples
-from asbuilt.identification.cad_prior import cad_prior
-from asbuilt.identification.square_root_information import accumulate
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.information.square_root_information import accumulate
 
 FULL = "armature,viscous,coulomb,offset"
 

@@ -8,7 +8,7 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
 from asbuilt.validation.prediction import design_values, validate, validate_description
-from asbuilt.writers.as_built import as_built_model
+from asbuilt.writers.models.as_built import as_built_model
 
 
 @pytest.mark.parametrize("which", ["example", "filtered_example"])

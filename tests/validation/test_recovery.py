@@ -10,14 +10,14 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import ResultError
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.data_logger import DataLogger
-from asbuilt.experiment.sensors import PERFECT_SENSORS
-from asbuilt.experiment.simulation import SimulatedRecording
-from asbuilt.experiment.virtual_robot import VirtualRobot
-from asbuilt.identification.result import IdentificationResult
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
+from asbuilt.experiment.virtual.simulation import SimulatedRecording
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.recovery import compare_with_truth
-from asbuilt.validation.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, run_study
 
 
 @pytest.fixture(scope="module")

@@ -9,17 +9,17 @@ import numpy as np
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.base_parameters import find_base_parameters
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.hold_out import hold_out
+from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.sensors import SensorNoise
-from asbuilt.experiment.signal_chain import SignalChain, prepare_samples
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.identification.cause_evidence import gather_evidence
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.identify import identify
-from asbuilt.identification.result import IdentificationResult
+from asbuilt.identification.information.cause_data import gather_evidence
+from asbuilt.identification.result.result import IdentificationResult
 
 TOOL = LinkInertia.from_com(1.9, [0.02, 0.0, 0.08], np.diag([0.01, 0.01, 0.006]))
 FRICTION = (1.0, 2.0)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.fourier import FourierMotion
-from asbuilt.excitation.motion_csv import read_motion
+from asbuilt.excitation.motions.fourier import FourierMotion
+from asbuilt.excitation.motions.motion_csv import read_motion
 from asbuilt.writers.motion_files import write_motion
 
 NAMES = ("shoulder", "elbow", "joint 3")

@@ -9,11 +9,11 @@ import pytest
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drive_torque import described_drive
-from asbuilt.excitation.random_motion import random_fourier
-from asbuilt.experiment.readers import read_recording
-from asbuilt.experiment.simulation import InstalledRobot
-from asbuilt.experiment.virtual_robot import PRESETS, VirtualRobot
+from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import PRESETS, VirtualRobot
 from asbuilt.writers.recording_files import write_simulation
 
 

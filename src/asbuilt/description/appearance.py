@@ -8,12 +8,10 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, RobotModel
-
-Array = NDArray[np.float64]
 
 SLENDERNESS = 0.062
 """Radius of the thickest rod, in lengths of the stretched robot."""

@@ -22,7 +22,7 @@ def bundled_robot(name: str) -> RobotModel:
     >>> bundled_robot("kuka-iiwa7-r800").n_joints
     7
     """
-    from asbuilt.description.toml import robot_from_toml  # noqa: PLC0415 - pydantic loads when a robot is read, not when names are listed
+    from asbuilt.description.formats.toml import robot_from_toml  # noqa: PLC0415 - pydantic loads when a robot is read, not when names are listed
 
     if name not in robot_names():
         raise DescriptionError(f"there is no bundled robot {name!r}{nearest(name)}; bundled are {', '.join(robot_names())}")

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.errors import InertiaError
-
-Array = NDArray[np.float64]
 
 PARAMETER_NAMES = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
 """The ten standard inertial parameters of a link about its origin, in the order used everywhere in asbuilt."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import Letters
-from asbuilt.description.rotation import Array
 from asbuilt.errors import DescriptionError
 
 NO_LETTERS: Letters = ((), (), ())

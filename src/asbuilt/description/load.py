@@ -8,8 +8,8 @@ from importlib import import_module
 from pathlib import Path
 
 from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
+from asbuilt.description.formats.xml import outermost_tag
 from asbuilt.description.model import RobotModel
-from asbuilt.description.xml import outermost_tag
 from asbuilt.errors import DescriptionError
 
 SUFFIXES = (".toml", ".csv", ".urdf", ".xml", ".mjcf")
@@ -67,5 +67,5 @@ def _read(path: Path) -> RobotModel:
 
 
 def _reader(module: str, name: str) -> Callable[[Path], RobotModel]:
-    reader: Callable[[Path], RobotModel] = getattr(import_module(f"asbuilt.description.{module}"), name)
+    reader: Callable[[Path], RobotModel] = getattr(import_module(f"asbuilt.description.formats.{module}"), name)
     return reader

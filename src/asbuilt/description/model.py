@@ -9,11 +9,11 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import checked_placement
 from asbuilt.errors import DescriptionError
 
-Array = NDArray[np.float64]
 JointKind = Literal["revolute", "continuous", "prismatic"]
 Letters = tuple[tuple[tuple[float, str], ...], ...]
 """A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g. `(((1.0, "a2"),), (), ((1.0, "b2"),))`."""

@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.errors import DescriptionError
-
-Array = NDArray[np.float64]
 
 QUARTER = math.pi / 2.0
 EXACT_TOLERANCE = 1e-12

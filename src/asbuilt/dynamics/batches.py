@@ -7,13 +7,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.recursion import BLOCK
+from asbuilt.dynamics.kernels.recursion import BLOCK
 from asbuilt.errors import UsageError
-
-Array = NDArray[np.float64]
 
 _WORTH_A_THREAD = 8192
 """Samples that take longer than a thread takes to start."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.dynamics.batches import joint_samples
-
-Array = NDArray[np.float64]
 
 
 def _motions(model: RobotModel, q: Array) -> Array:

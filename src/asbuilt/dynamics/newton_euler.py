@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import kernels
 from asbuilt.dynamics.batches import flat, inertial_parameters, joint_samples, over_samples
-from asbuilt.dynamics.joint_space import joint_space_matrices
+from asbuilt.dynamics.kernels import rigid_body
+from asbuilt.dynamics.kernels.joint_space import joint_space_matrices
+from asbuilt.dynamics.kernels.recursion import layout_of
 from asbuilt.dynamics.kinematics import link_poses
-from asbuilt.dynamics.recursion import layout_of
 from asbuilt.errors import InertiaError
-
-Array = NDArray[np.float64]
 
 
 def _torques(model: RobotModel, q: Array, qd: Array, qdd: Array, chi: Array, gravity: Array, threads: int | None) -> Array:
@@ -21,7 +20,7 @@ def _torques(model: RobotModel, q: Array, qd: Array, qdd: Array, chi: Array, gra
     inputs = flat(q), flat(qd), flat(qdd)
     given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
     over_samples(
-        lambda start, stop: kernels.newton_euler(layout.codes, layout.placements, given, chi, *inputs, start, stop, out),
+        lambda start, stop: rigid_body.newton_euler(layout.codes, layout.placements, given, chi, *inputs, start, stop, out),
         q.shape[0],
         threads,
     )

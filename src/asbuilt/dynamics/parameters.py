@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.inertia import PARAMETER_NAMES, PARAMETER_UNITS
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
-
-Array = NDArray[np.float64]
 
 
 def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:

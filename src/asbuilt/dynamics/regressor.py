@@ -7,21 +7,20 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.inertia import PARAMETER_NAMES
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics import kernels
 from asbuilt.dynamics.batches import flat, joint_samples, over_samples
-from asbuilt.dynamics.drive_torque import drive_columns
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.drives.torque import drive_columns
+from asbuilt.dynamics.kernels import rigid_body
+from asbuilt.dynamics.kernels.recursion import layout_of
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_count
-from asbuilt.dynamics.recursion import layout_of
 from asbuilt.errors import UsageError
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
 Some = slice | Indices
 
 _LINE = 8
@@ -140,7 +139,7 @@ class RegressorPlan:
         robot, vectors, rows, width = layout_of(self.model).arrays, [flat(array) for array in inputs], target.reshape(-1), target.shape[1]
 
         def work(start: int, stop: int) -> None:
-            kernels.regressor_rows(*robot, self.places, self.bounds, *vectors, start, stop, rows, width)
+            rigid_body.regressor_rows(*robot, self.places, self.bounds, *vectors, start, stop, rows, width)
 
         over_samples(work, n_samples, threads)
         for _, rows_of_drive, columns in self._drive_columns(*inputs):
@@ -158,7 +157,7 @@ class RegressorPlan:
         robot, vectors, out, width = layout_of(self.model).arrays, [flat(array) for array in inputs], matrix.reshape(-1), matrix.shape[1]
 
         def work(start: int, stop: int) -> None:
-            kernels.regressor_stack(*robot, self.places, self.bounds, order, *vectors, start, stop, out, width)
+            rigid_body.regressor_stack(*robot, self.places, self.bounds, order, *vectors, start, stop, out, width)
 
         over_samples(work, n_samples, threads)
         for k, rows_of_drive, columns in self._drive_columns(*inputs):

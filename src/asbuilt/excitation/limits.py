@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drive_torque import described_drive, drive_torque
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motion import JUMPING, QUANTITIES, Array, Motion, read_only
+from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion, read_only
 
 ALLOWED_EXCESS = 1e-9
 """A limit counts as violated when it is exceeded by more than this fraction (rounding)."""

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 
-Array = NDArray[np.float64]
 TorqueSource = Literal["sensor", "motor", "current", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "unknown")
 

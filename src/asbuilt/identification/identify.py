@@ -9,31 +9,46 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.identification.bootstrap import bootstrap_uncertainty, redraw
-from asbuilt.identification.consistency import consistency_margin, margin_is_consistent, pushing_drives
-from asbuilt.identification.drive_shapes import fit_shapes
-from asbuilt.identification.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
-from asbuilt.identification.evidence import Evidence, Unexcited
-from asbuilt.identification.free_values import free_values
-from asbuilt.identification.least_squares import Estimate
-from asbuilt.identification.methods import find_method
-from asbuilt.identification.metrics import TorqueMetrics, TorqueTally
-from asbuilt.identification.result import IdentificationResult, IdentificationWarning, IdentifiedParameter
-from asbuilt.identification.shape_errors import ShapeErrors, ShapePlace, shape_errors
-from asbuilt.identification.square_root_information import SquareRootInformation, accumulate_stream
-from asbuilt.identification.torque_prediction import carrying, predict_torque
-from asbuilt.identification.uncertainty import Uncertainty, block_uncertainty, textbook_uncertainty
+from asbuilt.identification.bodies.consistency import (
+    consistency_margin,
+    margin_is_consistent,
+    pushing_drives,
+)
+from asbuilt.identification.drives.nonlinear_parameters import fit_shapes
+from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
+from asbuilt.identification.errors.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
+from asbuilt.identification.errors.nonlinear_errors import ShapeErrors, ShapePlace, shape_errors
+from asbuilt.identification.errors.uncertainty import (
+    Uncertainty,
+    block_uncertainty,
+    textbook_uncertainty,
+)
+from asbuilt.identification.estimators.least_squares import Estimate
+from asbuilt.identification.estimators.methods import find_method
+from asbuilt.identification.information.estimation_data import Evidence, Unexcited
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate_stream,
+)
+from asbuilt.identification.result.free_values import free_values
+from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
+from asbuilt.identification.result.result import (
+    IdentificationResult,
+    IdentificationWarning,
+    IdentifiedParameter,
+)
+from asbuilt.identification.result.torque_prediction import carrying, predict_torque
 from asbuilt.tables import plus_minus
 
 if TYPE_CHECKING:
-    from asbuilt.experiment.samples import Samples
+    from asbuilt.experiment.signal.samples import Samples
 
-Array = NDArray[np.float64]
 
 POOR_RELATIVE_ERROR = 0.5
 """A standard error of this fraction of the larger of estimate and CAD value is poor,"""

@@ -6,22 +6,26 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.dynamics.drive_torque import described_drive, drive_torque
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
 from asbuilt.identification.identify import design_values as described_values
-from asbuilt.identification.metrics import TorqueMetrics, torque_metrics
-from asbuilt.identification.torque_prediction import Prediction, carrying, predict_torque
-from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve, analyse_residual, velocity_curve
+from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
+from asbuilt.identification.result.torque_prediction import Prediction, carrying, predict_torque
+from asbuilt.validation.residuals import (
+    ResidualAnalysis,
+    VelocityCurve,
+    analyse_residual,
+    velocity_curve,
+)
 
 if TYPE_CHECKING:
-    from asbuilt.experiment.samples import Samples
-    from asbuilt.identification.result import IdentificationResult
+    from asbuilt.experiment.signal.samples import Samples
+    from asbuilt.identification.result.result import IdentificationResult
 
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
-from asbuilt.experiment.simulation import SimulatedRecording
-from asbuilt.identification.result import IdentificationResult
-
-Array = NDArray[np.float64]
+from asbuilt.experiment.virtual.simulation import SimulatedRecording
+from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 from scipy.special import chdtrc
 
-Array = NDArray[np.float64]
+from asbuilt.arrays import Array
+
 Runs = tuple[tuple[int, int], ...]
 
 LONGEST_LAG = 2.0

@@ -10,8 +10,8 @@ from pathlib import Path
 import polars as pl
 
 from asbuilt.errors import MotionError
-from asbuilt.excitation.motion import Motion, Trajectory
-from asbuilt.excitation.motion_csv import PREFIXES, times_to_end
+from asbuilt.excitation.motions.motion import Motion, Trajectory
+from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
 from asbuilt.writers.files import atomic_write
 
 

@@ -16,10 +16,10 @@ import tomli_w
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.simulation import SimulatedRecording
+from asbuilt.experiment.virtual.simulation import SimulatedRecording
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.robot_toml import write_robot_toml
-from asbuilt.writers.tabular import write_json
+from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers.tables.tabular import write_json
 
 
 def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:

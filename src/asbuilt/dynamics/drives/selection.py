@@ -13,9 +13,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues, JointKind
-from asbuilt.dynamics import drives
-from asbuilt.dynamics.drives.term import Array, DriveTerm, ShapeValue
+from asbuilt.dynamics.drives import terms
+from asbuilt.dynamics.drives.term import DriveTerm, ShapeValue
 from asbuilt.errors import UsageError
 
 NONE = "none"
@@ -25,8 +26,8 @@ NONE = "none"
 def available_terms() -> dict[str, DriveTerm]:
     """Return every drive term of this package by key, in canonical order."""
     found: dict[str, DriveTerm] = {}
-    for module_name in sorted(module.name for module in pkgutil.iter_modules(drives.__path__)):
-        module = importlib.import_module(f"{drives.__name__}.{module_name}")
+    for module_name in sorted(module.name for module in pkgutil.iter_modules(terms.__path__)):
+        module = importlib.import_module(f"{terms.__name__}.{module_name}")
         for _, kind in inspect.getmembers(module, inspect.isclass):
             if issubclass(kind, DriveTerm) and not inspect.isabstract(kind):
                 found[kind.key] = kind()

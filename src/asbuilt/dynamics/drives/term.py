@@ -8,12 +8,11 @@ from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, ClassVar, Self, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues
 from asbuilt.errors import UsageError
 
-Array = NDArray[np.float64]
 ShapeValue = float | tuple[float, ...] | None
 """One number for all joints, one per joint, or None: to be fitted, the default until then."""
 

@@ -1,0 +1,277 @@
+"""Commands that identify a robot, and judge and use what was identified."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt.cli.options import (
+    AsJson,
+    Carrier,
+    Drive,
+    Filtering,
+    Holdout,
+    Judges,
+    Logs,
+    Out,
+    Reading,
+    Result,
+    Robot,
+    Unchecked,
+    described_robot,
+    distinct_logs,
+    one_of,
+    read_result,
+    refuse_idle,
+)
+from asbuilt.errors import UsageError
+from asbuilt.identification.estimators.methods import methods
+
+
+def identify(
+    robot: Robot,
+    log: Logs,
+    *,
+    validate: Judges = None,
+    holdout: Holdout = None,
+    drive: Drive = None,
+    method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "auto",
+    undetermined: Annotated[
+        str, typer.Option("--undetermined", "--prior", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
+    ] = "cad",
+    payload: Annotated[
+        list[Path] | None, typer.Option("--payload", metavar="LOG", help="a recording under load: what does the flange carry?")
+    ] = None,
+    mounting: Annotated[
+        str,
+        typer.Option(
+            "--mounting", metavar="HOW", help="gravity points as in the description (cad), or its direction is found too (estimate)"
+        ),
+    ] = "cad",
+    errors: Annotated[
+        str,
+        typer.Option(
+            "--errors",
+            metavar="KIND",
+            help="standard errors: blocks (from time blocks, by formula), bootstrap (time blocks drawn again and again) or textbook (residuals taken as independent: too small where they are not)",
+        ),
+    ] = "blocks",
+    unchecked: Unchecked = False,
+    reading: Reading,
+    filtering: Filtering,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.identification.drives.drive_choice import is_auto
+    from asbuilt.identification.errors.error_basis import ERROR_KINDS
+    from asbuilt.workflow.payload_study import run_payload_study
+    from asbuilt.workflow.study import StudyOptions, run_study
+    from asbuilt.writers.reports.study_files import study_document, study_text, write_study
+
+    distinct_logs(log, validate, payload)
+    model, swept = described_robot(robot), filtering.cutoff == "auto"
+    options = StudyOptions(
+        drive=None if drive is None else drive if is_auto(drive) else DriveSet.parse(drive),
+        method=one_of("--method", method, list(methods)),
+        chain=replace(filtering, cutoff=None if swept else filtering.cutoff).chain(),
+        sweep_cutoff=swept,
+        errors=one_of("--errors", errors, ERROR_KINDS),
+        holdout=holdout,
+        unexcited=one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
+        mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
+        checked=not unchecked,
+    )
+    with progress_bar() as report:
+        report("read", 0.0)
+        recordings, others, loaded = (reading.open(model, logs) for logs in (log, validate, payload))
+        study = run_study(model, recordings, validation=others, options=options, progress=report)
+        carried = (
+            run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout, checked=options.checked)
+            if loaded
+            else None
+        )
+        files, notes = write_study(out, study, payload=carried, command=sys.argv[1:]) if out is not None else ({}, {})
+    answer(
+        as_json,
+        lambda: study_document(study, files, notes, carried),
+        lambda: study_text(study, carried) + listed_files(files, notes),
+    )
+
+
+def validate(
+    result: Annotated[
+        str,
+        typer.Argument(metavar="RESULT|ROBOT", help="a result.json that `asbuilt identify --out` wrote, or a robot, judged as described"),
+    ],
+    log: Logs,
+    *,
+    unchecked: Unchecked = False,
+    reading: Reading,
+    filtering: Filtering,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Predict other recordings with an identified model, and with CAD beside it."""
+    from asbuilt.experiment.logs.long_recordings import prepare_logged
+    from asbuilt.experiment.quality.checks import refuse_spoilt
+    from asbuilt.validation.comparison.comparison import compare
+    from asbuilt.validation.prediction import validate as predict
+    from asbuilt.validation.prediction import validate_description
+    from asbuilt.writers.reports.study_files import write_validations
+    from asbuilt.writers.tables.tabular import (
+        described_document,
+        described_torque_table,
+        validate_document,
+    )
+
+    distinct_logs(log)
+    if Path(result).suffix.lower() != ".json":
+        if out is not None:
+            raise UsageError("validate --out writes the predictions of a result; of a robot as described there is only the table")
+        model = described_robot(result)
+        recordings = reading.open(model, log)
+        if not unchecked:
+            refuse_spoilt(model, recordings)
+        errors = [validate_description(model, prepare_logged(recording, filtering.chain())) for recording in recordings]
+        answer(as_json, lambda: described_document(model, errors), lambda: described_torque_table(model, errors).as_text())
+        return
+    identified = read_result(Path(result))
+    recordings, chain = reading.open(identified.model, log), filtering.chain()
+    if not unchecked:
+        refuse_spoilt(identified.model, recordings)
+    validations = [predict(identified, prepare_logged(recording, chain)) for recording in recordings]
+    files = write_validations(out, identified, validations) if out is not None else {}
+    comparison = compare(identified, validation=validations)
+    answer(
+        as_json,
+        lambda: validate_document(identified, validations, files=files),
+        lambda: comparison.torque_table().as_text() + "\n" + comparison.verdict() + listed_files(files),
+    )
+
+
+def compare(
+    result: Result,
+    *,
+    cad: Annotated[str | None, typer.Option("--cad", metavar="ROBOT", help="another description of the same robot to compare with")] = None,
+    cad_tolerance: Annotated[
+        str | None,
+        typer.Option("--cad-tolerance", metavar="5%", help="how well CAD knows masses, centres and inertias: one fraction or three"),
+    ] = None,
+    other: Annotated[
+        Path | None, typer.Option("--with", metavar="RESULT2", help="a later result of the same robot: what changed since RESULT")
+    ] = None,
+    controller: Annotated[
+        Path | None, typer.Option("--controller", metavar="LOG", help="a recording with tau_ext: compare with the controller's own model")
+    ] = None,
+    holdout: Annotated[
+        str | None, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by (default: blocks:5s:3)")
+    ] = None,
+    unchecked: Unchecked = False,
+    reading: Reading,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare CAD with the robot as built: what differs, what that costs in torque, which causes explain it; or two results of one robot."""
+    from asbuilt.experiment.quality.checks import refuse_spoilt
+    from asbuilt.identification.result.determination import determination
+    from asbuilt.validation.attribution.attribution import attribute
+    from asbuilt.validation.comparison.cad_tolerance import CadTolerance
+    from asbuilt.validation.comparison.comparison import compare as compare_with
+    from asbuilt.validation.comparison.drift import compare_results
+    from asbuilt.workflow.controller_model import compare_with_controller
+    from asbuilt.writers.reports.compare_files import (
+        CadVerdict,
+        with_files,
+        write_comparison,
+        write_drift,
+    )
+
+    identified, files = read_result(result), {}
+    if sum(choice is not None for choice in (cad, other, controller)) > 1:
+        raise UsageError("--cad, --with and --controller are three different comparisons; give one of them")
+    if controller is None:
+        refuse_idle(
+            "how a log is read, and what of it is held out, goes with --controller LOG",
+            {"--holdout": holdout is not None, "--unchecked": unchecked} | reading.given,
+        )
+    if other is not None or controller is not None:
+        refuse_idle(
+            "tolerances are those of CAD, with which --with and --controller compare nothing",
+            {"--cad-tolerance": cad_tolerance is not None},
+        )
+    if other is not None:
+        drift = compare_results(identified, read_result(other), labels=(str(result), str(other)))
+        files = write_drift(out, drift) if out is not None else {}
+        answer(as_json, lambda: with_files(drift.as_document(), files), lambda: drift.as_text() + listed_files(files))
+        return
+    if controller is not None:
+        recording = reading.read(identified.model, [controller])[0]
+        if not unchecked:
+            refuse_spoilt(identified.model, [recording])
+        beside = compare_with_controller(identified, recording, holdout=holdout or "blocks:5s:3")
+        files = write_drift(out, beside) if out is not None else {}
+        answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
+        return
+    design = None if cad is None else described_robot(cad)
+    verdict = CadVerdict(
+        compare_with(identified, design, tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance)),
+        attribute(identified, design) if identified.evidence is not None else None,
+        determination(identified),
+    )
+    files = write_comparison(out, identified, verdict) if out is not None else {}
+    answer(as_json, lambda: with_files(verdict.as_document(), files), lambda: verdict.as_text() + listed_files(files))
+
+
+def payload(
+    result: Result,
+    log: Logs,
+    *,
+    unloaded: Annotated[
+        list[Path] | None, typer.Option("--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more")
+    ] = None,
+    validate: Judges = None,
+    holdout: Holdout = None,
+    frame: Carrier = None,
+    arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
+    gain_uncertainty: Annotated[
+        str | None,
+        typer.Option(
+            "--gain-uncertainty",
+            metavar="7%|P1,P2,...",
+            help="how well torque per ampere is known, for all joints or each (default: 7% for currents, 5% for motor torques, 0 for sensors)",
+        ),
+    ] = None,
+    unchecked: Unchecked = False,
+    reading: Reading,
+    filtering: Filtering,
+    out: Out = None,
+    as_json: AsJson = False,
+) -> None:
+    """Find what the flange carries: mass, centre and inertia, from recordings under load."""
+    from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
+    from asbuilt.workflow.payload_study import run_payload_study
+    from asbuilt.writers.tables.payload_tables import payload_document, payload_text
+    from asbuilt.writers.tables.tabular import write_json
+
+    distinct_logs(log, unloaded, validate)
+    identified = read_result(result)
+    read = [reading.open(identified.model, logs) for logs in (log, unloaded, validate)]
+    found = run_payload_study(
+        identified,
+        *read,
+        chain=filtering.chain(),
+        holdout=holdout,
+        frame=frame,
+        arm=one_of("--arm", arm, ("refined", "frozen")),
+        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
+        checked=not unchecked,
+    )
+    files = {"payload": write_json(out / "payload.json", payload_document(found))} if out is not None else {}
+    answer(as_json, lambda: payload_document(found, files), lambda: payload_text(found) + listed_files(files))

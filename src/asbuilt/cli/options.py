@@ -1,0 +1,247 @@
+"""What the commands share: the types of their options, and how they read what these name."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+
+import typer
+
+from asbuilt.errors import ResultError, UsageError
+
+if TYPE_CHECKING:
+    from asbuilt.description.model import RobotModel
+    from asbuilt.experiment.logs.long_recordings import RecordingStream
+    from asbuilt.experiment.logs.readers import ReadingOptions
+    from asbuilt.experiment.recording import Recording
+    from asbuilt.experiment.signal.signal_chain import SignalChain
+    from asbuilt.identification.result.result import IdentificationResult
+
+
+def writable_folder(folder: Path | None) -> Path | None:
+    """Return a folder that can be written to or made; raises `UsageError` before any work is done otherwise."""
+    from asbuilt.writers.files import check_writable
+
+    if folder is not None:
+        check_writable(folder)
+    return folder
+
+
+def writable_file(file: Path | None) -> Path | None:
+    """Return a file whose folder can be written to or made; raises `UsageError` before any work is done otherwise."""
+    writable_folder(None if file is None else file.parent)
+    return file
+
+
+Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
+RobotOrResult = Annotated[
+    str, typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote")
+]
+Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
+Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
+AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)]
+Judges = Annotated[
+    list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording of the same kind to judge by; repeat for more")
+]
+Holdout = Annotated[
+    str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3, to judge by")
+]
+Unchecked = Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")]
+Carrier = Annotated[
+    str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries the payload (default: the flange)")
+]
+Drive = Annotated[
+    str | None,
+    typer.Option(
+        "--drive",
+        metavar="LIST",
+        help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto (auto,spring: chosen, with a spring)",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """The options that say how logs are read."""
+
+    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")] = None
+    flip_torque: Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")] = False
+    gain: Annotated[
+        str | None,
+        typer.Option(
+            "--gain",
+            metavar="G1,G2,...",
+            help="torque per logged unit, one for all joints or one each; stands in place of the sheet's gains",
+        ),
+    ] = None
+    torque_source: Annotated[str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")] = None
+    sheet: Annotated[Path | None, typer.Option("--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs")] = None
+
+    def read(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording]:
+        """Return the recordings of a robot, none where no logs are given."""
+        from asbuilt.experiment.logs.readers import read_recordings
+
+        return read_recordings(logs or [], **self._options(model))
+
+    def open(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording | RecordingStream]:
+        """Return the recordings of a robot, those too long to be held as streams."""
+        from asbuilt.experiment.logs.long_recordings import open_recordings
+
+        return open_recordings(logs or [], **self._options(model))
+
+    @property
+    def given(self) -> dict[str, bool]:
+        """Which of these options were given, by name."""
+        return {f"--{field.name.replace('_', '-')}": getattr(self, field.name) != field.default for field in fields(self)}
+
+    def _options(self, model: RobotModel) -> ReadingOptions:
+        from asbuilt.experiment.recording import TORQUE_SOURCES
+
+        return {
+            "model": model,
+            "sheet": self.sheet,
+            "rate": self.rate,
+            "flip_torque": self.flip_torque,
+            "gain": number_list("--gain", self.gain) or None,
+            "torque_source": None if self.torque_source is None else one_of("--torque-source", self.torque_source, TORQUE_SOURCES),
+        }
+
+
+@dataclass(frozen=True)
+class Filtering:
+    """The options that choose the signal chain."""
+
+    cutoff: Annotated[
+        str | None,
+        typer.Option(
+            "--cutoff",
+            metavar="HZ",
+            help="low-pass cutoff (default: chosen from the recording); of identify also auto: held-out torque judges",
+        ),
+    ] = None
+    decimate: Annotated[int | None, typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering")] = None
+    preset: Annotated[str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")] = "default"
+
+    def chain(self) -> SignalChain:
+        """Return the named signal chain, with the cutoff and decimation given in place of its own."""
+        from asbuilt.experiment.signal.signal_chain import SignalChain
+
+        chain = SignalChain.preset(self.preset)
+        cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
+        return replace(chain, cutoff=cutoff, decimate=chain.decimate if self.decimate is None else self.decimate)
+
+
+def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
+    """Return the command as typer wants it: in place of each parameter that is a group of options (`Reading`, `Filtering`), the options of that group."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, type[Any]] = {name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)}
+    parameters = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name in groups:
+            parameters += _spread_out(groups[name])
+        else:
+            parameters.append(parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY))
+
+    @functools.wraps(command)
+    def spread(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    spread.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    spread.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return spread
+
+
+def _spread_out(group: type[Any]) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
+        for field in fields(group)
+    ]
+
+
+def described_robot(robot: str) -> RobotModel:
+    """Return the robot that a name or a path describes."""
+    from asbuilt.description.load import load_robot
+
+    return load_robot(robot)
+
+
+def robot_as_built(robot: str) -> RobotModel:
+    """Return a described robot, or an identified one as built where a result is given."""
+    if Path(robot).suffix.lower() != ".json":
+        return described_robot(robot)
+    from asbuilt.writers.models.as_built import as_built_model
+
+    return as_built_model(read_result(Path(robot)))
+
+
+def read_result(path: Path) -> IdentificationResult:
+    """Read a result file; raises `ResultError` where it cannot be read."""
+    from asbuilt.identification.result.result import IdentificationResult
+
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise ResultError(
+            f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt identify --out DIR` writes"
+        ) from None
+    try:
+        return IdentificationResult.from_json(text)
+    except ResultError as problem:
+        raise ResultError(f"{path}: {problem}") from None
+
+
+def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
+    """Return a value that is among the known (what it stands for, where these are a mapping); raises `UsageError` otherwise."""
+    if value not in known:
+        raise UsageError(f"{option} {value!r} is not one of {', '.join(known)}")
+    return known[value] if isinstance(known, Mapping) else value
+
+
+def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
+    """Return the numbers of a list separated by commas, none where there is no text; raises `UsageError` unless all are finite, and `count` of them."""
+    if text is None:
+        return ()
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)) or len(values) != (count or len(values)):
+        example = ",".join(map(str, range(1, (count or 3) + 1)))
+        raise UsageError(f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for example {option} {example}")
+    return values
+
+
+def distinct_logs(*groups: Sequence[Path] | None) -> None:
+    """Raise `UsageError` where a log is given twice, in one place or in two: counted twice it seems surer than it is, and it judges itself."""
+    given = [path.resolve() for group in groups for path in group or ()]
+    repeated = next((path for path in given if given.count(path) > 1), None)
+    if repeated is not None:
+        raise UsageError(f"{repeated} is given twice; give every log once")
+
+
+def refuse_idle(why: str, given: Mapping[str, bool]) -> None:
+    """Raise `UsageError`, saying why, where options were `given` that the command would not look at."""
+    idle = [option for option, present in given.items() if present]
+    if idle:
+        raise UsageError(f"{why}; leave out {', '.join(idle)}")
+
+
+def positive_number(option: str, text: str) -> float:
+    """Return a positive finite number; raises `UsageError` on anything else."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise UsageError(f"{option} takes a positive number, got {text!r}")
+    return value

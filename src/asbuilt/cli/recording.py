@@ -1,0 +1,268 @@
+"""Commands about recordings: check them, find what their channels mean, record a virtual robot."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt.cli.options import (
+    AsJson,
+    Carrier,
+    Drive,
+    Filtering,
+    Logs,
+    Reading,
+    Robot,
+    RobotOrResult,
+    Seed,
+    Unchecked,
+    described_robot,
+    distinct_logs,
+    number_list,
+    one_of,
+    positive_number,
+    refuse_idle,
+    robot_as_built,
+    writable_file,
+)
+from asbuilt.errors import UsageError
+
+
+def check(
+    robot: Robot,
+    log: Logs,
+    *,
+    reading: Reading,
+    information: Annotated[
+        bool, typer.Option("--information/--no-information", help="say how much of the attainable information it carries (takes a second)")
+    ] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Say what is wrong with a recording before it is used."""
+    from asbuilt.experiment.quality.checks import check_recording
+    from asbuilt.workflow.information_efficiency import recorded_information
+    from asbuilt.writers.tables.tabular import check_document
+
+    distinct_logs(log)
+    model = described_robot(robot)
+    recordings = reading.open(model, log)
+    checks = [check_recording(model, recording) for recording in recordings]
+    carried = [
+        recorded_information(model, recording) if information and found.ok else None
+        for recording, found in zip(recordings, checks, strict=True)
+    ]
+    answer(
+        as_json,
+        lambda: check_document(model, checks, carried),
+        lambda: "\n\n".join(
+            found.as_text() + (f"\n{part.as_text()}" if part is not None else "") for found, part in zip(checks, carried, strict=True)
+        ),
+    )
+    if not all(found.ok for found in checks):
+        raise typer.Exit(1)
+
+
+def gains(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
+    loaded: Annotated[list[Path], typer.Option("--loaded", metavar="LOG", help="a recording with the payload; repeat for more")],
+    mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
+    *,
+    com: Annotated[
+        str | None, typer.Option("--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known")
+    ] = None,
+    frame: Carrier = None,
+    drive: Drive = None,
+    unchecked: Unchecked = False,
+    reading: Reading,
+    filtering: Filtering,
+    as_json: AsJson = False,
+) -> None:
+    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass, and print the --gain that uses it.
+
+    Gains of a sheet or of --gain scale the torques as usual; what is printed stands in their place.
+    """
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE, refuse_spoilt
+    from asbuilt.experiment.signal.signal_chain import prepare_samples
+    from asbuilt.identification.calibration.torque_gains import gains_in_use, identify_gains
+    from asbuilt.writers.tables.drive_tables import gains_document, gains_text
+
+    distinct_logs(log, loaded)
+    model = described_robot(robot)
+    currents = replace(reading, torque_source=reading.torque_source or "current")
+    bare, under = (currents.read(model, logs) for logs in (log, loaded))
+    if not unchecked:
+        refuse_spoilt(model, [*bare, *under], but=(*TOO_LITTLE, *UNKNOWN_TORQUE))
+    chain = filtering.chain().resolved(*bare, *under)
+    found = identify_gains(
+        model,
+        [prepare_samples(recording, chain) for recording in bare],
+        [prepare_samples(recording, chain) for recording in under],
+        mass=mass,
+        com=number_list("--com", com, 3) or None,
+        drive=None if drive is None else DriveSet.parse(drive),
+        frame=frame,
+        in_use=gains_in_use([*bare, *under]),
+    )
+    answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
+
+
+def channels(
+    robot: Robot,
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")],
+    motor: Annotated[list[Path], typer.Option("--motor", metavar="LOG", help="the same with motor torques, in the same order")],
+    *,
+    motor_gain: Annotated[
+        str | None, typer.Option("--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors")
+    ] = None,
+    motor_sheet: Annotated[Path | None, typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs")] = None,
+    drive: Annotated[
+        str | None, typer.Option("--drive", metavar="LIST", help="drive terms behind the sensors (default: viscous,coulomb,offset)")
+    ] = None,
+    motor_drive: Annotated[
+        str | None,
+        typer.Option(
+            "--motor-drive",
+            metavar="LIST",
+            help="drive terms before the sensors (default: armature,viscous,coulomb,offset, and those of coupled motors)",
+        ),
+    ] = None,
+    unchecked: Unchecked = False,
+    reading: Reading,
+    filtering: Filtering,
+    as_json: AsJson = False,
+) -> None:
+    """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.experiment.quality.checks import refuse_spoilt
+    from asbuilt.experiment.signal.signal_chain import prepare_samples
+    from asbuilt.identification.calibration.two_channels import LINK_SIDE, identify_two_channels
+    from asbuilt.writers.tables.drive_tables import channels_document, channels_text
+
+    model = described_robot(robot)
+    sensors = replace(reading, torque_source=reading.torque_source or "sensor").read(model, log)
+    motors = replace(reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet).read(model, motor)
+    if not unchecked:
+        refuse_spoilt(model, [*sensors, *motors])
+    chain = filtering.chain().resolved(*sensors)
+    found = identify_two_channels(
+        model,
+        *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)),
+        link_side=LINK_SIDE if drive is None else DriveSet.parse(drive),
+        motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),
+    )
+    answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
+
+
+def simulate(
+    robot: RobotOrResult,
+    motion: Annotated[
+        Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="the robot and its sensors: ideal (where none is named), lab or factory")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="change what the preset says, such as backlash=2e-4 or feedforward=none; repeat for more"
+        ),
+    ] = None,
+    tool: Annotated[
+        str | None, typer.Option("--tool", metavar="KG@X,Y,Z", help="a ball of this mass, its centre in the axes of --at [m]")
+    ] = None,
+    at: Annotated[
+        str | None, typer.Option("--at", metavar="NAME", help="link or frame that carries the tool (default: the flange)")
+    ] = None,
+    free: Annotated[
+        str | None,
+        typer.Option("--free", metavar="HOW", help="no motion, let go: drop (at rest), free (without friction), step (of a controller)"),
+    ] = None,
+    start: Annotated[str | None, typer.Option("--start", metavar="Q1,Q2,...", help="pose in which --free begins [rad, m]")] = None,
+    engine: Annotated[
+        str, typer.Option("--engine", metavar="NAME", help="mujoco (controlled, in physics) or inverse-dynamics (follows exactly)")
+    ] = "mujoco",
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of the recording (default: the preset's)")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="length of the random motion (20) or of --free (3)")
+    ] = None,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="LOG",
+            help="recording to write, .csv or .parquet (default: recording.csv, or free.csv)",
+            callback=writable_file,
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Record a virtual robot along a motion, or let a robot go; the parameters it was made with are written beside the recording."""
+    from asbuilt.description.tool import tool_from_text
+    from asbuilt.excitation.motions.motion_csv import read_motion
+    from asbuilt.excitation.motions.random_motion import random_fourier
+    from asbuilt.experiment.virtual.simulation import InstalledRobot, with_body
+    from asbuilt.identification.calibration.payload import payload_frame
+    from asbuilt.writers.recording_files import simulate_document, write_simulation
+
+    one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
+    kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory"))
+    model = robot_as_built(robot)
+    carried = None if tool is None else tool_from_text(tool)
+    if at is not None and carried is None:
+        raise UsageError("--at says where a tool is, but there is none; give --tool KG@X,Y,Z")
+    place = None if carried is None else payload_frame(model, at)[0]
+    if free is not None:
+        from asbuilt.experiment.virtual.free_motion import run_free
+        from asbuilt.writers.tables.free_motion_files import (
+            free_motion_document,
+            free_motion_text,
+            write_free_motion,
+        )
+
+        given = {"MOTION": motion, "--preset": preset, "--set": settings, "--rate": rate, "--engine inverse-dynamics": engine != "mujoco"}
+        refuse_idle(
+            "--free lets the robot go as it is described, without controller and sensors",
+            {name: bool(value) for name, value in given.items()},
+        )
+        let_go = model if carried is None else with_body(model, carried, place)
+        freed = run_free(
+            let_go,
+            one_of("--free", free, ("drop", "step", "free")),
+            duration=3.0 if duration is None else duration,
+            start=number_list("--start", start) or None,
+        )
+        files = write_free_motion(out or Path("free.csv"), freed)
+        answer(as_json, lambda: free_motion_document(freed, files), lambda: free_motion_text(freed) + listed_files(files))
+        return
+    if start is not None:
+        raise UsageError("--start is for --free; a motion starts where its file says")
+    if motion is not None and duration is not None:
+        raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
+    seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
+    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=seconds)
+    if engine == "mujoco":
+        from asbuilt.experiment.virtual.settings import with_settings
+        from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+
+        virtual = VirtualRobot.preset(kind, model, rng=seed, tool=carried, at=place).logging(rate)
+        virtual = with_settings(virtual, settings or ())
+        with progress_bar() as report:
+            simulated = virtual.record(moved, rng=seed, progress=lambda fraction: report("move", fraction))
+    else:
+        if kind == "factory" or settings:
+            what = "--set" if settings else "preset 'factory'"
+            raise UsageError(f"--engine inverse-dynamics knows no {what}; it has the presets ideal and lab as they are")
+        machine = InstalledRobot.typical(model, rng=seed) if kind == "lab" else InstalledRobot.ideal(model)
+        machine = machine if carried is None else machine.with_tool(carried, place)
+        simulated = machine.record(moved, 1000.0 if rate is None else rate, rng=seed)
+    files = write_simulation(out or Path("recording.csv"), simulated)
+    answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + listed_files(files))

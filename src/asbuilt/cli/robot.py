@@ -1,0 +1,142 @@
+"""Commands about a robot: what it is, what torques can tell of it, how it looks, and what other software needs."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt.cli.options import (
+    AsJson,
+    Drive,
+    Result,
+    Robot,
+    RobotOrResult,
+    described_robot,
+    one_of,
+    read_result,
+    robot_as_built,
+    writable_file,
+)
+
+
+def robots(as_json: AsJson = False) -> None:
+    """List the bundled robots."""
+    from asbuilt.description.catalogue import bundled_robot, robot_names
+    from asbuilt.writers.tables.robot_tables import robots_document, robots_table
+
+    models = [bundled_robot(name) for name in robot_names()]
+    answer(as_json, lambda: robots_document(models), lambda: robots_table(models).as_text())
+
+
+def drives(as_json: AsJson = False) -> None:
+    """List the drive terms that --drive takes, with their options."""
+    from asbuilt.writers.tables.drive_tables import drives_document, drives_text
+
+    answer(as_json, drives_document, drives_text)
+
+
+def show(robot: Robot, as_json: AsJson = False) -> None:
+    """Show geometry, mass properties, limits and the physical consistency of every link."""
+    from asbuilt.writers.tables.robot_tables import robot_document, robot_text
+
+    model = described_robot(robot)
+    answer(as_json, lambda: robot_document(model), lambda: robot_text(model))
+
+
+def base(robot: Robot, drive: Drive = "none", as_json: AsJson = False) -> None:
+    """Find the base parameters, and say of each standard parameter whether torques tell it, and why."""
+    from asbuilt.dynamics.base.base_parameters import find_base_parameters
+    from asbuilt.dynamics.drives.selection import DriveSet
+    from asbuilt.writers.tables.robot_tables import base_table, standard_table
+    from asbuilt.writers.tables.tabular import base_document
+
+    model = described_robot(robot)
+    found = find_base_parameters(model, DriveSet.parse(drive or "none"))
+    answer(
+        as_json, lambda: base_document(found, model), lambda: base_table(found, model).as_text() + "\n" + standard_table(found).as_text()
+    )
+
+
+def view(
+    robot: RobotOrResult,
+    motion: Annotated[Path | None, typer.Argument(metavar="[MOTION]", help="motion or recording as CSV (t, q_*, ...) to play")] = None,
+    save: Annotated[
+        Path | None,
+        typer.Option(
+            "--save",
+            metavar="FILE",
+            help="write a page of its own (.html), a picture (.png) or an animation (.gif .webp) instead",
+            callback=writable_file,
+        ),
+    ] = None,
+    style: Annotated[
+        str, typer.Option("--style", metavar="NAME", help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton")
+    ] = "auto",
+    port: Annotated[int, typer.Option("--port", help="port of the page, the next free one where it is taken")] = 8080,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open the page in a browser")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids; Ctrl-C ends it."""
+    from asbuilt.excitation.motions.motion_csv import read_motion
+    from asbuilt.writers.files import atomic_write, path_texts
+
+    model = robot_as_built(robot)
+    moved = None if motion is None else read_motion(motion, model)
+    about = {"robot": model.name, "duration": None if moved is None else moved.duration}
+    if save is not None and save.suffix.lower() != ".html":
+        from asbuilt.writers.pictures.animation import write_picture
+
+        with progress_bar() as report:
+            written = write_picture(
+                save,
+                model,
+                moved,
+                style=one_of("--style", style, ("auto", "rendered", "skeleton")),
+                progress=lambda done: report("draw", done),
+            )
+        answer(as_json, lambda: {**about, "files": {"picture": str(written)}}, lambda: listed_files({"picture": written}))
+        return
+    from asbuilt.writers.pictures.viewer import Viewer
+
+    page = Viewer(model, moved, port=port)
+    try:
+        if save is not None:
+            files = {"page": atomic_write(save, page.page().encode())}
+            answer(as_json, lambda: {**about, "files": path_texts(files)}, lambda: listed_files(files))
+            return
+        answer(as_json, lambda: {**about, "url": page.url}, lambda: f"{model.name} at {page.url}; Ctrl-C ends it")
+        if browser:
+            import webbrowser
+
+            webbrowser.open(page.url)
+        with suppress(KeyboardInterrupt):
+            page.serve()
+    finally:
+        page.close()
+
+
+def export(
+    result: Result,
+    urdf: Annotated[Path | None, typer.Option("--urdf", metavar="FILE", help="the URDF it was identified with, as built")] = None,
+    mjcf: Annotated[Path | None, typer.Option("--mjcf", metavar="FILE", help="a model for MuJoCo")] = None,
+    toml: Annotated[Path | None, typer.Option("--toml", metavar="FILE", help="a robot file of asbuilt")] = None,
+    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it")] = None,
+    original: Annotated[
+        Path | None, typer.Option("--original", metavar="FILE", help="the URDF to edit (default: where the robot was read from)")
+    ] = None,
+    nearest: Annotated[
+        bool,
+        typer.Option("--nearest", help="where no real bodies and drives have the identified parameters, write the nearest that can be"),
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="with --nearest: write it though it predicts the recordings badly")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write the identified robot for other software."""
+    from asbuilt.writers.models.export import export_result
+
+    exported = export_result(read_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original, nearest=nearest, force=force)
+    answer(as_json, exported.as_document, exported.as_text)

@@ -1,0 +1,150 @@
+"""Mass properties of links from the shapes of their parts: mesh files and materials."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.cad.units import LENGTH
+from asbuilt.description.formats.xml import close_match
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import Link, RobotModel
+from asbuilt.errors import DescriptionError, MissingExtraError
+
+MATERIALS: Mapping[str, float] = {
+    "abs": 1050.0,
+    "aluminium": 2700.0,
+    "brass": 8500.0,
+    "carbon-fibre": 1600.0,
+    "cast-iron": 7200.0,
+    "copper": 8960.0,
+    "magnesium": 1770.0,
+    "nylon": 1140.0,
+    "pla": 1240.0,
+    "pom": 1410.0,
+    "stainless-steel": 7900.0,
+    "steel": 7850.0,
+    "titanium": 4430.0,
+}
+"""Usual densities [kg/m^3]; the density of a named alloy is better given as a number."""
+
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MeshPart:
+    """One body of a link: a closed surface in a file, its material, and where it sits.
+
+    `material` is a name of `MATERIALS` or a density [kg/m^3]; `unit` is the length unit of the file, which STL and OBJ do not state;
+    `placement` (4, 4) is the pose of the file's axes in the frame of the link [m] (default: the same axes).
+    """
+
+    path: str | Path
+    material: str | float
+    unit: str
+    placement: Array | None = None
+    name: str = ""
+
+    @property
+    def density(self) -> float:
+        """Density [kg/m^3]; raises `DescriptionError` for a material that is unknown and a density that is not positive."""
+        if isinstance(self.material, str):
+            if self.material not in MATERIALS:
+                known = ", ".join(MATERIALS)
+                raise DescriptionError(
+                    f"{self.path}: the material {self.material!r} is unknown; give a density in kg/m^3 or one of {known}"
+                )
+            return MATERIALS[self.material]
+        if not (math.isfinite(self.material) and self.material > 0.0):
+            raise DescriptionError(f"{self.path}: the density is {self.material} kg/m^3; it must be positive")
+        return float(self.material)
+
+
+@dataclass(frozen=True)
+class CadLink:
+    """A link with the mass properties that CAD gives it, and what is doubtful about them."""
+
+    link: Link
+    warnings: tuple[str, ...] = ()
+
+
+def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
+    """Return a link whose mass properties are those of uniform solids bounded by meshes; needs the extra `cad` (trimesh).
+
+    Volume, centre and moments are integrals over the surface, exact for the given facets (Mirtich, 1996). Warns where a surface is not
+    closed, so that its volume means little, or is turned inside out (then it is turned back). Raises `DescriptionError` for files that
+    hold no surface and for parts without volume.
+    """
+    if not parts:
+        raise DescriptionError(f"link {name!r}: no parts are given; a link needs at least one mesh")
+    bodies: list[tuple[str, LinkInertia]] = []
+    warnings: list[str] = []
+    for part in parts:
+        inertia, doubts = mesh_inertia(part)
+        bodies.append((part.name or Path(part.path).stem, inertia))
+        warnings.extend(f"link {name!r}, {doubt}" for doubt in doubts)
+    total = LinkInertia(np.sum([inertia.parameters for _, inertia in bodies], axis=0))
+    return CadLink(Link(name=name, inertia=total, parts=tuple(bodies)), tuple(warnings))
+
+
+def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
+    """Return the inertia of one part in the frame of its link, and warnings about its surface; raises `DescriptionError` as `link_from_meshes` does."""
+    try:
+        import trimesh  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise MissingExtraError("trimesh", "cad", "reading meshes") from None
+    path = Path(part.path)
+    if part.unit not in LENGTH:
+        raise DescriptionError(f"{path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise DescriptionError(
+            f"{path}: meshes are read from {', '.join(MESH_SUFFIXES)}, not from {path.suffix or 'a file without suffix'!r}"
+        )
+    density = part.density
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", skip_materials=True)
+        n_faces = len(mesh.faces)
+    except Exception as error:  # trimesh raises whatever its parsers raise
+        raise DescriptionError(f"{path}: the mesh cannot be read: {type(error).__name__}: {error}") from None
+    if n_faces == 0 or not np.all(np.isfinite(mesh.vertices)):
+        raise DescriptionError(f"{path}: the file holds no finite triangles")
+    doubts = []
+    mesh.merge_vertices()
+    mesh.apply_scale(LENGTH[part.unit])
+    with np.errstate(invalid="ignore"):
+        volume = float(mesh.volume)
+    if not mesh.is_watertight:
+        doubts.append(f"{path.name}: the surface is not closed, so volume and mass are not reliable; repair the mesh")
+    if volume < 0.0:
+        mesh.invert()
+        volume = -volume
+        doubts.append(f"{path.name}: the surface was turned inside out and is turned back")
+    if not volume > 0.0:
+        raise DescriptionError(f"{path}: the mesh encloses no volume; export the solid as a closed surface")
+    size = float(np.max(mesh.extents))
+    if size > 10.0 or size < 1e-3:
+        doubts.append(f"{path.name}: the part is {size:.3g} m long in the unit {part.unit!r}; check the unit")
+    mesh.density = density
+    inertia = LinkInertia.from_com(float(mesh.mass), mesh.center_mass, mesh.moment_inertia)
+    return (inertia if part.placement is None else inertia.moved(part.placement)), tuple(doubts)
+
+
+def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotModel:
+    """Return the robot with the mass properties of the named links replaced; the warnings are added to the notes of the model.
+
+    Raises `DescriptionError` for a name that is no link of the robot.
+    """
+    for name in links:
+        if name not in model.link_names:
+            raise DescriptionError(
+                f"{model.name} has no link {name!r}{close_match(name, model.link_names)}; its links are {', '.join(model.link_names)}"
+            )
+    replaced = tuple(replace(links[link.name].link, name=link.name) if link.name in links else link for link in model.links)
+    warnings = tuple(warning for cad in links.values() for warning in cad.warnings)
+    return replace(model, links=replaced, notes=(*model.notes, *warnings))

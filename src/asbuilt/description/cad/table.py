@@ -1,0 +1,147 @@
+"""Mass properties of links from a table that CAD software exported."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.cad.meshes import CadLink
+from asbuilt.description.cad.units import unit_factor
+from asbuilt.description.finite import finite_number
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import Link
+from asbuilt.errors import DescriptionError
+
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "link": ("link", "body"),
+    "part": ("part", "component", "name"),
+    "mass": ("mass", "m"),
+    "cx": ("cx", "rx", "x", "comx"),
+    "cy": ("cy", "ry", "y", "comy"),
+    "cz": ("cz", "rz", "z", "comz"),
+    "Ixx": ("ixx", "lxx"),
+    "Iyy": ("iyy", "lyy"),
+    "Izz": ("izz", "lzz"),
+    "Ixy": ("ixy", "lxy", "iyx"),
+    "Ixz": ("ixz", "lxz", "izx"),
+    "Iyz": ("iyz", "lyz", "izy"),
+}
+"""Our name of each column and the names it goes by, without case, blanks and underscores."""
+
+DIMENSION = {"mass": (1, 0)} | dict.fromkeys(("cx", "cy", "cz"), (0, 1)) | dict.fromkeys(("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"), (1, 2))
+
+_HEADER = re.compile(r"^\s*(?P<name>[^\[(]+?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*$")
+
+
+def read_cad_table(
+    path: str | Path,
+    *,
+    about: Literal["com", "origin"],
+    products: Literal["tensor", "integral"],
+    mass_unit: str = "",
+    length_unit: str = "",
+    placements: Mapping[str, Array] | None = None,
+) -> dict[str, CadLink]:
+    """Read the mass properties of links from a CSV table, one row per part; rows of one link add up.
+
+    Columns `link, part, mass, cx, cy, cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz` (part is optional, other usual names are understood). Units stand in
+    the header, as in `mass [g]` and `Ixx [g mm^2]`, or are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must
+    be said because files do not say them: the tensor is `about` the centre of mass or the origin of the axes, and its `products` are the
+    entries of the tensor, `-integral(x y dm)`, or the plain integrals `+integral(x y dm)`. `placements` gives the pose (4, 4) of the axes of
+    the table in the frame of a link where the two differ. Raises `DescriptionError` with line and column.
+    """
+    path = Path(path)
+    if about not in ("com", "origin") or products not in ("tensor", "integral"):
+        raise DescriptionError(
+            f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and products='tensor' or 'integral'"
+        )
+    lines, decimal_point = _cells(path)
+    columns, factors = _columns(path, lines[0][1], mass_unit, length_unit)
+    parts: dict[str, list[tuple[str, LinkInertia]]] = {}
+    warnings: dict[str, list[str]] = {}
+    for number, cells in lines[1:]:
+        place = f"{path}, line {number}"
+        if len(cells) < len(lines[0][1]) or any(cell.strip() for cell in cells[len(lines[0][1]) :]):
+            raise DescriptionError(
+                f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns; where numbers have decimal commas, separate cells by semicolons"
+            )
+        values = {
+            name: finite_number(cells[columns[name]].strip().replace(",", decimal_point), f"{place}: {name}") * factors[name]
+            for name in DIMENSION
+        }
+        link = cells[columns["link"]].strip()
+        inertia = _inertia(values, about, products)
+        if placements is not None and link in placements:
+            inertia = inertia.moved(placements[link])
+        part = cells[columns["part"]].strip() if "part" in columns else f"part_{len(parts.get(link, [])) + 1}"
+        parts.setdefault(link, []).append((part, inertia))
+        reason = inertia.inconsistency()
+        if reason is not None:
+            doubt = f"link {link!r}, part {part!r}: {reason}; check units, about={about!r} and products={products!r}"
+            warnings.setdefault(link, []).append(doubt)
+    return {
+        link: CadLink(
+            Link(name=link, inertia=LinkInertia(np.sum([inertia.parameters for _, inertia in bodies], axis=0)), parts=tuple(bodies)),
+            tuple(warnings.get(link, ())),
+        )
+        for link, bodies in parts.items()
+    }
+
+
+def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkInertia:
+    sign = 1.0 if products == "tensor" else -1.0
+    xy, xz, yz = (sign * values[name] for name in ("Ixy", "Ixz", "Iyz"))
+    tensor = np.array([[values["Ixx"], xy, xz], [xy, values["Iyy"], yz], [xz, yz, values["Izz"]]])
+    com = np.array([values["cx"], values["cy"], values["cz"]])
+    mass = values["mass"]
+    return LinkInertia.from_com(mass, com, tensor) if about == "com" else LinkInertia.from_origin(mass, mass * com, tensor)
+
+
+def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
+    """Return the numbered lines, and what a comma in a number stands for: a decimal point, unless commas separate the cells."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        header = text.partition("\n")[0]
+        separator = max(";\t,", key=header.count)
+        reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
+        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
+    if len(lines) < 2:
+        raise DescriptionError(f"{path}: the table has no rows; expected a header and one row per part")
+    return lines, "," if separator == "," else "."
+
+
+def _columns(path: Path, header: list[str], mass_unit: str, length_unit: str) -> tuple[dict[str, int], dict[str, float]]:
+    columns: dict[str, int] = {}
+    factors: dict[str, float] = {}
+    for position, cell in enumerate(header):
+        match = _HEADER.match(cell)
+        plain = re.sub(r"[\s_]", "", match["name"]).lower() if match else ""
+        name = next((ours for ours, names in COLUMNS.items() if plain in names), None)
+        if match is None or name is None:
+            continue
+        if name in columns:
+            raise DescriptionError(f"{path}: column {cell.strip()!r} gives {name} a second time")
+        columns[name] = position
+        if name in DIMENSION:
+            mass, length = DIMENSION[name]
+            given = match["unit"] or " ".join([mass_unit] * mass + [f"{length_unit}^{length}"] * (length > 0 and bool(length_unit)))
+            if not given.strip():
+                raise DescriptionError(
+                    f"{path}: column {cell.strip()!r} states no unit; write it like 'Ixx [g mm^2]' or give mass_unit and length_unit"
+                )
+            try:
+                factors[name] = unit_factor(given, mass=mass, length=length)
+            except DescriptionError as error:
+                raise DescriptionError(f"{path}: column {cell.strip()!r}: {error}") from None
+    missing = [name for name in COLUMNS if name not in columns and name != "part"]
+    if missing:
+        raise DescriptionError(f"{path}: column {', '.join(missing)} is missing; found {', '.join(cell.strip() for cell in header)}")
+    return columns, factors

@@ -1,0 +1,157 @@
+"""Robots from Denavit-Hartenberg parameters, standard (distal) or modified (proximal)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.lengths import NO_LETTERS, added_letters, named, rotated_letters
+from asbuilt.description.model import (
+    ROOT,
+    USUAL_GRAVITY,
+    DriveValues,
+    Frame,
+    Joint,
+    JointKind,
+    JointLimits,
+    Letters,
+    Link,
+    RobotModel,
+)
+from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, straightened
+from asbuilt.errors import DescriptionError
+
+Convention = Literal["standard", "modified"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DHRow:
+    """One joint and its link by the four Denavit-Hartenberg parameters: lengths a, b [m], angles alpha, theta [rad].
+
+    `b` is the joint offset along z (d in many textbooks). `theta` is added to the joint angle of a revolute joint and `b` to the
+    displacement of a prismatic one. `parent` is the index of the parent row (None: the row before; ROOT: the root link). `origin`
+    (4, 4) is an extra placement in front of the row, such as a pedestal. `inertia` is about the origin of the row's frame, in its axes.
+    """
+
+    a: float = 0.0
+    alpha: float = 0.0
+    b: float = 0.0
+    theta: float = 0.0
+    kind: JointKind = "revolute"
+    inertia: LinkInertia | None = None
+    joint: str = ""
+    link: str = ""
+    parent: int | None = None
+    origin: Array | None = None
+    limits: JointLimits = field(default_factory=JointLimits)
+    drive: DriveValues = field(default_factory=DriveValues)
+
+
+def robot_from_dh(
+    rows: Sequence[DHRow],
+    *,
+    convention: Convention = "standard",
+    name: str = "robot",
+    gravity: ArrayLike = USUAL_GRAVITY,
+    root_link: str = "root",
+    frames: Sequence[Frame] = (),
+    source: str = "",
+    citation: str = "",
+    notes: Sequence[str] = (),
+) -> RobotModel:
+    """Build a robot from Denavit-Hartenberg rows.
+
+    Standard (Denavit and Hartenberg, 1955; Spong): `T = RotZ(theta) TransZ(b) TransX(a) RotX(alpha)`, the joint turns about z of the parent frame.
+    Modified (Craig; Khalil and Kleinfinger, 1986): `T = RotX(alpha) TransX(a) RotZ(theta) TransZ(b)`, the joint turns about z of its own frame.
+    Non-zero lengths get the letters `a<i>` and `b<i>` of their row i, also in the modified convention, where textbooks count `a` one lower.
+    Angles within 1e-5 rad of a right angle become exact, with a note where this moves them by more than 1e-9.
+
+    Raises `DescriptionError` for an unknown convention, numbers that are not finite, and rows that hang on later ones.
+
+    >>> arm = robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar")
+    >>> arm.n_joints, dict(arm.lengths)
+    (2, {'a1': 0.5, 'a2': 0.4})
+    """
+    if convention not in ("standard", "modified"):
+        raise DescriptionError(f"{name}: the Denavit-Hartenberg convention {convention!r} is unknown; it is 'standard' or 'modified'")
+    lengths: dict[str, float] = {}
+    remarks = list(notes)
+    joints, links = [], []
+    for i, row in enumerate(rows):
+        joints.append(dh_joint(row, i, convention, remarks))
+        lengths |= dh_lengths(row, i)
+        inertia = row.inertia if row.inertia is not None else LinkInertia.zero()
+        links.append(Link(name=row.link or f"link_{i + 1}", inertia=inertia, inertia_known=row.inertia is not None))
+    return RobotModel(
+        name=name,
+        joints=tuple(joints),
+        links=tuple(links),
+        gravity=np.asarray(gravity, dtype=np.float64),
+        root_link=root_link,
+        frames=tuple(frames),
+        lengths=lengths,
+        source=source,
+        citation=citation,
+        notes=tuple(remarks),
+    )
+
+
+def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
+    """Return the letters of the non-zero lengths of a row and their values [m]."""
+    return {letter: value for letter, value in ((f"a{index + 1}", row.a), (f"b{index + 1}", row.b)) if value != 0.0}
+
+
+def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
+    """Return the joint of a Denavit-Hartenberg row; `notes` takes a remark on every angle that was straightened.
+
+    Raises `DescriptionError` for numbers that are not finite and for a parent that is no earlier row.
+    """
+    number = index + 1
+    for column, value in (("a", row.a), ("alpha", row.alpha), ("b", row.b), ("theta", row.theta)):
+        if not np.isfinite(value):
+            raise DescriptionError(f"{column} of row {number} is {value}; it must be a finite number")
+    alpha = straightened(row.alpha, f"alpha of row {number}", notes)
+    theta = straightened(row.theta, f"theta of row {number}", notes)
+    parent = index - 1 if row.parent is None else row.parent
+    if not ROOT <= parent < index:
+        raise DescriptionError(f"row {number} hangs on row {parent + 1}; a row may only hang on an earlier row or on the root")
+    along_x = ((1.0, f"a{number}"),) if row.a != 0.0 else ()
+    along_z = ((1.0, f"b{number}"),) if row.b != 0.0 else ()
+    tilt = rotation_x(alpha)
+    before_letters: Letters | None = None
+    after_letters: Letters | None = None
+    if convention == "standard":
+        before = placement(rotation_z(theta))
+        after = placement(tilt, (row.a, 0.0, row.b))
+        after_letters = (along_x, (), along_z)
+    else:
+        before = composed(placement(tilt, (row.a, 0.0, 0.0)), placement(rotation_z(theta), (0.0, 0.0, row.b)))
+        after = np.eye(4)
+        before_letters = added_letters((along_x, (), ()), rotated_letters(tilt, ((), (), along_z)))
+    joint = Joint(
+        name=row.joint or f"joint_{number}",
+        kind=row.kind,
+        parent=parent,
+        before=before,
+        after=after,
+        limits=row.limits,
+        drive=row.drive,
+        before_letters=named(before_letters),
+        after_letters=named(after_letters),
+    )
+    return joint if row.origin is None else joint_on_origin(joint, row.origin)
+
+
+def joint_on_origin(joint: Joint, origin: Array, origin_letters: Letters | None = None) -> Joint:
+    """Return the joint with a placement (4, 4) in front of it; letters survive where both translations are zero or have letters."""
+    before = composed(origin, joint.before)
+    local = joint.before_letters or (None if joint.before[:3, 3].any() else NO_LETTERS)
+    ahead = origin_letters or (None if origin[:3, 3].any() else NO_LETTERS)
+    letters = None if local is None or ahead is None else added_letters(ahead, rotated_letters(origin[:3, :3], local))
+    return replace(joint, before=before, before_letters=named(letters))

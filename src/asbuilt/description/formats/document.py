@@ -1,0 +1,125 @@
+"""A robot as a plain document of lists, numbers and texts: written to JSON and read back, it is the same robot to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import (
+    DriveValues,
+    Frame,
+    Joint,
+    JointLimits,
+    Letters,
+    Link,
+    RobotModel,
+)
+from asbuilt.errors import DescriptionError
+
+
+def model_document(model: RobotModel) -> dict[str, Any]:
+    """Return the whole robot as a document: `model_from_document(model_document(model))` equals `model`; infinite limits are None."""
+    return {
+        "name": model.name,
+        "source": model.source,
+        "citation": model.citation,
+        "notes": list(model.notes),
+        "gravity": model.gravity.tolist(),
+        "root_link": model.root_link,
+        "lengths": dict(model.lengths),
+        "drives_by_design": model.drives_by_design,
+        "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
+        "joints": [_joint_document(joint) for joint in model.joints],
+        "links": [_link_document(link) for link in model.links],
+        "frames": [{"name": frame.name, "link": frame.link, "placement": frame.placement.tolist()} for frame in model.frames],
+    }
+
+
+def model_from_document(document: Mapping[str, Any]) -> RobotModel:
+    """Rebuild a robot from `model_document`; raises `DescriptionError` where something is missing or of the wrong kind."""
+    try:
+        return RobotModel(
+            name=str(document["name"]),
+            joints=tuple(_joint(item) for item in document["joints"]),
+            links=tuple(_link(item) for item in document["links"]),
+            gravity=_array(document["gravity"]),
+            root_link=str(document["root_link"]),
+            frames=tuple(Frame(str(item["name"]), int(item["link"]), _array(item["placement"])) for item in document["frames"]),
+            lengths={str(letter): float(value) for letter, value in document["lengths"].items()},
+            drives_by_design=bool(document["drives_by_design"]),
+            motor_coupling=None if document.get("motor_coupling") is None else _array(document["motor_coupling"]),
+            source=str(document["source"]),
+            citation=str(document["citation"]),
+            notes=tuple(str(note) for note in document["notes"]),
+        )
+    except (KeyError, TypeError, AttributeError, ValueError) as problem:
+        if isinstance(problem, DescriptionError):
+            raise
+        raise DescriptionError(
+            f"a robot document cannot be read: {type(problem).__name__} {problem}; expected what `model_document` returns"
+        ) from problem
+
+
+def _joint_document(joint: Joint) -> dict[str, Any]:
+    limits = {item.name: getattr(joint.limits, item.name) for item in fields(JointLimits)}
+    return {
+        "name": joint.name,
+        "kind": joint.kind,
+        "parent": joint.parent,
+        "before": joint.before.tolist(),
+        "after": joint.after.tolist(),
+        "limits": {name: value if np.isfinite(value) else None for name, value in limits.items()},
+        "drive": {item.name: getattr(joint.drive, item.name) for item in fields(DriveValues) if item.name != "terms"},
+        "drive_terms": {key: dict(numbers) for key, numbers in joint.drive.terms.items()},
+        "before_letters": joint.before_letters,
+        "after_letters": joint.after_letters,
+    }
+
+
+def _joint(document: Mapping[str, Any]) -> Joint:
+    unlimited = JointLimits()
+    limits = {name: getattr(unlimited, name) if value is None else float(value) for name, value in document["limits"].items()}
+    drive = {name: None if value is None else float(value) for name, value in document["drive"].items()}
+    terms = {str(key): {str(name): float(number) for name, number in term.items()} for key, term in document.get("drive_terms", {}).items()}
+    return Joint(
+        name=str(document["name"]),
+        kind=document["kind"],
+        parent=int(document["parent"]),
+        before=_array(document["before"]),
+        after=_array(document["after"]),
+        limits=JointLimits(**limits),
+        drive=DriveValues(**drive, terms=terms),
+        before_letters=_letters(document["before_letters"]),
+        after_letters=_letters(document["after_letters"]),
+    )
+
+
+def _link_document(link: Link) -> dict[str, Any]:
+    return {
+        "name": link.name,
+        "inertia": link.inertia.parameters.tolist(),
+        "inertia_known": link.inertia_known,
+        "parts": [[name, inertia.parameters.tolist()] for name, inertia in link.parts],
+    }
+
+
+def _link(document: Mapping[str, Any]) -> Link:
+    return Link(
+        name=str(document["name"]),
+        inertia=LinkInertia(_array(document["inertia"])),
+        inertia_known=bool(document["inertia_known"]),
+        parts=tuple((str(name), LinkInertia(_array(parameters))) for name, parameters in document["parts"]),
+    )
+
+
+def _letters(document: Any) -> Letters | None:
+    return None if document is None else tuple(tuple((float(factor), str(letter)) for factor, letter in axis) for axis in document)
+
+
+def _array(values: Any) -> NDArray[np.float64]:
+    return np.array(values, dtype=np.float64)

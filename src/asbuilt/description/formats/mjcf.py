@@ -1,0 +1,297 @@
+"""Robots from MJCF (MuJoCo's XML), through MuJoCo's own compiler, without meshes or textures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from xml.etree.ElementTree import Element, tostring
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.formats.xml import described_text, parsed_xml
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import (
+    ROOT,
+    DriveValues,
+    Frame,
+    Joint,
+    JointKind,
+    JointLimits,
+    Link,
+    RobotModel,
+)
+from asbuilt.description.rotation import (
+    composed,
+    condensed,
+    placement,
+    rotation_from_quaternion,
+    rotation_from_rpy,
+    rotation_onto,
+    rotation_z,
+    rpy_from_rotation,
+    straightened,
+)
+from asbuilt.errors import DescriptionError, MissingExtraError
+
+IRRELEVANT = ("asset", "contact", "deformable", "extension", "keyframe", "sensor", "size", "statistic", "visual", "custom")
+"""Sections that say nothing about rigid bodies or that refer to files which need not be here."""
+
+GENERATORS = ("attach", "composite", "flexcomp", "plugin", "replicate")
+
+SHAPELESS = ("mesh", "hfield", "sdf")
+FREE, BALL, SLIDE, HINGE = range(4)
+
+
+def read_mjcf(path_or_text: str | Path) -> RobotModel:
+    """Read a robot from an MJCF file or from the XML text itself; needs the extra `sim` (MuJoCo).
+
+    MuJoCo compiles the file, so defaults, classes and orientations mean what they mean there; meshes and textures are taken out first.
+    The frame of a link is the MuJoCo body frame. Bodies without joint are merged as fixed; several joints on one body become links in a
+    row, all massless but the last. Armature, damping and frictionloss become drive values where they are not zero, named sites become
+    frames. A body whose inertia could only come from a mesh is marked as unknown, with a note.
+
+    Raises `DescriptionError` for free and ball joints, included files and whatever MuJoCo refuses (format: MuJoCo XML reference).
+    """
+    content, source = described_text(path_or_text)
+    root = parsed_xml(content, source)
+    if root.tag != "mujoco":
+        raise DescriptionError(f"{source}: the outermost element is <{root.tag}>; an MJCF file has <mujoco model=...>")
+    try:
+        import mujoco  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise MissingExtraError("mujoco", "sim", "reading MJCF") from None
+    unknown = _without_shapes(root, source)
+    compiled, warnings = _compiled(mujoco, root, source)
+    tree = _Tree(mujoco, compiled, source, unknown)
+    tree.notes.extend(f"MuJoCo warns: {warning}" for warning in warnings)
+    for body in range(1, compiled.nbody):
+        tree.add(body)
+    if not tree.joints:
+        raise DescriptionError(f"{source}: no body has a hinge or slide joint, so there is nothing to identify")
+    tree.add_sites()
+    sprung = [joint.name for index, joint in enumerate(tree.joints) if np.any(compiled.jnt_stiffness[index])]
+    if sprung:
+        tree.notes.append(
+            f"the springs of {', '.join(sprung)} (stiffness) are left out; identify with --drive auto,spring:joints=... to have them found"
+        )
+    if compiled.neq:
+        tree.notes.append(f"{compiled.neq} equality constraints are left out; every joint counts as driven on its own")
+    return RobotModel(
+        drives_by_design=False,
+        name=root.get("model") or "robot",
+        joints=tuple(tree.joints),
+        links=tuple(tree.link(i) for i in range(len(tree.joints))),
+        gravity=np.array(compiled.opt.gravity),
+        root_link="world",
+        frames=tuple(tree.frames),
+        source="MJCF text" if source == "the description" else source,
+        notes=condensed(tree.notes),
+    )
+
+
+def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
+    """Return the compiled model and MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
+    warnings: list[str] = []
+    previous = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(warnings.append)
+    try:
+        return mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode")), warnings
+    except RecursionError:
+        raise DescriptionError(f"{source}: the elements are nested too deeply; MuJoCo allows about 500 bodies in a row") from None
+    except ValueError as error:
+        raise DescriptionError(f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+    finally:
+        mujoco.set_mju_user_warning(previous)
+
+
+def _without_shapes(root: Element, source: str) -> set[str]:
+    """Take out what needs files, and return the names of the bodies whose inertia went with it."""
+    included = next(root.iter("include"), None)
+    if included is not None:
+        raise DescriptionError(
+            f"{source}: the file includes {included.get('file')!r}; load the included robot file itself, or save the whole model as one file "
+            "(mujoco.mj_saveLastXML)"
+        )
+    generated = next((element.tag for element in root.iter() if element.tag in GENERATORS), None)
+    if generated is not None:
+        raise DescriptionError(
+            f"{source}: the model holds <{generated}>, which MuJoCo expands from other files or into soft bodies; write its rigid bodies out"
+        )
+    for section in IRRELEVANT:
+        for element in root.findall(section):
+            root.remove(element)
+    shapes: dict[str | None, str] = {
+        name: shape for element in root.findall("default") for name, shape in _default_shapes(element, "sphere")
+    }
+    for element in root.iter():
+        element.attrib.pop("material", None)
+    compiler = root.find("compiler")
+    from_geoms = False
+    if compiler is not None:
+        compiler.attrib.pop("fusestatic", None)
+        from_geoms = compiler.get("inertiafromgeom") == "true"
+    unknown: set[str] = set()
+    waiting: list[tuple[Element, str | None]] = [(world, None) for world in root.findall("worldbody")]
+    while waiting:
+        body, inherited = waiting.pop()
+        inside = list(_inside(body, body.get("childclass", inherited)))
+        waiting.extend((element, childclass) for _, element, childclass in inside if element.tag == "body")
+        explicit = body.find("inertial") is not None and not from_geoms
+        geoms = [(holder, element, element.get("class", childclass)) for holder, element, childclass in inside if element.tag == "geom"]
+        lost = not explicit and any(_shape(geom, kind, shapes) in SHAPELESS for _, geom, kind in geoms)
+        for holder, geom, _ in geoms:
+            if explicit or lost or body.tag == "worldbody":
+                holder.remove(geom)
+        if lost and body.tag == "body":
+            body.set("name", body.get("name") or f"unnamed_{len(unknown) + 1}")
+            unknown.add(body.get("name", ""))
+            if body.find("inertial") is None:
+                body.insert(0, Element("inertial", {"pos": "0 0 0", "mass": "1", "diaginertia": "1 1 1"}))
+    for geom in (geom for default in root.iter("default") for geom in default.findall("geom")):
+        if geom.attrib.pop("mesh", None) is not None or geom.get("type") in SHAPELESS:
+            geom.attrib.pop("type", None)
+    return unknown
+
+
+def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, Element, str | None]]:
+    """Yield holder, element and class in force for what belongs to a body, also through `<frame>`s, which are no bodies."""
+    for element in body:
+        if element.tag == "frame":
+            yield from _inside(element, element.get("childclass", childclass))
+        else:
+            yield body, element, childclass
+
+
+def _shape(geom: Element, kind: str | None, shapes: dict[str | None, str]) -> str:
+    return "mesh" if geom.get("mesh") is not None else geom.get("type") or shapes.get(kind, "sphere")
+
+
+def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, str]]:
+    geom = element.find("geom")
+    shape = inherited
+    if geom is not None:
+        shape = geom.get("type") or ("mesh" if geom.get("mesh") is not None else inherited)
+    name = element.get("class") or "main"
+    own: list[tuple[str | None, str]] = [(name, shape)] + ([(None, shape)] if name == "main" else [])
+    return own + [entry for nested in element.findall("default") for entry in _default_shapes(nested, shape)]
+
+
+@dataclass
+class _Tree:
+    """Bodies already merged: `carrier[b]` and `pose[b]` place body b in a moving link (ROOT: the world)."""
+
+    mujoco: ModuleType
+    model: Any
+    source: str
+    unknown: set[str]
+    joints: list[Joint] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
+    parts: list[list[tuple[str, LinkInertia]]] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    carrier: dict[int, int] = field(default_factory=lambda: {0: ROOT})
+    pose: dict[int, Array] = field(default_factory=lambda: {0: np.eye(4)})
+
+    def name(self, kind: int, index: int, fallback: str) -> str:
+        return self.mujoco.mj_id2name(self.model, kind, index) or f"{fallback}_{index}"
+
+    def add(self, body: int) -> None:
+        m = self.model
+        name = self.name(self.mujoco.mjtObj.mjOBJ_BODY, body, "body")
+        parent = int(m.body_parentid[body])
+        carrier = self.carrier[parent]
+        pose = composed(self.pose[parent], self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}"))
+        first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
+        for k in range(count):
+            joint = self.joint(first + k, name, carrier, pose)
+            self.joints.append(joint)
+            self.names.append(name if k == count - 1 else f"{name}_after_{joint.name}")
+            self.parts.append([])
+            carrier, pose = len(self.joints) - 1, np.eye(4)
+        self.carrier[body], self.pose[body] = carrier, pose
+        if count == 0:
+            self.frames.append(Frame(name=name, link=carrier, placement=pose))
+        if carrier == ROOT:
+            return
+        if name in self.unknown:
+            self.notes.append(
+                f"body {name!r} has no <inertial>, and its inertia would come from a mesh that is not read; it counts as not given"
+            )
+        elif m.body_mass[body] > 0.0:
+            frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
+            inertia = LinkInertia.from_com(float(m.body_mass[body]), np.zeros(3), np.diag(m.body_inertia[body]))
+            self.parts[carrier].append((name, inertia.moved(frame).moved(pose)))
+
+    def joint(self, index: int, body: str, parent: int, pose: Array) -> Joint:
+        m = self.model
+        name = self.name(self.mujoco.mjtObj.mjOBJ_JOINT, index, "joint")
+        kind = int(m.jnt_type[index])
+        if kind in (FREE, BALL):
+            what = "free" if kind == FREE else "ball"
+            raise DescriptionError(
+                f"{self.source}: joint {name!r} of body {body!r} is a {what} joint; asbuilt describes robots on a standing root with hinge and slide "
+                "joints: remove it, or replace it by hinges"
+            )
+        onto, anchor = rotation_onto(m.jnt_axis[index]), np.array(m.jnt_pos[index])
+        at_rest = float(m.qpos0[m.jnt_qposadr[index]])
+        back = placement(rotation_z(-at_rest)) if kind == HINGE else placement(translation=(0.0, 0.0, -at_rest))
+        return Joint(
+            name=name,
+            kind=self.kind(index),
+            parent=parent,
+            before=composed(pose, placement(onto, anchor), back),
+            after=composed(placement(onto.T), placement(translation=-anchor)),
+            limits=self.limits(index),
+            drive=self.drive(int(m.jnt_dofadr[index])),
+        )
+
+    def kind(self, index: int) -> JointKind:
+        if int(self.model.jnt_type[index]) == SLIDE:
+            return "prismatic"
+        return "revolute" if self.model.jnt_limited[index] else "continuous"
+
+    def limits(self, index: int) -> JointLimits:
+        m = self.model
+        lower, upper = (float(bound) for bound in m.jnt_range[index]) if m.jnt_limited[index] else (-np.inf, np.inf)
+        torque = float(np.abs(m.jnt_actfrcrange[index]).max()) if m.jnt_actfrclimited[index] else np.inf
+        for actuator in range(m.nu):
+            drives = m.actuator_trntype[actuator] == self.mujoco.mjtTrn.mjTRN_JOINT and m.actuator_trnid[actuator, 0] == index
+            if drives and m.actuator_forcelimited[actuator]:
+                torque = min(torque, float(np.abs(m.actuator_forcerange[actuator]).max() * abs(m.actuator_gear[actuator, 0])))
+        return JointLimits(lower=lower, upper=upper, torque=torque)
+
+    def drive(self, coordinate: int) -> DriveValues:
+        values = (
+            float(np.ravel(array[coordinate])[0])
+            for array in (self.model.dof_armature, self.model.dof_damping, self.model.dof_frictionloss)
+        )
+        armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
+        return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb)
+
+    def placed(self, position: Array, quaternion: Array, what: str) -> Array:
+        R = rotation_from_quaternion(quaternion)
+        before = len(self.notes)
+        angles = [
+            straightened(float(angle), f"{name} of {what}", self.notes)
+            for name, angle in zip(("roll", "pitch", "yaw"), rpy_from_rotation(R), strict=True)
+        ]
+        return placement(R if len(self.notes) == before else rotation_from_rpy(angles), position)
+
+    def add_sites(self) -> None:
+        taken = {*self.names, *(frame.name for frame in self.frames)}
+        for site in range(self.model.nsite):
+            name = self.mujoco.mj_id2name(self.model, self.mujoco.mjtObj.mjOBJ_SITE, site)
+            if name and name not in taken:
+                body = int(self.model.site_bodyid[site])
+                own = self.placed(self.model.site_pos[site], self.model.site_quat[site], f"site {name!r}")
+                self.frames.append(Frame(name=name, link=self.carrier[body], placement=composed(self.pose[body], own)))
+
+    def link(self, index: int) -> Link:
+        name, parts = self.names[index], self.parts[index]
+        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0)) if parts else LinkInertia.zero()
+        merged = len(parts) > 1 or any(part != name for part, _ in parts)
+        return Link(name=name, inertia=total, inertia_known=name not in self.unknown, parts=tuple(parts) if merged else ())

@@ -1,0 +1,197 @@
+"""The robot file of asbuilt (TOML): Denavit-Hartenberg rows or link placements, mass properties, limits, drives, citation."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.formats.dh import DHRow, dh_joint, dh_lengths, joint_on_origin
+from asbuilt.description.formats.toml_tables import (
+    DHTable,
+    LinkTable,
+    PlacementTable,
+    RobotFile,
+    checked_file,
+)
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.lengths import length_values, parsed_length, rotated_letters
+from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, Letters, Link, RobotModel
+from asbuilt.description.rotation import (
+    composed,
+    placement,
+    rotation_from_rpy,
+    rotation_onto,
+    snapped,
+    straightened,
+)
+from asbuilt.errors import AsbuiltError, DescriptionError
+
+
+def read_robot_toml(path: str | Path) -> RobotModel:
+    """Read a robot from a TOML file; raises one `DescriptionError` that names file, table, field, value and cure."""
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DescriptionError(f"{path}: the file cannot be read as text: {error}") from None
+    return robot_from_toml(text, source=str(path))
+
+
+def robot_from_toml(text: str, *, source: str = "TOML text") -> RobotModel:
+    """Read a robot from the text of a TOML file; `source` names it in errors and in the model; raises `DescriptionError` as `read_robot_toml`."""
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DescriptionError(f"{source}: this is not valid TOML: {error}") from None
+    file = checked_file(content, source)
+    try:
+        return _model(file, source)
+    except AsbuiltError as error:
+        raise DescriptionError(f"{source}: {error}") from None
+
+
+@dataclass
+class _Reading:
+    """What grows while the links are read one after the other."""
+
+    file: RobotFile
+    unit: float
+    """Radians per angle unit of the file."""
+    lengths: dict[str, float]
+    notes: list[str]
+
+    def link_index(self, name: str, known: list[str], what: str) -> int:
+        if name == self.file.root_link:
+            return ROOT
+        if name not in known:
+            there = ", ".join([self.file.root_link, *known])
+            raise DescriptionError(f"{what} is {name!r}, which is neither the root link nor an earlier link; known here: {there}")
+        return known.index(name)
+
+    def placed(self, table: PlacementTable, what: str, index: int) -> tuple[Array, Letters | None]:
+        """Return the 4 x 4 matrix and, where at least one length is named, letters for all; numbers among them get letters such as `x3`."""
+        if table.rotation is not None:
+            R = snapped(table.rotation)
+        else:
+            angles = zip(("roll", "pitch", "yaw"), table.rpy or (0.0, 0.0, 0.0), strict=True)
+            R = rotation_from_rpy([straightened(value * self.unit, f"{name} of {what}", self.notes) for name, value in angles])
+        if not any(isinstance(value, str) for value in table.xyz):
+            return placement(R, np.array(table.xyz, dtype=np.float64)), None
+        letters: Letters = tuple(self.letters(value, f"{axis}{index + 1}") for axis, value in zip("xyz", table.xyz, strict=True))
+        return placement(R, length_values(letters, self.lengths)), letters
+
+    def letters(self, value: float | str, letter: str) -> tuple[tuple[float, str], ...]:
+        if isinstance(value, str):
+            return parsed_length(value, self.lengths)
+        if value == 0.0:
+            return ()
+        while letter in self.lengths:
+            letter += "_"
+        self.lengths[letter] = value
+        return ((1.0, letter),)
+
+    def joint(self, link: LinkTable, index: int, parent: int) -> Joint:
+        return self.dh_joint(link, link.dh, index, parent) if link.dh is not None else self.placed_joint(link, index, parent)
+
+    def dh_joint(self, link: LinkTable, dh: DHTable, index: int, parent: int) -> Joint:
+        row = DHRow(
+            a=dh.a,
+            alpha=dh.alpha * self.unit,
+            b=dh.b,
+            theta=dh.theta * self.unit,
+            kind=link.kind,
+            joint=link.joint or "",
+            parent=parent,
+            limits=self.limits(link),
+            drive=link.drive.values,
+        )
+        joint, letters = dh_joint(row, index, self.file.convention or "standard", self.notes), dh_lengths(row, index)
+        for letter, value in letters.items():
+            if self.lengths.setdefault(letter, value) != value:
+                raise DescriptionError(
+                    f"the named length {letter} = {self.lengths[letter]} is also the letter of link {link.name!r}, where it is {value}; give it another name"
+                )
+        if link.origin is not None:
+            joint = joint_on_origin(joint, *self.placed(link.origin, f"origin of link {link.name!r}", index))
+        return joint
+
+    def placed_joint(self, link: LinkTable, index: int, parent: int) -> Joint:
+        before, before_letters = self.placed(link.origin or PlacementTable(), f"origin of link {link.name!r}", index)
+        after, after_letters = self.placed(link.after or PlacementTable(), f"after of link {link.name!r}", index)
+        onto = rotation_onto(np.array(link.axis) / math.hypot(*link.axis)) if link.axis is not None else np.eye(3)
+        return Joint(
+            name=link.joint or f"joint_{index + 1}",
+            kind=link.kind,
+            parent=parent,
+            before=composed(before, placement(onto)),
+            after=composed(placement(onto.T), after),
+            limits=self.limits(link),
+            drive=link.drive.values,
+            before_letters=before_letters,
+            after_letters=rotated_letters(onto.T, after_letters) if after_letters is not None else None,
+        )
+
+    def limits(self, link: LinkTable) -> JointLimits:
+        given, scale = link.limits, 1.0 if link.kind == "prismatic" else self.unit
+        return JointLimits(
+            lower=given.lower * scale,
+            upper=given.upper * scale,
+            velocity=given.velocity * scale,
+            acceleration=given.acceleration * scale,
+            jerk=given.jerk * scale,
+            torque=given.torque,
+        )
+
+
+def _model(file: RobotFile, source: str) -> RobotModel:
+    reading = _Reading(file, math.pi / 180.0 if file.angle_unit == "deg" else 1.0, dict(file.lengths), list(file.notes))
+    names = [link.name for link in file.links]
+    joints = []
+    for i, link in enumerate(file.links):
+        parent = i - 1 if link.parent is None else reading.link_index(link.parent, names[:i], f"parent of link {link.name!r}")
+        joints.append(reading.joint(link, i, parent))
+    frames = []
+    for frame in file.frames:
+        carrier = reading.link_index(frame.link, names, f"link of frame {frame.name!r}")
+        frames.append(Frame(name=frame.name, link=carrier, placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0]))
+    return RobotModel(
+        name=file.name,
+        joints=tuple(joints),
+        links=tuple(_link(link) for link in file.links),
+        gravity=np.array(file.gravity),
+        root_link=file.root_link,
+        frames=tuple(frames),
+        lengths=reading.lengths,
+        source=source,
+        citation=file.citation,
+        notes=tuple(reading.notes),
+        motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
+    )
+
+
+def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
+    if not file.couplings:
+        return None
+    coupling = np.eye(len(names))
+    for table in file.couplings:
+        for name in (table.motor, *table.turns):
+            if name not in names:
+                raise DescriptionError(
+                    f"coupling of motor {table.motor!r} names joint {name!r}, which does not exist; the joints are {', '.join(names)}"
+                )
+        coupling[names.index(table.motor)] = [table.turns.get(name, 0.0) for name in names]
+    return coupling
+
+
+def _link(link: LinkTable) -> Link:
+    if link.parts:
+        parts = tuple((part.name, part.inertia or LinkInertia.zero()) for part in link.parts)
+        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
+        return Link(name=link.name, inertia=total, parts=parts)
+    inertia = link.inertia
+    return Link(name=link.name, inertia=inertia or LinkInertia.zero(), inertia_known=inertia is not None)

@@ -1,0 +1,283 @@
+"""The tables of asbuilt's robot file (TOML), checked field by field."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import (
+    AliasChoices,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind
+from asbuilt.description.rotation import rotation_fault
+from asbuilt.errors import DescriptionError
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0)]
+Vector = tuple[Finite, Finite, Finite]
+Length = Annotated[
+    float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) and not isinstance(value, bool) else value)
+]
+AngleUnit = Literal["rad", "deg"]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class DHTable(_Table):
+    """Lengths [m] and angles of a Denavit-Hartenberg row; `d` is another name of `b`."""
+
+    a: Finite = 0.0
+    alpha: Finite = 0.0
+    b: Finite = Field(default=0.0, validation_alias=AliasChoices("b", "d"))
+    theta: Finite = 0.0
+
+
+class PlacementTable(_Table):
+    """A frame in another: `xyz` in m or named lengths, and `rpy` or a 3 x 3 `rotation`."""
+
+    xyz: tuple[Length, Length, Length] = (0.0, 0.0, 0.0)
+    rpy: Vector | None = None
+    rotation: tuple[Vector, Vector, Vector] | None = None
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> PlacementTable:
+        if self.rpy is not None and self.rotation is not None:
+            raise ValueError("give rpy or rotation, not both")
+        if any(isinstance(value, float) and not math.isfinite(value) for value in self.xyz):
+            raise ValueError(f"xyz must be finite, got {list(self.xyz)}")
+        if self.rotation is not None:
+            fault = rotation_fault(self.rotation)
+            if fault is not None:
+                raise ValueError(f"rotation is not a rotation matrix: {fault}")
+        return self
+
+
+class TensorTable(_Table):
+    """The six moments and products of inertia [kg m^2]; a product is the entry of the tensor, `Ixy = -integral(x y dm)`."""
+
+    Ixx: Finite
+    Iyy: Finite
+    Izz: Finite
+    Ixy: Finite = 0.0
+    Ixz: Finite = 0.0
+    Iyz: Finite = 0.0
+
+    @property
+    def matrix(self) -> Array:
+        """The symmetric 3 x 3 tensor."""
+        return np.array([[self.Ixx, self.Ixy, self.Ixz], [self.Ixy, self.Iyy, self.Iyz], [self.Ixz, self.Iyz, self.Izz]])
+
+
+class MassTable(_Table):
+    """Mass properties in the axes of the link's frame; the tensor about the centre of mass or about the frame's origin."""
+
+    mass: Finite | None = None
+    com: Vector | None = None
+    first_moment: Vector | None = None
+    inertia_about_com: TensorTable | None = None
+    inertia_about_origin: TensorTable | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> MassTable:
+        given = [name for name in ("com", "first_moment", "inertia_about_com", "inertia_about_origin") if getattr(self, name) is not None]
+        if self.mass is None:
+            if given:
+                raise ValueError(f"{given[0]} is given without mass; give mass too, or leave all mass properties out")
+            return self
+        if (self.com is None) == (self.first_moment is None):
+            raise ValueError("give com or first_moment beside mass, and only one of them")
+        if (self.inertia_about_com is None) == (self.inertia_about_origin is None):
+            raise ValueError("give inertia_about_com or inertia_about_origin beside mass, and only one of them")
+        if self.first_moment is not None and self.inertia_about_com is not None and self.mass == 0.0:
+            raise ValueError("a link without mass has no centre of mass; give inertia_about_origin")
+        return self
+
+    @property
+    def inertia(self) -> LinkInertia | None:
+        """The ten parameters about the origin, or None where no mass properties are given."""
+        if self.mass is None:
+            return None
+        if self.inertia_about_com is not None:
+            com = np.array(self.com) if self.com is not None else np.array(self.first_moment) / self.mass
+            return LinkInertia.from_com(self.mass, com, self.inertia_about_com.matrix)
+        assert self.inertia_about_origin is not None
+        moment = np.array(self.first_moment) if self.first_moment is not None else self.mass * np.array(self.com)
+        return LinkInertia.from_origin(self.mass, moment, self.inertia_about_origin.matrix)
+
+
+class PartTable(MassTable):
+    """One of several bodies that make up a link, given in the frame of the link."""
+
+    name: str
+
+
+class LimitsTable(_Table):
+    """Limits of a joint in the angle unit of the file (m for a prismatic joint), torque in N m (force in N)."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    velocity: Positive = math.inf
+    acceleration: Positive = math.inf
+    jerk: Positive = math.inf
+    torque: Positive = math.inf
+
+    @model_validator(mode="after")
+    def _ordered(self) -> LimitsTable:
+        if not self.lower <= self.upper or self.lower == math.inf or self.upper == -math.inf:
+            raise ValueError(f"lower = {self.lower} must not exceed upper = {self.upper}, and neither may lie beyond all positions")
+        return self
+
+
+class DriveTable(_Table):
+    """What is known of a drive: armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side, the gear ratio, and further terms.
+
+    `terms` names terms of `asbuilt drives`, each with its parameters by letter and its shapes by name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
+    """
+
+    armature: Finite | None = None
+    viscous: Finite | None = None
+    coulomb: Finite | None = None
+    offset: Finite | None = None
+    gear_ratio: Finite | None = None
+    terms: dict[str, dict[str, Finite]] = {}
+
+    @model_validator(mode="after")
+    def _sound(self) -> DriveTable:
+        plain = [key for key in self.terms if key in type(self).model_fields]
+        if plain:
+            raise ValueError(f"{plain[0]} stands beside terms, not among them: drive = {{{plain[0]} = 1.0}}")
+        if self.gear_ratio == 0.0:
+            raise ValueError("gear_ratio is how many turns of the motor make one of the joint, and cannot be 0")
+        return self
+
+    @property
+    def values(self) -> DriveValues:
+        """The same as the robot model keeps them."""
+        return DriveValues(
+            armature=self.armature,
+            viscous=self.viscous,
+            coulomb=self.coulomb,
+            offset=self.offset,
+            gear_ratio=self.gear_ratio,
+            terms=self.terms,
+        )
+
+
+class LinkTable(MassTable):
+    """A link and the joint that moves it, placed by `dh` or by `origin`, `axis` and `after`."""
+
+    name: str
+    joint: str | None = None
+    kind: JointKind = "revolute"
+    parent: str | None = None
+    dh: DHTable | None = None
+    origin: PlacementTable | None = None
+    axis: Vector | None = None
+    after: PlacementTable | None = None
+    parts: tuple[PartTable, ...] = ()
+    limits: LimitsTable = LimitsTable()
+    drive: DriveTable = DriveTable()
+
+    @model_validator(mode="after")
+    def _one_geometry(self) -> LinkTable:
+        if self.dh is not None and (self.axis is not None or self.after is not None):
+            raise ValueError("a link placed by dh takes no axis and no after")
+        if self.dh is None and self.origin is None:
+            raise ValueError("the link has no geometry: give dh = {...} or origin = {...} (origin = {} where the frames coincide)")
+        if self.axis is not None and math.hypot(*self.axis) == 0.0:
+            raise ValueError("axis has length zero")
+        if self.parts and self.mass is not None:
+            raise ValueError("give the mass properties of the link or of its parts, not both")
+        return self
+
+
+class FrameTable(PlacementTable):
+    """A named frame, such as a flange, fixed to a link or to the root link."""
+
+    name: str
+    link: str
+
+
+class CouplingTable(_Table):
+    """A motor, named by its joint, that turns with several joints: `turns` gives its share of each, e.g. `{joint_5 = 1.0, joint_6 = 1.0}`."""
+
+    motor: str
+    turns: dict[str, Finite] = Field(min_length=1)
+
+
+class RobotFile(_Table):
+    """The whole file."""
+
+    name: str
+    citation: str = ""
+    notes: tuple[str, ...] = ()
+    gravity: Vector = USUAL_GRAVITY
+    root_link: str = "root"
+    convention: Literal["standard", "modified"] | None = None
+    angle_unit: AngleUnit = "rad"
+    lengths: dict[str, Finite] = {}
+    links: tuple[LinkTable, ...] = Field(min_length=1)
+    frames: tuple[FrameTable, ...] = ()
+    couplings: tuple[CouplingTable, ...] = ()
+
+    @model_validator(mode="after")
+    def _convention_stated(self) -> RobotFile:
+        if self.convention is None and any(link.dh is not None for link in self.links):
+            raise ValueError('the file has dh rows but does not say which: add convention = "standard" or convention = "modified"')
+        return self
+
+
+def checked_file(content: dict[str, Any], source: str) -> RobotFile:
+    """Return the checked file; raises one `DescriptionError` that names file, table, field, what was given and what is expected."""
+    try:
+        return RobotFile.model_validate(content)
+    except ValidationError as error:
+        raise DescriptionError(_explained(source, content, error)) from None
+
+
+def _explained(source: str, content: dict[str, Any], error: ValidationError) -> str:
+    complaints = []
+    problems = error.errors(include_url=False)
+    deeper = {problem["loc"][0] for problem in problems if len(problem["loc"]) > 1}
+    for problem in problems:
+        if len(problem["loc"]) == 1 and problem["loc"][0] in deeper:
+            continue
+        table: Any = content
+        place: list[str] = []
+        for step in problem["loc"]:
+            table = _inside(table, step)
+            if isinstance(step, int):
+                label = table.get("name", "") if isinstance(table, dict) else ""
+                place[-1:] = [f"{place[-1] if place else ''}[{step + 1}]" + (f" {label!r}" if label else "")]
+            elif step not in ("float", "str", "nullable"):
+                place.append(str(step))
+        message = problem["msg"].removeprefix("Value error, ")
+        given = problem.get("input")
+        if problem["type"] == "missing":
+            message = "is missing"
+        elif problem["type"] == "extra_forbidden":
+            message = "is not a field of this table; check the spelling"
+        elif not isinstance(given, (dict, list)):
+            message = f"{message}, got {given!r}"
+        complaints.append(f"{'.'.join(place) or 'the file'}: {message}")
+    complaints = list(dict.fromkeys(complaints))
+    more = f" (and {len(complaints) - 3} more)" if len(complaints) > 3 else ""
+    return f"{source}: " + "; ".join(complaints[:3]) + more
+
+
+def _inside(table: Any, step: int | str) -> Any:
+    if isinstance(table, dict):
+        return table.get(str(step))
+    return table[step] if isinstance(table, list) and isinstance(step, int) and step < len(table) else None

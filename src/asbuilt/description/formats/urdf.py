@@ -1,0 +1,301 @@
+"""Robots from URDF (Unified Robot Description Format), without their meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.formats.xml import (
+    close_match,
+    described_text,
+    number,
+    numbers,
+    parsed_xml,
+    required,
+)
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import (
+    ROOT,
+    DriveValues,
+    Frame,
+    Joint,
+    JointKind,
+    JointLimits,
+    Link,
+    RobotModel,
+)
+from asbuilt.description.rotation import (
+    composed,
+    condensed,
+    placement,
+    rotation_from_rpy,
+    rotation_onto,
+    straightened,
+)
+from asbuilt.errors import DescriptionError
+
+MOVING: dict[str, JointKind] = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic"}
+AXIS_TOLERANCE = 1e-6
+"""An axis whose length differs from 1 by more is scaled to unit length with a note."""
+
+
+@dataclass(frozen=True)
+class _Body:
+    name: str
+    inertia: LinkInertia | None
+
+
+@dataclass(frozen=True)
+class _Connection:
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Array
+    element: Element
+    place: str
+
+
+@dataclass
+class _Tree:
+    """What has been merged so far: `inertia[i]` gathers the parts of moving link i, in its frame."""
+
+    joints: list[Joint] = field(default_factory=list)
+    links: list[str] = field(default_factory=list)
+    parts: list[list[tuple[str, LinkInertia]]] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+
+
+def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> RobotModel:
+    """Read a robot from a URDF file or from the XML text itself.
+
+    The frame of a moving link is the URDF link frame; `before` ends with a rotation of z onto the joint axis, which `after` takes back.
+    Links behind fixed joints are merged into the moving link that carries them, and kept as frames and as `Link.parts` (all in the frame of
+    the carrier); what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping and friction become
+    viscous and Coulomb values. Angles within 1e-5 rad of a right angle become exact, unless `straighten` is False, which reads them to the
+    letter as other programs do. Meshes are neither needed nor looked for.
+
+    Raises `DescriptionError` naming the element, what was given and what would do (format: http://wiki.ros.org/urdf/XML).
+    """
+    content, source = described_text(path_or_text)
+    root = parsed_xml(content, source)
+    if root.tag == "mujoco":
+        raise DescriptionError(f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or read_mjcf")
+    if root.tag != "robot":
+        raise DescriptionError(f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>")
+    notes: list[str] = []
+    bodies = _bodies(root, source, notes, straighten)
+    connections = _connections(root, bodies, source, notes, straighten)
+    top = _root_link(bodies, connections, source)
+    tree = _merged(top, bodies, connections, source, notes)
+    if not tree.joints:
+        raise DescriptionError(f"{source}: no joint moves (revolute, continuous or prismatic), so there is nothing to identify")
+    links = []
+    for name, parts in zip(tree.links, tree.parts, strict=True):
+        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0)) if parts else LinkInertia.zero()
+        merged = len(parts) > 1 or any(part != name for part, _ in parts)
+        links.append(Link(name=name, inertia=total, inertia_known=bool(parts), parts=tuple(parts) if merged else ()))
+    return RobotModel(
+        drives_by_design=False,
+        name=(root.get("name") or "robot").strip(),
+        joints=tuple(tree.joints),
+        links=tuple(links),
+        root_link=top,
+        frames=tuple(tree.frames),
+        source="URDF text" if source == "the description" else source,
+        notes=condensed([note.replace(f"{source}, ", "") for note in notes]),
+    )
+
+
+def _only(element: Element, tag: str, place: str, notes: list[str]) -> Element | None:
+    found = element.findall(tag)
+    if len(found) > 1:
+        notes.append(f"{place} has {len(found)} <{tag}> elements; the first counts, as in ROS")
+    return found[0] if found else None
+
+
+def _origin(element: Element, place: str, notes: list[str], straighten: bool) -> Array:
+    origin = _only(element, "origin", place, notes)
+    if origin is None:
+        return np.eye(4)
+    xyz = numbers(origin, "xyz", 3, place) if origin.get("xyz") is not None else [0.0, 0.0, 0.0]
+    rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") is not None else [0.0, 0.0, 0.0]
+    if straighten:
+        rpy = [straightened(value, f"{name} of {place}", notes) for name, value in zip(("roll", "pitch", "yaw"), rpy, strict=True)]
+    return placement(rotation_from_rpy(rpy), xyz)
+
+
+def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> dict[str, _Body]:
+    bodies: dict[str, _Body] = {}
+    for i, element in enumerate(root.findall("link")):
+        name = required(element, "name", f"{source}, link number {i + 1}")
+        if name in bodies:
+            raise DescriptionError(f"{source}: two links are named {name!r}; every link needs its own name")
+        place = f"{source}, link {name!r}"
+        inertial = _only(element, "inertial", place, notes)
+        bodies[name] = _Body(name, _inertia(inertial, place, notes, straighten) if inertial is not None else None)
+    if not bodies:
+        raise DescriptionError(f"{source}: the URDF has no <link>")
+    return bodies
+
+
+def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) -> LinkInertia:
+    place = f"{place}, inertial"
+    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or tensor is None:
+        missing = "mass" if mass is None else "inertia"
+        raise DescriptionError(
+            f"{place}: <{missing}> is missing; give <mass value=.../> and <inertia ixx=... .../>, or leave <inertial> out"
+        )
+    xx, yy, zz = (number(tensor, name, place) for name in ("ixx", "iyy", "izz"))
+    xy, xz, yz = (number(tensor, name, place) for name in ("ixy", "ixz", "iyz"))
+    about_com = LinkInertia.from_com(number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return about_com.moved(_origin(inertial, place, notes, straighten))
+
+
+def _connections(root: Element, bodies: dict[str, _Body], source: str, notes: list[str], straighten: bool) -> list[_Connection]:
+    connections: list[_Connection] = []
+    names: set[str] = set()
+    parent_joint: dict[str, str] = {}
+    for i, element in enumerate(root.findall("joint")):
+        name = required(element, "name", f"{source}, joint number {i + 1}")
+        if name in names:
+            raise DescriptionError(f"{source}: two joints are named {name!r}; every joint needs its own name")
+        names.add(name)
+        place = f"{source}, joint {name!r}"
+        kind = required(element, "type", place)
+        if kind in ("floating", "planar"):
+            raise DescriptionError(
+                f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still and whose joints are revolute, continuous, "
+                'prismatic or fixed: replace it by type="fixed" or by a chain of those'
+            )
+        if kind not in (*MOVING, "fixed"):
+            raise DescriptionError(f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed")
+        if kind != "fixed" and element.find("mimic") is not None:
+            raise DescriptionError(
+                f'{place}: the joint mimics another one, so it has no drive of its own: make it type="fixed", or remove <mimic> if it is driven'
+            )
+        parent, child = (_end(element, end, bodies, place) for end in ("parent", "child"))
+        if parent == child:
+            raise DescriptionError(f"{place}: the joint connects link {parent!r} with itself")
+        if child in parent_joint:
+            raise DescriptionError(
+                f"{source}: link {child!r} is the child of joint {parent_joint[child]!r} and of joint {name!r}; closed chains are not supported, "
+                "a link hangs on one joint"
+            )
+        parent_joint[child] = name
+        connections.append(_Connection(name, kind, parent, child, _origin(element, place, notes, straighten), element, place))
+    return connections
+
+
+def _end(element: Element, end: str, bodies: dict[str, _Body], place: str) -> str:
+    found = element.find(end)
+    if found is None:
+        raise DescriptionError(f"{place}: <{end} link=...> is missing")
+    name = required(found, "link", place)
+    if name not in bodies:
+        raise DescriptionError(f"{place}: the {end} link {name!r} does not exist{close_match(name, bodies)}")
+    return name
+
+
+def _root_link(bodies: dict[str, _Body], connections: list[_Connection], source: str) -> str:
+    children = {connection.child for connection in connections}
+    tops = [name for name in bodies if name not in children]
+    if not tops:
+        raise DescriptionError(f"{source}: every link is the child of a joint, so the joints form a loop; one link must be the root")
+    if len(tops) > 1:
+        raise DescriptionError(
+            f"{source}: {len(tops)} links have no parent joint ({', '.join(repr(name) for name in tops[:5])}); a robot has one root: connect the others to it"
+        )
+    return tops[0]
+
+
+def _merged(top: str, bodies: dict[str, _Body], connections: list[_Connection], source: str, notes: list[str]) -> _Tree:
+    tree = _Tree()
+    below: dict[str, list[_Connection]] = {}
+    for connection in connections:
+        below.setdefault(connection.parent, []).append(connection)
+    reached = {top}
+    waiting = [(connection, ROOT, np.eye(4)) for connection in reversed(below.get(top, []))]
+    while waiting:
+        connection, carrier, parent_pose = waiting.pop()
+        pose = composed(parent_pose, connection.origin)
+        body = bodies[connection.child]
+        reached.add(body.name)
+        if connection.kind == "fixed":
+            tree.frames.append(Frame(name=body.name, link=carrier, placement=pose))
+            if carrier != ROOT and body.inertia is not None:
+                tree.parts[carrier].append((body.name, body.inertia.moved(pose)))
+        else:
+            tree.joints.append(_joint(connection, carrier, pose, notes))
+            tree.links.append(body.name)
+            tree.parts.append([(body.name, body.inertia)] if body.inertia is not None else [])
+            carrier, pose = len(tree.joints) - 1, np.eye(4)
+        waiting.extend((after, carrier, pose) for after in reversed(below.get(body.name, [])))
+    if len(reached) < len(bodies):
+        lost = next(name for name in bodies if name not in reached)
+        raise DescriptionError(f"{source}: link {lost!r} cannot be reached from the root link {top!r}; its joints form a loop")
+    return tree
+
+
+def _joint(connection: _Connection, parent: int, pose: Array, notes: list[str]) -> Joint:
+    onto = rotation_onto(_axis(connection, notes))
+    return Joint(
+        name=connection.name,
+        kind=MOVING[connection.kind],
+        parent=parent,
+        before=composed(pose, placement(onto)),
+        after=placement(onto.T),
+        limits=_limits(connection, notes),
+        drive=_drive(connection),
+    )
+
+
+def _axis(connection: _Connection, notes: list[str]) -> Array:
+    element = connection.element.find("axis")
+    given = np.array([1.0, 0.0, 0.0] if element is None else numbers(element, "xyz", 3, connection.place))
+    length = float(np.linalg.norm(given))
+    if length == 0.0:
+        raise DescriptionError(
+            f'{connection.place}: the axis is {given.tolist()} and has no direction; give a unit vector such as xyz="0 0 1"'
+        )
+    if abs(length - 1.0) > AXIS_TOLERANCE:
+        notes.append(f"{connection.place}: the axis {given.tolist()} has length {length:.6g} and is scaled to 1")
+    return given / length
+
+
+def _limits(connection: _Connection, notes: list[str]) -> JointLimits:
+    element, place = connection.element.find("limit"), connection.place
+    if element is None:
+        return JointLimits()
+    lower, upper = number(element, "lower", place, -np.inf), number(element, "upper", place, np.inf)
+    if connection.kind == "continuous":
+        lower, upper = -np.inf, np.inf
+    if lower > upper:
+        raise DescriptionError(f"{place}: lower limit {lower} exceeds upper limit {upper}; swap them")
+    bounds = {}
+    for attribute in ("velocity", "effort"):
+        value = number(element, attribute, place, np.inf)
+        if value < 0.0:
+            raise DescriptionError(f"{place}: {attribute} limit is {value}; it must be positive")
+        if value == 0.0:
+            notes.append(f"{place}: {attribute} limit is 0, which is taken as not stated")
+            value = np.inf
+        bounds[attribute] = value
+    return JointLimits(lower=lower, upper=upper, velocity=bounds["velocity"], torque=bounds["effort"])
+
+
+def _drive(connection: _Connection) -> DriveValues:
+    element, place = connection.element.find("dynamics"), connection.place
+    if element is None:
+        return DriveValues()
+    damping = number(element, "damping", place) if element.get("damping") is not None else None
+    friction = number(element, "friction", place) if element.get("friction") is not None else None
+    for name, value in (("damping", damping), ("friction", friction)):
+        if value is not None and value < 0.0:
+            raise DescriptionError(f"{place}: {name} is {value}; it must not be negative")
+    return DriveValues(viscous=damping, coulomb=friction)

@@ -1,0 +1,137 @@
+"""Base parameters: the combinations of standard parameters that joint torques determine."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.identifiability import StandardParameter, parameter_verdicts
+from asbuilt.dynamics.base.observation_rank import ObservationRank, observation_rank
+from asbuilt.dynamics.base.regrouping import lettered_regrouping, structural_regrouping
+from asbuilt.dynamics.base.symbols import Polynomial, Row, written
+from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.parameters import parameter_names, parameter_units
+from asbuilt.errors import IdentifiabilityError, UsageError
+
+
+@dataclass(frozen=True, eq=False)
+class BaseParameters:
+    """Regroup the standard parameters chi into base parameters: `beta = regrouping @ chi`, `Y = Y[:, columns] @ regrouping`.
+
+    `columns` (n_base,) are the first independent columns in id order, counted from 0, `ids = columns + 1`; `regrouping` has shape
+    (n_base, n_standard). `expressions` have numbers for lengths, `symbolic` letters where the description names lengths.
+    """
+
+    robot: str
+    drive: DriveSet
+    standard_names: tuple[str, ...]
+    standard_units: tuple[str, ...]
+    columns: Indices
+    regrouping: Array
+    expressions: tuple[str, ...]
+    symbolic: tuple[str, ...]
+    standard: tuple[StandardParameter, ...]
+
+    def __post_init__(self) -> None:
+        self.columns.setflags(write=False)
+        self.regrouping.setflags(write=False)
+
+    @property
+    def n_standard(self) -> int:
+        """Number of standard parameters."""
+        return len(self.standard_names)
+
+    @property
+    def n_base(self) -> int:
+        """Number of base parameters."""
+        return len(self.columns)
+
+    @property
+    def ids(self) -> Indices:
+        """Ids of the kept columns, counted from 1."""
+        return self.columns + 1
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Name of each base parameter: that of the standard parameter whose column is kept."""
+        return tuple(self.standard_names[column] for column in self.columns)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Unit of each base parameter."""
+        return tuple(self.standard_units[column] for column in self.columns)
+
+    def values(self, chi: ArrayLike) -> Array:
+        """Return `beta = regrouping @ chi`, shape (n_base,); a NaN in chi reaches only the base parameters that contain it.
+
+        Raises `UsageError` for another shape than (n_standard,).
+        """
+        given = np.asarray(chi, dtype=np.float64)
+        if given.shape != (self.n_standard,):
+            raise UsageError(
+                f"{self.robot} with drive terms {self.drive} has {self.n_standard} standard parameters, got shape {given.shape}"
+            )
+        unknown = np.isnan(given)
+        beta = self.regrouping @ np.where(unknown, 0.0, given)
+        beta[(self.regrouping[:, unknown] != 0.0).any(axis=1)] = np.nan
+        return beta
+
+
+def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseParameters:
+    """Return the base parameters of a robot: structure first, then checked against the numeric rank of a random observation matrix.
+
+    Raises `IdentifiabilityError` where the two disagree. Sources: Mayeda, Yoshida & Osuka (1990); Gautier & Khalil (1990); Wensing,
+    Niemeyer & Slotine (2024); derivation in docs/derivations/base-parameters.md.
+
+    Examples
+    --------
+    >>> from asbuilt.description.formats.dh import DHRow, robot_from_dh
+    >>> base = find_base_parameters(robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar"))
+    >>> base.ids
+    array([ 6, 16, 17, 18])
+    >>> base.symbolic
+    ('Izz1 + a1**2*(m1 + m2) + 2*a1*mx1', 'Izz2 - a2**2*m2', 'mx2 + a2*m2', 'my2')
+    >>> base.standard[0].why
+    'Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts'
+    """
+    with one_blas_thread():
+        found = structural_regrouping(model, drive)
+        numeric = observation_rank(model, drive)
+        if numeric.rank != len(found.columns):
+            raise IdentifiabilityError(_disagreement(model, drive, len(found.columns), numeric))
+        lettered = lettered_regrouping(model, drive, found)
+    names = parameter_names(model, drive)
+    return BaseParameters(
+        robot=model.name,
+        drive=drive,
+        standard_names=names,
+        standard_units=parameter_units(model, drive),
+        columns=found.columns,
+        regrouping=found.matrix,
+        expressions=tuple(
+            _written({int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)}, column, names)
+            for row, column in zip(found.matrix, found.columns, strict=True)
+        ),
+        symbolic=tuple(_written(row, column, names) for row, column in zip(lettered, found.columns, strict=True)),
+        standard=parameter_verdicts(model, drive, found, names),
+    )
+
+
+def _disagreement(model: RobotModel, drive: DriveSet, structural: int, numeric: ObservationRank) -> str:
+    sizes = numeric.singular_values[max(0, min(structural, numeric.rank) - 1) : max(structural, numeric.rank) + 1]
+    return (
+        f"{model.name} with drive terms {drive}: its structure gives {structural} base parameters, but the numeric rank of a random observation "
+        f"matrix is {numeric.rank} (singular values there, relative to the largest: {', '.join(f'{size:.1e}' for size in sizes)}). "
+        "Most likely the description is almost, but not exactly, special: write angles near right angles and lengths near zero exactly"
+        + ("; or two drive terms have the same effect" if len(drive.terms) > 1 else "")
+    )
+
+
+def _written(row: Row, kept: int, names: tuple[str, ...]) -> str:
+    order = sorted(row, key=lambda j: (j != kept, j))
+    return written([(names[j], row[j]) for j in order])

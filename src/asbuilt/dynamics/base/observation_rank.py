@@ -1,0 +1,129 @@
+"""The numeric rank of an observation matrix at random states: the second road to the number of base parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import drive_columns
+
+ABSENT_COLUMN = 1e-12
+"""A column smaller than this, relative to the largest, is rounding noise and counts as zero before columns are scaled."""
+
+RANK_TOLERANCE = 1e-11
+"""Singular values of the column-scaled matrix below this, relative to the largest, count as zero."""
+
+ROWS_PER_COLUMN = 2.0
+"""Rows of the matrix for each of its columns: with one for each, chance could make it look singular."""
+FEWEST_STATES = 12
+"""Random states for a robot of few joints and columns."""
+SEED = 20151
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationRank:
+    """Hold the `rank` of a random observation matrix and the `singular_values` of its scaled columns, relative to the largest."""
+
+    rank: int
+    singular_values: Array
+
+
+def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
+    """Return the rank of the column-scaled observation matrix at random states, the same ones at every call.
+
+    The matrix comes from Kane's equations in root axes, `tau_k = sum_i (partial velocities of link i) . (inertia forces of link i)`, so that
+    it shares neither the recursion nor the compiled kernels of the regressor. A load that drive terms depend on comes from random parameters.
+    """
+    n = model.n_joints
+    n_columns = (10 + drive.columns_per_joint) * n
+    samples = max(FEWEST_STATES, int(np.ceil(ROWS_PER_COLUMN * n_columns / n)))
+    rng = np.random.default_rng(SEED)
+    q = rng.uniform(-np.pi, np.pi, (samples, n))
+    qd, qdd = rng.normal(scale=2.0, size=(samples, n)), rng.normal(scale=4.0, size=(samples, n))
+    Y = np.zeros((n, samples, n_columns))
+    rigid = Y[:, :, : 10 * n]
+    _rigid_body_columns(model, q, qd, qdd, rigid)
+    load = np.stack([rows @ rng.uniform(0.5, 1.5, 10 * n) for rows in rigid], axis=1) if drive.needs_load else None
+    drive = DriveSet(tuple(term.typical() for term in drive.terms))
+    shares, of_motor = model.motor_shares, drive.of_motor
+    for k in range(n):
+        first = 10 * n + drive.columns_per_joint * k
+        columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares).T
+        for j in range(n):
+            Y[j, :, first : first + drive.columns_per_joint] = columns * np.where(of_motor, shares[k, j], float(j == k))
+    stacked = Y.reshape(n * samples, n_columns)
+    sizes = np.linalg.norm(stacked, axis=0)
+    present = sizes > ABSENT_COLUMN * sizes.max()
+    singular_values = np.linalg.svd(stacked[:, present] / sizes[present], compute_uv=False)
+    singular_values /= singular_values[0]
+    return ObservationRank(int(np.sum(singular_values > RANK_TOLERANCE)), singular_values)
+
+
+def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out: Array) -> None:
+    """Fill `out` (n, n_samples, 10 n) by Kane's equations."""
+    samples, n = q.shape
+    still = np.zeros((samples, 3))
+    ahead = (np.broadcast_to(np.eye(3), (samples, 3, 3)), still, still, still, np.broadcast_to(-model.gravity, (samples, 3)))
+    states = {ROOT: ahead}
+    axes, points = np.zeros((n, samples, 3)), np.zeros((n, samples, 3))
+    revolute = np.array([joint.is_revolute for joint in model.joints])
+    for i, joint in enumerate(model.joints):
+        R, p, w, dw, a = states[joint.parent]
+        arm = R @ joint.before[:3, 3]
+        R = R @ joint.before[:3, :3]
+        p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
+        z = R[:, :, 2]
+        axes[i], points[i] = z, p
+        rate, acceleration = qd[:, i, None], qdd[:, i, None]
+        if joint.is_revolute:
+            turn = np.zeros((samples, 3, 3))
+            turn[:, 0, 0] = turn[:, 1, 1] = np.cos(q[:, i])
+            turn[:, 1, 0] = np.sin(q[:, i])
+            turn[:, 0, 1] = -turn[:, 1, 0]
+            turn[:, 2, 2] = 1.0
+            R = R @ turn
+            dw = dw + _cross(w, rate * z) + acceleration * z
+            w = w + rate * z
+        else:
+            slid = q[:, i, None] * z
+            p = p + slid
+            a = a + _cross(dw, slid) + _cross(w, _cross(w, slid)) + 2.0 * _cross(w, rate * z) + acceleration * z
+        arm = R @ joint.after[:3, 3]
+        R = R @ joint.after[:3, :3]
+        p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
+        states[i] = (R, p, w, dw, a)
+        body = _inertia_forces(*(np.einsum("sij,si->sj", R, vector) for vector in (w, dw, a)))
+        chain = np.array(model.ancestors(i))
+        turns = revolute[chain, None, None]
+        angular = np.where(turns, axes[chain], 0.0)
+        linear = np.where(turns, _cross(axes[chain], p - points[chain]), axes[chain])
+        partial = np.concatenate([np.swapaxes(angular, 0, 1) @ R, np.swapaxes(linear, 0, 1) @ R], axis=2)
+        out[chain, :, 10 * i : 10 * i + 10] = np.swapaxes(partial @ body, 0, 1)
+
+
+def _inertia_forces(w: Array, dw: Array, a: Array) -> Array:
+    """Return moment about the origin and force of a link, linear in its ten parameters, shape (n_samples, 6, 10), in link axes.
+
+    `moment = I dw + w x I w + h x a`, `force = m a + dw x h + w x (w x h)`.
+    """
+    body = np.zeros((len(w), 6, 10))
+    for column, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        tensor = np.zeros((3, 3))
+        tensor[i, j] = tensor[j, i] = 1.0
+        body[:, :3, column] = dw @ tensor + _cross(w, w @ tensor)
+    for k, unit in enumerate(np.eye(3)):
+        body[:, :3, 6 + k] = _cross(np.broadcast_to(unit, a.shape), a)
+        body[:, 3:, 6 + k] = _cross(dw, np.broadcast_to(unit, a.shape)) + _cross(w, _cross(w, np.broadcast_to(unit, a.shape)))
+    body[:, 3:, 9] = a
+    return body
+
+
+def _cross(u: Array, v: Array) -> Array:
+    """Return the cross product over the last axis; `numpy.cross` is several times slower on small arrays."""
+    x, y, z = u[..., 0], u[..., 1], u[..., 2]
+    a, b, c = v[..., 0], v[..., 1], v[..., 2]
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)

@@ -1,0 +1,209 @@
+"""The regrouping of standard into base parameters, as the structure of a robot dictates it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.inertia import shift_matrix
+from asbuilt.description.model import RobotModel
+from asbuilt.description.rotation import inverted, placement
+from asbuilt.dynamics.base.axis_frames import nearest_origins, same_build
+from asbuilt.dynamics.base.regrouping_relations import (
+    LENGTH_EXPONENTS,
+    LinkMotion,
+    TransferableDirections,
+    characteristic_length,
+    reversed_echelon,
+    transferable_directions,
+)
+from asbuilt.dynamics.base.symbols import Polynomial, Row, dependent_columns, null_rows
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.structure import IMITABLE, DriveStructure, drive_structure, realisable
+from asbuilt.dynamics.parameters import parameter_count
+
+AXIAL = np.array([[0, 0, 0, 0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 1, 0], [1, 0, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=np.float64)
+"""A mass on the z axis, a first moment along it, and `Ixx = Iyy`: what a turn about z leaves as it is."""
+
+LETTER_TOLERANCE = 1e-9
+"""A factor in letters must equal the number it stands for to this, relative to the largest factor in its row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Regrouping:
+    """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y = Y[:, columns] @ matrix`.
+
+    What it follows from: `model`, the robot with its joint frames at `nearest_origins`; `directions` and `motions` of its links in these
+    frames; `null_blocks`, per link its directions over all standard parameters (k, n_standard); `axial_blocks` (3, 10), per link a mass on the
+    joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths are divided by `size` in all of these. `structure`
+    is what the drive columns have in common with each other and with links.
+    """
+
+    columns: Indices
+    matrix: Array
+    directions: tuple[TransferableDirections, ...]
+    motions: tuple[LinkMotion, ...]
+    null_blocks: tuple[Array, ...]
+    axial_blocks: tuple[Array, ...]
+    size: float
+    model: RobotModel
+    structure: DriveStructure
+
+
+def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
+    """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
+    model = nearest_origins(model)
+    size = characteristic_length(model)
+    structure = drive_structure(model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints]))
+    directions, motions = transferable_directions(model, structure.imitable)
+    to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
+    scales = _scales(model, drive)
+    blocks = _null_blocks(model, drive, directions, to_link, structure, scales)
+    redundant = np.hstack([np.zeros((len(structure.redundant), 10 * model.n_joints)), structure.redundant]) / scales
+    echelon, dependent = reversed_echelon(np.vstack([*_realised(model, drive, directions, blocks, structure), redundant]))
+    columns = np.setdiff1d(np.arange(len(scales)), dependent)
+    matrix = np.zeros((len(columns), len(scales)))
+    matrix[np.arange(len(columns)), columns] = 1.0
+    matrix[:, dependent] = -echelon[:, columns].T * scales[columns, None] / scales[dependent]
+    for b, j in zip(*np.nonzero(matrix), strict=True):
+        matrix[b, j] = _without_noise(matrix[b, j])
+    return Regrouping(
+        columns=columns,
+        matrix=matrix,
+        directions=tuple(directions),
+        motions=tuple(motions),
+        null_blocks=tuple(blocks),
+        axial_blocks=tuple(AXIAL @ shift.T for shift in to_link),
+        size=size,
+        model=model,
+        structure=structure,
+    )
+
+
+def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
+    """Return the rows of the regrouping with letters for lengths, as sums over standard parameters.
+
+    Each row is checked against numbers, for the robot itself and for one of the same build with other lengths; a row that
+    fails - its factors are no polynomials, or only right for these lengths - keeps its numbers.
+    """
+    n_standard = found.matrix.shape[1]
+    numbers: list[Row] = [{int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)} for row in found.matrix]
+    if not model.lengths or found.structure.motor_columns.any():
+        return numbers
+    pivots = np.setdiff1d(np.arange(n_standard), found.columns)
+    combined = dependent_columns(_lettered_null_rows(model, found), [int(pivot) for pivot in pivots])
+    if combined is None:
+        return numbers
+    rows: dict[int, Row] = {int(column): {int(column): Polynomial.number(1.0)} for column in found.columns}
+    for j, members in combined.items():
+        for b, factor in members.items():
+            rows[b][j] = factor
+    other = {letter: value * (1.2 + 0.3 * np.sin(k + 1.0)) for k, (letter, value) in enumerate(model.lengths.items())}
+    elsewhere = structural_regrouping(same_build(found.model, other), drive)
+    if not np.array_equal(elsewhere.columns, found.columns):
+        return numbers
+    checks = ((found.matrix, model.lengths), (elsewhere.matrix, other))
+    return [
+        lettered if all(_agree(lettered, matrix[b], lengths) for matrix, lengths in checks) else numbers[b]
+        for b, lettered in enumerate(dict(sorted(row.items())) for row in rows.values())
+    ]
+
+
+def _agree(lettered: Row, row: Array, lengths: Mapping[str, float]) -> bool:
+    values = np.zeros(len(row))
+    for j, factor in lettered.items():
+        values[j] = factor.value(lengths)
+    return bool(np.abs(values - row).max() <= LETTER_TOLERANCE * np.abs(row).max())
+
+
+def _without_noise(value: float) -> float:
+    """Return the number to 15 significant digits: 0.16 for 0.16000000000000003."""
+    return float(f"{value:.14e}")
+
+
+def _lettered_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
+    """Return the null vectors with letters for lengths, in physical units."""
+    first, strength = 10 * model.n_joints, float(np.linalg.norm(model.gravity))
+    ways = found.structure.ways
+    per = ways.shape[2]
+    units = np.array([_function_units(joint.is_revolute, found.size, strength) for joint in model.joints])
+    rows = null_rows(found.model, found.directions)
+    changes = [
+        np.stack([each.armature, each.offset, each.sine, each.cosine], axis=1) * units[each.link] @ ways[each.link]
+        for each in found.directions
+    ]
+    links = [each.link for each in found.directions for _ in range(len(each.child))]
+    for row, link, change in zip(rows, links, np.vstack(changes), strict=True):
+        row |= {first + per * link + int(c): Polynomial.number(float(change[c])) for c in np.flatnonzero(change)}
+    for redundant in found.structure.redundant:
+        rows.append({first + int(c): Polynomial.number(float(redundant[c])) for c in np.flatnonzero(redundant)})
+    return rows
+
+
+def _function_units(revolute: bool, size: float, strength: float) -> tuple[float, float, float, float]:
+    """Return one unit of the changes of armature, offset, sine and cosine in lengths divided by the robot's size and forces divided by gravity."""
+    force = strength if strength > 0.0 else 1.0
+    return (size**2, force, force * size, force * size) if revolute else (1.0, force, 1.0, 1.0)
+
+
+def _scales(model: RobotModel, drive: DriveSet) -> Array:
+    """Return one unit of each standard parameter's column in lengths divided by the robot's size and forces divided by gravity."""
+    size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
+    scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
+    for k, joint in enumerate(model.joints):
+        units = dict(zip(IMITABLE, _function_units(joint.is_revolute, size, strength), strict=True))
+        kinds = [term.key for term in drive.terms for _ in term.letters]
+        for kind, function in zip(kinds, drive.functions(k), strict=True):
+            own = next((units[name] for name in IMITABLE if name in function), 1.0)
+            scales.append(np.array([units["qdd"] if kind == "motor_armature" else own]))
+    return np.concatenate(scales)
+
+
+def _null_blocks(
+    model: RobotModel,
+    drive: DriveSet,
+    directions: Sequence[TransferableDirections],
+    to_link: Sequence[Array],
+    structure: DriveStructure,
+    scales: Array,
+) -> list[Array]:
+    """Return the directions of each link over standard parameters in units of `scales`, shapes (k, n_standard), mutual armatures left out."""
+    size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_joints
+    blocks = []
+    for found, shift in zip(directions, to_link, strict=True):
+        joint = model.joints[found.link]
+        block = np.zeros((len(found.child), parameter_count(model, drive)))
+        block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift.T
+        if joint.parent >= 0:
+            block[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
+        own = slice(first + per * found.link, first + per * (found.link + 1))
+        units = np.array(_function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity))))
+        changes = np.stack([found.armature, found.offset, found.sine, found.cosine], axis=1)
+        block[:, own] = (changes * units @ structure.ways[found.link]) / scales[own]
+        blocks.append(block)
+    return blocks
+
+
+def _realised(
+    model: RobotModel, drive: DriveSet, directions: list[TransferableDirections], blocks: Sequence[Array], structure: DriveStructure
+) -> list[Array]:
+    """Return the null vectors of the torques: the directions themselves, or such sums of them that the motors' armatures can take part in."""
+    if not structure.motor_columns.any():
+        return list(blocks)
+    per, first = drive.columns_per_joint, 10 * model.n_joints
+    sums, of_joints, of_motors = realisable(directions, structure)
+    rows = sums @ np.vstack(blocks)
+    armature = structure.ways[:, 0, :]
+    for found in directions:
+        own = slice(first + per * found.link, first + per * (found.link + 1))
+        taken = np.concatenate([each.armature * (each.link == found.link) for each in directions])
+        rows[:, own] += (of_joints[:, found.link] - sums @ taken)[:, None] * armature[found.link]
+        rows[:, own] += of_motors[:, found.link, None] * structure.motor_columns[found.link]
+    return [rows]
+
+
+def _sized(transform: Array, size: float) -> Array:
+    return placement(transform[:3, :3], transform[:3, 3] / size)

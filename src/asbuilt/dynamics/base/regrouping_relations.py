@@ -1,0 +1,302 @@
+"""Transferable directions: changes of the parameters of one link that its parent link, or nothing at all, makes up for.
+
+Derivation, symbols and sources: docs/derivations/base-parameters.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+
+RANK_TOLERANCE = 1e-10
+"""A direction counts as absent where it is smaller than this, relative to the largest; lengths are divided by the robot's size first."""
+
+_ARMATURE, _OFFSET, _SINE, _COSINE = 10, 11, 12, 13
+"""Where a direction holds the changes of its joint's drive, behind the ten parameters of its link."""
+
+LENGTH_EXPONENTS = np.array([2.0] * 6 + [1.0] * 3 + [0.0])
+"""Powers of length in the units of the ten inertial parameters."""
+
+SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def shift_of_rotation(rotation: Array) -> Array:
+    """Return the (10, 10) map of inertial parameters from a child frame to a parent frame that is only turned: `I' = R I R^T, h' = R h`."""
+    shift = np.zeros((10, 10))
+    for column, (i, j) in enumerate(SYMMETRIC):
+        tensor = np.outer(rotation[:, i], rotation[:, j])
+        tensor = tensor if i == j else tensor + tensor.T
+        shift[:6, column] = [tensor[a, b] for a, b in SYMMETRIC]
+    shift[6:9, 6:9] = rotation
+    shift[9, 9] = 1.0
+    return shift
+
+
+def _shift_of_translation(t: Array) -> Array:
+    shift = np.eye(10)
+    for k in range(3):
+        mixed = np.outer(t, np.eye(3)[k]) + np.outer(np.eye(3)[k], t)
+        tensor = 2.0 * t[k] * np.eye(3) - mixed
+        shift[:6, 6 + k] = [tensor[a, b] for a, b in SYMMETRIC]
+    tensor = t @ t * np.eye(3) - np.outer(t, t)
+    shift[:6, 9] = [tensor[a, b] for a, b in SYMMETRIC]
+    shift[6:9, 9] = t
+    return shift
+
+
+def _translation_tensors() -> tuple[Array, Array]:
+    S, unit = _shift_of_translation, np.eye(3)
+    linear = np.array([(S(a) - S(-a)) / 2.0 for a in unit])
+    square = np.array([[(S(a + b) - S(a) - S(b) + np.eye(10)) / 2.0 for b in unit] for a in unit])
+    return linear, square
+
+
+SHIFT_LINEAR, SHIFT_SQUARE = _translation_tensors()
+"""Shift by t: `S(t) = 1 + sum_a t_a SHIFT_LINEAR[a] + sum_ab t_a t_b SHIFT_SQUARE[a, b]`, shapes (3, 10, 10) and (3, 3, 10, 10)."""
+
+
+def _turn_harmonics() -> tuple[Array, Array]:
+    angles = 2.0 * np.pi * np.arange(5) / 5.0
+    turns = [np.array([[np.cos(q), -np.sin(q), 0.0], [np.sin(q), np.cos(q), 0.0], [0.0, 0.0, 1.0]]) for q in angles]
+    fourier = np.linalg.inv(np.stack([angles * 0 + 1, np.cos(angles), np.sin(angles), np.cos(2 * angles), np.sin(2 * angles)], axis=1))
+    shifts = np.einsum("ka,aij->kij", fourier, [shift_of_rotation(turn) for turn in turns])
+    rotations = np.einsum("ka,aij->kij", fourier, turns)
+    return np.round(8.0 * shifts) / 8.0, np.round(8.0 * rotations) / 8.0
+
+
+TURN_SHIFTS, _TURN_ROTATIONS = _turn_harmonics()
+"""Turning about z by q: `S(q) = sum_k TURN_SHIFTS[k] f_k(q)` with f = 1, cos q, sin q, cos 2q, sin 2q; shape (5, 10, 10)."""
+
+SLIDE_SHIFTS = np.stack([np.eye(10), SHIFT_LINEAR[2], SHIFT_SQUARE[2, 2]])
+"""Sliding along z by q: `S(q) = sum_k SLIDE_SHIFTS[k] q^k`, shape (3, 10, 10)."""
+
+
+def _cross(t: Array) -> Array:
+    return np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
+
+
+def _twist_harmonics() -> tuple[Array, Array]:
+    turn = np.zeros((3, 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = _TURN_ROTATIONS[:3].transpose(0, 2, 1)
+    slide = np.stack([np.eye(6), np.zeros((6, 6))])
+    slide[1, 3:, :3] = -_cross(np.array([0.0, 0.0, 1.0]))
+    return turn, slide
+
+
+TURN_TWISTS, SLIDE_TWISTS = _twist_harmonics()
+
+
+def kinetic_functional(u: Array, w: Array) -> Array:
+    """Return the symmetric bilinear form whose diagonal is the kinetic energy: `kinetic_functional(v, v) @ J = 1/2 v^T M(J) v`.
+
+    Twists `(omega, v)` of shape (..., 6) at the frame origin, in frame axes; the answer has shape (..., 10).
+    """
+    angular = u[..., :3, None] * w[..., None, :3]
+    angular = angular + angular.swapaxes(-1, -2)
+    inertia = np.stack([angular[..., i, j] / (4.0 if i == j else 2.0) for i, j in SYMMETRIC], axis=-1)
+    moment = (np.cross(u[..., 3:], w[..., :3]) + np.cross(w[..., 3:], u[..., :3])) / 2.0
+    mass = np.sum(u[..., 3:] * w[..., 3:], axis=-1, keepdims=True) / 2.0
+    return np.concatenate([inertia, moment, mass], axis=-1)
+
+
+def row_space(rows: Array) -> Array:
+    """Return an orthonormal basis, as rows, of the span of `rows`; near-zero rows are noise, not directions."""
+    if not rows.size:
+        return rows[:0]
+    _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
+    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, sizes[0])))
+    return np.asarray(basis[:rank])
+
+
+def null_space(rows: Array) -> Array:
+    """Return an orthonormal basis, as rows, of the vectors that every row annihilates."""
+    _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
+    rank = int(np.sum(sizes > RANK_TOLERANCE * max(1.0, sizes[0] if sizes.size else 0.0)))
+    return np.asarray(basis[rank:])
+
+
+def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return the reduced echelon form read from the last column, and the pivot columns: row i is 1 at pivot i, 0 at and after other pivots.
+
+    A column is a pivot exactly if it depends on the columns before it when `rows` span the null space of a matrix.
+    """
+    reduced = np.array(rows, dtype=np.float64)
+    if reduced.size:
+        reduced /= np.abs(reduced).max(axis=1, keepdims=True)
+    pivots: list[int] = []
+    for column in range(reduced.shape[1] - 1, -1, -1):
+        used = len(pivots)
+        if used == reduced.shape[0]:
+            break
+        candidates = np.abs(reduced[used:, column])
+        best = used + int(candidates.argmax())
+        if candidates[best - used] <= 10.0 * RANK_TOLERANCE:
+            reduced[used:, column] = 0.0
+            continue
+        reduced[[used, best]] = reduced[[best, used]]
+        reduced[used] /= reduced[used, column]
+        factors = reduced[:, column].copy()
+        factors[used] = 0.0
+        hit = factors != 0.0
+        reduced[hit] -= np.outer(factors[hit], reduced[used])
+        reduced[hit, column] = 0.0
+        pivots.append(column)
+    reduced[np.abs(reduced) < RANK_TOLERANCE] = 0.0
+    return reduced[: len(pivots)], np.array(pivots, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkMotion:
+    """What a link can do, in its joint frame: spans of its twists (6,), kinetic functionals (10,) and gravity directions with a 1 (4,).
+
+    `paced` spans, over all positions, the twists per unit speed of each joint, with a 1 for that joint behind them (6 + n,).
+    """
+
+    twists: Array
+    kinetic: Array
+    gravity: Array
+    paced: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TransferableDirections:
+    """Hold the k transferable directions of one link, in lengths divided by the robot's size.
+
+    `child` (k, 10): change of the link's parameters in its joint frame (after the joint's motion); `onto_parent` (k, 10): what moves to the
+    parent, in the joint frame before the motion (zero for children of the root link); `armature`, `offset`, `sine` and `cosine` (k,): changes of its drive,
+    by columns `qdd`, 1, `sin q` and `cos q`, divided by the size of gravity but for the armature; `mutual` (k, n): changes of mutual armatures, whose energy is
+    `sum_i mutual_i qd_link qd_i`.
+    """
+
+    link: int
+    child: Array
+    onto_parent: Array
+    armature: Array
+    offset: Array
+    sine: Array
+    cosine: Array
+    mutual: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Imitable:
+    """Say which functions the drive of a joint has that link parameters may imitate."""
+
+    armature: bool = False
+    offset: bool = False
+    sine: bool = False
+    cosine: bool = False
+    mutual: bool = False
+
+
+def characteristic_length(model: RobotModel) -> float:
+    """Return the power of two next to the robot's largest offset between joints [m], 1 where all are zero."""
+    sizes = [np.abs(placement[:3, 3]).max() for joint in model.joints for placement in (joint.before, joint.after)]
+    largest = max(sizes)
+    return float(2.0 ** np.round(np.log2(largest))) if largest > 0.0 else 1.0
+
+
+def transferable_directions(model: RobotModel, imitable: Sequence[Imitable]) -> tuple[list[TransferableDirections], list[LinkMotion]]:
+    """Return, link by link, all directions in which parameters move to the parent without a trace, and what each link can do.
+
+    With the last links first, these directions span the null space of the torques (Lagrangian argument in the derivation). `imitable` says
+    what the drive of each joint has.
+    """
+    n, size = model.n_joints, characteristic_length(model)
+    strength = float(np.linalg.norm(model.gravity))
+    gravity = np.append(model.gravity / strength, 1.0) if strength > 0.0 else np.array([0.0, 0.0, 0.0, 1.0])
+    root = LinkMotion(np.zeros((0, 6)), np.zeros((0, 10)), row_space(gravity[None]), np.zeros((0, 6 + n)))
+    motions: list[LinkMotion] = []
+    directions: list[TransferableDirections] = []
+    for c, joint in enumerate(model.joints):
+        if joint.parent < 0:
+            parent, fixed = root, joint.before
+        else:
+            parent, fixed = motions[joint.parent], model.joints[joint.parent].after @ joint.before
+        motion, found = _pass_joint(parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c])
+        motions.append(motion)
+        shifts = TURN_SHIFTS if joint.is_revolute else SLIDE_SHIFTS
+        onto_parent = found[:, :10] @ shifts[0].T if joint.parent >= 0 else np.zeros((len(found), 10))
+        directions.append(
+            TransferableDirections(c, found[:, :10], onto_parent, found[:, 10], found[:, 11], found[:, 12], found[:, 13], found[:, 14:])
+        )
+    return directions, motions
+
+
+def _pass_joint(
+    parent: LinkMotion, rotation: Array, translation: Array, turns: bool, number: int, imitable: Imitable
+) -> tuple[LinkMotion, Array]:
+    """Carry what the parent can do through one joint; return what the child can do and its directions (k, 14 + n): ten, then those of the drive."""
+    to_joint = np.zeros((6, 6))
+    to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
+    to_joint[3:, :3] = -rotation.T @ _cross(translation)
+    shift = (
+        np.eye(10) + np.einsum("a,aij->ij", translation, SHIFT_LINEAR) + np.einsum("a,b,abij->ij", translation, translation, SHIFT_SQUARE)
+    )
+    shift = shift @ shift_of_rotation(rotation)
+    twists = parent.twists @ to_joint.T
+    kinetic = parent.kinetic @ shift
+    gravity = np.hstack([parent.gravity[:, :3] @ rotation, parent.gravity[:, 3:]])
+
+    shifts, moves = (TURN_SHIFTS, TURN_TWISTS) if turns else (SLIDE_SHIFTS, SLIDE_TWISTS)
+    axis = np.zeros(6)
+    axis[2 if turns else 5] = 1.0
+    moved = np.einsum("kij,vj->kvi", moves, twists).reshape(-1, 6)
+    own = kinetic_functional(axis, axis)[None]
+    carried = np.einsum("vi,kij->kvj", kinetic, shifts)
+    on_moment = np.hstack([np.zeros((len(gravity), 6)), gravity[:, :3], np.zeros((len(gravity), 1))])
+    weights = np.einsum("vi,kij->kvj", on_moment, shifts)
+    n = parent.paced.shape[1] - 6
+    paced = np.einsum("kij,vj->kvi", moves, parent.paced[:, :6] @ to_joint.T)
+    beats = np.zeros((*paced.shape[:2], n))
+    beats[0] = parent.paced[:, 6:]
+    coupling = kinetic_functional(paced, np.broadcast_to(axis, paced.shape)).reshape(-1, 10)
+
+    blocks: list[Array] = []
+
+    def demand(rows: Array, *, of_drive: int = 0, change: Array | float = 0.0, mutual: Array | None = None) -> None:
+        block = np.zeros((len(rows), 14 + n))
+        block[:, :10] = rows
+        if of_drive:
+            block[:, of_drive] = change
+        if mutual is not None:
+            block[:, 14:] = mutual
+        blocks.append(block)
+
+    demand(2.0 * own, of_drive=_ARMATURE, change=1.0)
+    demand(2.0 * coupling, mutual=beats.reshape(-1, n))
+    demand(carried[1:].reshape(-1, 10))
+    if turns:
+        demand(weights[1], of_drive=_SINE, change=gravity[:, 3])
+        demand(weights[2], of_drive=_COSINE, change=-gravity[:, 3])
+        demand(weights[3:].reshape(-1, 10))
+    else:
+        demand(weights[1], of_drive=_OFFSET, change=-gravity[:, 3])
+        demand(weights[2])
+    allowed = np.zeros(14 + n, dtype=bool)
+    allowed[:10] = True
+    allowed[_ARMATURE] = imitable.armature
+    allowed[_OFFSET] = imitable.offset and not turns
+    allowed[_SINE], allowed[_COSINE] = imitable.sine and turns, imitable.cosine and turns
+    allowed[14:] = imitable.mutual & (np.abs(parent.paced[:, 6:]).max(axis=0, initial=0.0) > 0.0)
+    blocks.append(np.eye(14 + n)[~allowed])
+    found, _ = reversed_echelon(null_space(np.vstack(blocks)))
+
+    turned = np.einsum("vi,kij->kvj", gravity[:, :3], _TURN_ROTATIONS[:3] if turns else np.eye(3)[None])
+    ones = np.zeros((*turned.shape[:2], 1))
+    ones[0, :, 0] = gravity[:, 3]
+    beat = np.zeros(6 + n)
+    beat[:6], beat[6 + number] = axis, 1.0
+    motion = LinkMotion(
+        twists=row_space(np.vstack([moved, axis])),
+        kinetic=row_space(np.vstack([carried.reshape(-1, 10), kinetic_functional(moved, np.broadcast_to(axis, moved.shape)), own])),
+        gravity=row_space(np.concatenate([turned, ones], axis=2).reshape(-1, 4)),
+        paced=row_space(np.vstack([np.concatenate([paced, beats], axis=2).reshape(-1, 6 + n), beat])),
+    )
+    return motion, found

@@ -1,0 +1,200 @@
+"""Polynomials in letters for lengths: the regrouping of parameters, written so that it holds for every robot of the same build."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from math import prod
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.lengths import rotated_letters
+from asbuilt.description.model import Letters, RobotModel
+from asbuilt.dynamics.base.axis_frames import NUMBER, lettered_translation
+from asbuilt.dynamics.base.regrouping_relations import (
+    LENGTH_EXPONENTS,
+    SHIFT_LINEAR,
+    SHIFT_SQUARE,
+    TransferableDirections,
+    characteristic_length,
+    shift_of_rotation,
+)
+
+Monomial = tuple[str, ...]
+"""The letters of a product, sorted; a square has its letter twice, the empty product is 1."""
+
+COEFFICIENT_TOLERANCE = 1e-12
+"""A coefficient below this is rounding; coefficients are plain numbers such as 1, 2 or a cosine."""
+
+
+class Polynomial:
+    """Hold a polynomial in letters: a factor for each product of letters.
+
+    >>> (Polynomial.of("b3") + Polynomial.number(2.0)) * Polynomial.of("b3")
+    b3**2 + 2*b3
+    """
+
+    __slots__ = ("terms",)
+
+    def __init__(self, terms: Mapping[Monomial, float]) -> None:
+        self.terms = {monomial: factor for monomial, factor in terms.items() if abs(factor) > COEFFICIENT_TOLERANCE}
+
+    @classmethod
+    def number(cls, value: float) -> Polynomial:
+        """Return a constant."""
+        return cls({(): value})
+
+    @classmethod
+    def of(cls, letter: str) -> Polynomial:
+        """Return a single letter."""
+        return cls({(letter,): 1.0})
+
+    def __bool__(self) -> bool:
+        return bool(self.terms)
+
+    def __add__(self, other: Polynomial) -> Polynomial:
+        total = dict(self.terms)
+        for monomial, factor in other.terms.items():
+            total[monomial] = total.get(monomial, 0.0) + factor
+        return Polynomial(total)
+
+    def __mul__(self, other: Polynomial) -> Polynomial:
+        product: dict[Monomial, float] = {}
+        for left, a in self.terms.items():
+            for right, b in other.terms.items():
+                monomial = tuple(sorted(left + right)) if left and right else left or right
+                product[monomial] = product.get(monomial, 0.0) + a * b
+        return Polynomial(product)
+
+    def times(self, number: float) -> Polynomial:
+        """Return the polynomial multiplied by a number."""
+        return Polynomial({monomial: number * factor for monomial, factor in self.terms.items()})
+
+    @property
+    def constant(self) -> float | None:
+        """The value of a polynomial without letters, None where there are letters."""
+        if any(self.terms):
+            return None
+        return self.terms.get((), 0.0)
+
+    def value(self, lengths: Mapping[str, float]) -> float:
+        """Return the value at given lengths."""
+        return sum(factor * prod(lengths[letter] for letter in monomial) for monomial, factor in self.terms.items())
+
+    def __repr__(self) -> str:
+        return written([("", self)]) or "0"
+
+
+Row = dict[int, Polynomial]
+"""A sparse vector over standard parameters."""
+
+
+def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -> list[Row]:
+    """Return the link parameters of all directions, in turn, with letters for lengths."""
+    physical = characteristic_length(model) ** LENGTH_EXPONENTS
+    rows: list[Row] = []
+    for found in directions:
+        joint = model.joints[found.link]
+        R = joint.after[:3, :3]
+        back = rotated_letters(-R.T, lettered_translation(joint.after, joint.after_letters, model.lengths))
+        there = lettered_translation(joint.before, joint.before_letters, model.lengths)
+        for k in range(len(found.child)):
+            row = _shifted(found.child[k] * physical, R.T, back, 10 * found.link)
+            if joint.parent >= 0:
+                row |= _shifted(-found.onto_parent[k] * physical, joint.before[:3, :3], there, 10 * joint.parent)
+            rows.append({column: entry for column, entry in row.items() if entry})
+    return rows
+
+
+def _shifted(parameters: Array, rotation: Array, letters: Letters, first: int) -> Row:
+    """Return the ten parameters after a turn and a shift by letters, in columns `first` ... `first + 9`."""
+    turned = shift_of_rotation(rotation) @ parameters
+    along = [Polynomial({() if letter == NUMBER else (letter,): factor for factor, letter in axis}) for axis in letters]
+    total = [Polynomial.number(value) for value in turned]
+
+    def gather(weight: Polynomial, vector: Array) -> None:
+        for i in np.flatnonzero(vector):
+            total[i] = total[i] + weight.times(float(vector[i]))
+
+    for a in range(3):
+        if along[a]:
+            gather(along[a], SHIFT_LINEAR[a] @ turned)
+            for b in range(3):
+                if along[b]:
+                    gather(along[a] * along[b], SHIFT_SQUARE[a, b] @ turned)
+    return {first + i: entry for i, entry in enumerate(total) if entry}
+
+
+def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, Row] | None:
+    """Return each dependent column as a sum of base columns, `column_j = sum_b result[j][b] column_b`, by elimination from the last pivot.
+
+    None where this takes a division by letters, or where the pivots are only right for special lengths.
+    """
+    waiting = [dict(row) for row in rows]
+    done: dict[int, Row] = {}
+    for pivot in sorted(pivots, reverse=True):
+        candidates = [(row, constant) for row in waiting if pivot in row and (constant := row[pivot].constant)]
+        if not candidates:
+            return None
+        chosen, divisor = min(candidates, key=lambda item: (-round(abs(item[1]), 6), len(item[0])))
+        waiting = [row for row in waiting if row is not chosen]
+        unit = {column: entry.times(1.0 / divisor) for column, entry in chosen.items()}
+        unit[pivot] = Polynomial.number(1.0)
+        for row in (*waiting, *done.values()):
+            if pivot in row:
+                factor = row.pop(pivot).times(-1.0)
+                for column, entry in unit.items():
+                    if column != pivot:
+                        total = row.get(column, Polynomial({})) + factor * entry
+                        if total:
+                            row[column] = total
+                        else:
+                            row.pop(column, None)
+        done[pivot] = unit
+    if any(max(row) != pivot for pivot, row in done.items()):
+        return None
+    return {pivot: {column: entry.times(-1.0) for column, entry in row.items() if column != pivot} for pivot, row in done.items()}
+
+
+def number_text(value: float) -> str:
+    """Write a coefficient to ten digits, without the rounding noise of the last ones.
+
+    >>> number_text(0.16000000000000003)
+    '0.16'
+    """
+    return f"{value:.10g}"
+
+
+def _product(monomial: Monomial) -> str:
+    powers = Counter(monomial)
+    return "*".join(letter if power == 1 else f"{letter}**{power}" for letter, power in powers.items())
+
+
+def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
+    """Write a sum of (name, factor): numbers first, then by falling degree in letters, equal factors gathered.
+
+    >>> b3 = Polynomial.of("b3")
+    >>> written([("Ixx2", Polynomial.number(1.0)), ("my3", b3.times(-2.0)), ("m3", b3 * b3), ("m4", b3 * b3)])
+    'Ixx2 + b3**2*(m3 + m4) - 2*b3*my3'
+    """
+    groups: dict[tuple[int, Monomial, str, str], list[tuple[bool, str]]] = {}
+    for name, factor in terms:
+        for monomial, value in factor.terms.items():
+            key = (-len(monomial), monomial, number_text(abs(value)), "" if monomial and name else name)
+            groups.setdefault(key, []).append((value < 0, name))
+    constants = [key for key in groups if not key[1]]
+    lettered = sorted((key for key in groups if key[1]), key=lambda key: (key[0], key[1]))
+    text = ""
+    for key in (*constants, *lettered):
+        members = groups[key]
+        negative = members[0][0]
+        size, letters = key[2], _product(key[1])
+        names = members[0][1]
+        if len(members) > 1:
+            rest = "".join(f" {'-' if sign != negative else '+'} {name}" for sign, name in members[1:])
+            names = f"({names}{rest})"
+        factors = [part for part in ("" if size == "1" else size, letters, names) if part]
+        product = "*".join(factors) or "1"
+        text += f" {'-' if negative else '+'} {product}" if text else f"{'-' if negative else ''}{product}"
+    return text

@@ -1,0 +1,25 @@
+"""The drive terms that a robot calls for where nobody says otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import MOTOR_SOURCES
+from asbuilt.dynamics.drives.torque import described_drive
+
+
+def usual_drive(model: RobotModel, source: str) -> DriveSet:
+    """Return the terms that a torque of this source calls for, those of motors that several joints turn where motors are felt, and the springs and balancers of the description."""
+    drive = DriveSet.default(source)
+    if source in MOTOR_SOURCES:
+        drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))
+    return DriveSet((*drive.terms, *(term for term in described_drive(model)[0].terms if term.by_construction)))
+
+
+def coupled_motor_terms(model: RobotModel) -> DriveSet:
+    """Return armature and friction of the motors that turn with several joints, empty where there are none."""
+    numbers = tuple(k + 1 for k, shares in enumerate(model.motor_shares) if shares.any())
+    terms = [replace(term, joints=numbers) for term in available_terms().values() if term.of_motor]
+    return DriveSet(tuple(terms)) if numbers else DriveSet()

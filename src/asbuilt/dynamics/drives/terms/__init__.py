@@ -1,0 +1,1 @@
+"""Drive terms, one per file; `selection` finds them all."""

@@ -1,0 +1,41 @@
+"""What friction near standstill exceeds Coulomb friction by, fading with speed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, Shape, ShapeValue
+
+
+@dataclass(frozen=True, slots=True)
+class Stribeck(DriveTerm):
+    """Add `Fs exp(-|qd / velocity|^power) sign(qd)` to Coulomb friction.
+
+    The velocity is that at which lubricant begins to part the surfaces: 1e-5 to 0.1 m/s of sliding. On a motor's shaft of 2 cm radius behind a gear of 50
+    or more that is at most 0.1 rad/s at the joint; a tenth of the top speed, 0.2 to 0.3 rad/s for most arms, is a generous bound for a fit. What fades
+    at higher speeds is something else, such as grease that thins with shear.
+
+    Source: Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1994, section 2.
+    """
+
+    velocity: ShapeValue = None
+    power: ShapeValue = None
+
+    key = "stribeck"
+    position = 40
+    letters = ("Fs",)
+    revolute_units = ("N m",)
+    prismatic_units = ("N",)
+    tried_for = ALL_SOURCES
+    formula = "Fs exp(-|qd/velocity|^power) sign(qd)"
+    shapes = (
+        Shape("velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),
+        Shape("power", 2.0, 0.5, 4.0, "", fitted=False, typical=2.0),
+    )
+
+    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
+        """Write `exp(-|qd / velocity|^power) sign(qd)`."""
+        out[0] = np.sign(qd) * np.exp(-(np.abs(qd / self.value("velocity")) ** self.value("power")))

@@ -1,0 +1,119 @@
+"""What the drives add to the torque of the rigid bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.term import DriveTerm, ShapeValue
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.errors import DescriptionError, UsageError
+
+
+def drive_columns(
+    drive: DriveSet,
+    k: int,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    *,
+    load: Array | None = None,
+    shares: Array | None = None,
+    out: Array | None = None,
+) -> Array:
+    """Return the columns of the drive parameters of joint k (counted from 0), shape (columns_per_joint, N), from the state of all joints, each (N, n).
+
+    Columns of terms `of_motor` enter the torque of every joint j multiplied by `shares[k, j]` (the robot's `motor_shares`), all others that of joint k alone.
+    """
+    turned = None if shares is None or not shares[k].any() else shares[k]
+    return drive.evaluate(
+        *(np.ascontiguousarray(x[:, k]) for x in (q, qd, qdd)),
+        load=None if load is None else np.ascontiguousarray(load[:, k]),
+        out=out,
+        joint=k,
+        motor=None if turned is None else (q @ turned, qd @ turned, qdd @ turned),
+    )
+
+
+def drive_torque(
+    drive: DriveSet,
+    values: ArrayLike,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    *,
+    load: Array | None = None,
+    shares: Array | None = None,
+) -> Array:
+    """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N], shape (N, n) as `q`, `qd`, `qdd`.
+
+    `values` (n columns_per_joint,) holds the drive parameters joint by joint, in the order of `drive.names`; `load` (N, n) is the torque of the
+    rigid bodies, for terms that depend on it; `shares` (n, n) are the `motor_shares` of the robot, for motors that several joints turn.
+
+    Raises
+    ------
+    UsageError
+        If the number of values does not fit.
+    """
+    n = q.shape[1]
+    theta = np.asarray(values, dtype=np.float64)
+    if theta.shape != (n * drive.columns_per_joint,):
+        raise UsageError(
+            f"{n} joints with drive terms {drive} have {n * drive.columns_per_joint} drive parameters, got shape {theta.shape}"
+        )
+    torque = np.zeros(q.shape)
+    of_motor = drive.of_motor
+    for k, joint_values in enumerate(theta.reshape(n, -1)):
+        columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares)
+        torque[:, k] += joint_values[~of_motor] @ columns[~of_motor]
+        if of_motor.any() and shares is not None and shares[k].any():
+            torque += np.outer(joint_values[of_motor] @ columns[of_motor], shares[k])
+    return torque
+
+
+def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
+    """Return the drive terms of which the description gives any value, with their shapes, and the values joint by joint, zero where it is silent.
+
+    Raises
+    ------
+    DescriptionError
+        If it names a term that does not exist, or a parameter or shape that a term does not have.
+    """
+    known = available_terms()
+    for joint in model.joints:
+        for key, numbers in joint.drive.terms.items():
+            _check_described(known, f"{model.name}: the drive of joint {joint.name!r}", key, numbers)
+    stated = []
+    for key, term in known.items():
+        there = [k for k, joint in enumerate(model.joints) if key in joint.drive.terms]
+        if there:
+            stated.append(_as_described(model, term, there))
+        elif any(value is not None for joint in model.joints for value in term.values(joint.drive)):
+            stated.append(term)
+    drive = DriveSet(tuple(stated))
+    return drive, np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
+
+
+def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
+    """Return a term with the shapes and the joints (counted from 0) of a description."""
+    shapes: dict[str, ShapeValue] = {}
+    for shape in term.shapes:
+        numbers = tuple(float(joint.drive.terms.get(term.key, {}).get(shape.name, shape.default)) for joint in model.joints)
+        shapes[shape.name] = numbers[0] if len(set(numbers)) == 1 else numbers
+    joints = None if len(there) == model.n_joints else tuple(k + 1 for k in there)
+    return replace(term.with_shapes(shapes), joints=joints)
+
+
+def _check_described(known: Mapping[str, DriveTerm], where: str, key: str, numbers: Mapping[str, float]) -> None:
+    if key not in known:
+        raise DescriptionError(f"{where} has a term {key!r}, which does not exist; there are {', '.join(known)}")
+    names = (*known[key].letters, *(shape.name for shape in known[key].shapes))
+    for name in numbers:
+        if name not in names:
+            raise DescriptionError(f"{where} has {name!r} in its term {key!r}, which has {', '.join(names)}")

@@ -1,0 +1,1 @@
+"""Compiled functions that evaluate the dynamics for blocks of samples."""

@@ -1,0 +1,127 @@
+"""Batched mass and Coriolis matrices: the inertia of every link seen through the screws of the joints above it.
+
+Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1.
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
+from asbuilt.dynamics.kernels.recursion import (
+    BLOCK,
+    DEPTH,
+    READ,
+    REVOLUTE,
+    STATE,
+    WRITE,
+    cross,
+    gather,
+    move_screws,
+    scratch,
+    trigonometry,
+    vector,
+)
+
+
+@compiled
+def _screw(rows, at):
+    """Return the six rows of a screw: z, then m."""
+    zx, zy, zz = vector(rows, at)
+    mx, my, mz = vector(rows, at + 3 * BLOCK)
+    return zx, zy, zz, mx, my, mz
+
+
+@compiled
+def _inertia_times(chi, zx, zy, zz, mx, my, mz):
+    """Return moment I z + h x m and force mass m - h x z of a screw."""
+    hx, hy, hz, mass = chi[6], chi[7], chi[8], chi[9]
+    nx = zx * chi[0] + zy * chi[1] + zz * chi[2] + mz * hy - my * hz
+    ny = zx * chi[1] + zy * chi[3] + zz * chi[4] + mx * hz - mz * hx
+    nz = zx * chi[2] + zy * chi[4] + zz * chi[5] + my * hx - mx * hy
+    return nx, ny, nz, mx * mass + zy * hz - zz * hy, my * mass + zz * hx - zx * hz, mz * mass + zx * hy - zy * hx
+
+
+@compiled
+def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, fy, fz):
+    """Add z_k . n + m_k . f to rows k of a column, for the joints at depth 0 ... upto."""
+    for k in range(upto + 1):
+        zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * k * BLOCK)
+        place = matrix + (joints[k] * joints.size + column) * BLOCK
+        store(rows, place, load(rows, place) + (zx * nx + zy * ny + zz * nz) + (mx * fx + my * fy + mz * fz))
+
+
+@compiled
+def _add_mass(depth, rows, screws, chi, joints, matrix):
+    """Add a link's share s_k^T I s_j, upper triangle."""
+    for at in range(0, BLOCK, LANES):
+        for j in range(depth + 1):
+            zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
+            nx, ny, nz, fx, fy, fz = _inertia_times(chi, zx, zy, zz, mx, my, mz)
+            _add_to_column(rows, screws + at, joints, j, joints[j], matrix + at, nx, ny, nz, fx, fy, fz)
+
+
+@compiled
+def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
+    """Add a link's share s_k^T (I ds_j/dt + B s_j).
+
+    With u what the joints below j add to the twist of the link, ds_j/dt = -u x s_j, for a screw of the parts above seen from the link.
+    """
+    for at in range(0, BLOCK, LANES):
+        wx = wy = wz = vx = vy = vz = splat(0.0)
+        for j in range(depth + 1):
+            zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
+            rate = load(rows, rates + joints[j] * BLOCK + at)
+            wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
+            vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
+        lx, ly, lz, px, py, pz = _inertia_times(chi, wx, wy, wz, vx, vy, vz)
+        wx = wy = wz = vx = vy = vz = splat(0.0)
+        for j in range(depth, -1, -1):
+            zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
+            ax, ay, az = cross(zx, zy, zz, wx, wy, wz)
+            bx, by, bz = cross(mx, my, mz, wx, wy, wz)
+            cx, cy, cz = cross(zx, zy, zz, vx, vy, vz)
+            nx, ny, nz, fx, fy, fz = _inertia_times(chi, ax, ay, az, bx + cx, by + cy, bz + cz)
+            ax, ay, az = cross(zx, zy, zz, lx, ly, lz)
+            bx, by, bz = cross(mx, my, mz, px, py, pz)
+            cx, cy, cz = cross(zx, zy, zz, px, py, pz)
+            nx, ny, nz, fx, fy, fz = nx + ax + bx, ny + ay + by, nz + az + bz, fx + cx, fy + cy, fz + cz
+            _add_to_column(rows, screws + at, joints, depth, joints[j], matrix + at, nx, ny, nz, fx, fy, fz)
+            rate = load(rows, rates + joints[j] * BLOCK + at)
+            wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
+            vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
+
+
+@compiled
+def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis, start, stop, out):
+    """Write `sum_i J_i^T I_i J_i`, or where `coriolis` is set `sum_i J_i^T (I_i dJ_i/dt + B_i J_i)`, sample-major."""
+    n = codes.shape[0]
+    slot = (STATE + 6 * n) * BLOCK
+    angles = n_slots * slot
+    rates = angles + n * BLOCK
+    cosine = rates + n * BLOCK
+    sine = cosine + BLOCK
+    matrix = sine + BLOCK
+    rows = scratch(matrix // BLOCK + n * n)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather(q, block, count, n, rows, angles // BLOCK)
+        gather(qd, block, count, n, rows, rates // BLOCK)
+        for at in range(matrix, matrix + n * n * BLOCK, LANES):
+            store(rows, at, splat(0.0))
+        for i in range(n):
+            code, angle = codes[i], angles + i * BLOCK
+            read, write = code[READ] * slot, code[WRITE] * slot
+            if code[REVOLUTE]:
+                trigonometry(rows, angle, cosine, sine)
+            move_screws(code, placements[i], rows, read, write, angle, cosine, sine)
+            if coriolis:
+                _add_coriolis(code[DEPTH], rows, write + STATE * BLOCK, rates, chi[i], chain[i], matrix)
+            else:
+                _add_mass(code[DEPTH], rows, write + STATE * BLOCK, chi[i], chain[i], matrix)
+        for sample in range(count):
+            for k in range(n):
+                for j in range(n):
+                    place = k * n + j if coriolis or k <= j else j * n + k
+                    out[((block + sample) * n + k) * n + j] = rows[matrix + place * BLOCK + sample]

@@ -1,0 +1,289 @@
+"""What the batched kernels share: a robot's geometry in flat arrays, and the step from one link to the next for a block of samples.
+
+A block of `BLOCK` samples travels down the tree in scratch memory that fits the first-level cache, one row per quantity. Each link has a
+slot of rows there: angular velocity w, angular acceleration dw and acceleration a of its origin less gravity, in link axes, then one
+screw (z, m) per joint above it: the angular velocity and the velocity of the link origin that a unit rate of that joint causes.
+All positions in scratch memory are counted in doubles.
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import ROOT, Geometry, RobotModel
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.lanes import (
+    LANES,
+    LARGEST_ANGLE,
+    exceeds,
+    load,
+    load_every,
+    sine_cosine,
+    splat,
+    store,
+)
+
+BLOCK = 32
+"""Samples per block; a multiple of LANES."""
+
+NOTHING, ABOUT_X, GENERAL = 0, 1, 2
+"""Kinds of placement: none at all; a turn about x, if any, with any translation; any other."""
+PARENT, READ, WRITE, DEPTH, REVOLUTE, BEFORE, AFTER = range(7)
+"""Columns of `Layout.codes`."""
+STATE = 9
+"""Rows of w, dw and a."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Hold a robot's geometry as the kernels take it, in read-only arrays.
+
+    `codes` (n, 7): parent, slot read, slot written, depth, whether revolute, kind of placement before and after (NOTHING, ABOUT_X, GENERAL).
+    Slot 0 is the root's; a last child takes over the slot of its parent. `chain[i, d]` is the joint at depth d above link i.
+    `placements` (n, 24): rotation and translation before, then after.
+    """
+
+    codes: Indices
+    chain: Indices
+    placements: Array
+    gravity: Array
+    n_slots: int
+
+    def __post_init__(self) -> None:
+        for array in (self.codes, self.chain, self.placements, self.gravity):
+            array.setflags(write=False)
+
+    @classmethod
+    def of(cls, geometry: Geometry) -> Layout:
+        """Lay out the arrays of a robot."""
+        n = geometry.parent.size
+        codes, chain = np.zeros((n, 7), dtype=np.int64), np.full((n, n), ROOT, dtype=np.int64)
+        last_child = {int(parent): i for i, parent in enumerate(geometry.parent) if parent != ROOT}
+        n_slots = 1
+        for i, parent in enumerate(geometry.parent.tolist()):
+            read, depth = (0, 0) if parent == ROOT else (int(codes[parent, WRITE]), int(codes[parent, DEPTH]) + 1)
+            if last_child.get(parent) == i:
+                write = read
+            else:
+                write, n_slots = n_slots, n_slots + 1
+            sides = (
+                (geometry.before_rotation[i], geometry.before_translation[i]),
+                (geometry.after_rotation[i], geometry.after_translation[i]),
+            )
+            codes[i] = parent, read, write, depth, geometry.revolute[i], *(_kind_of_placement(*side) for side in sides)
+            if parent != ROOT:
+                chain[i, :depth] = chain[parent, :depth]
+            chain[i, depth] = i
+        parts = geometry.before_rotation, geometry.before_translation, geometry.after_rotation, geometry.after_translation
+        placements = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
+        return cls(codes, chain, placements, np.array(geometry.gravity), n_slots)
+
+    @property
+    def arrays(self) -> tuple[Indices, Indices, Array, Array, int]:
+        """All fields, in the order in which the kernels take them."""
+        return self.codes, self.chain, self.placements, self.gravity, self.n_slots
+
+
+@lru_cache(maxsize=16)
+def layout_of(model: RobotModel) -> Layout:
+    """Return the layout of a robot, remembered for the robots used last."""
+    return Layout.of(model.geometry)
+
+
+def _kind_of_placement(rotation: Array, translation: Array) -> int:
+    if rotation[0, 0] != 1.0 or np.any(rotation[0, 1:]) or np.any(rotation[1:, 0]):
+        return GENERAL
+    return ABOUT_X if np.any(translation) or np.any(rotation != np.eye(3)) else NOTHING
+
+
+@compiled
+def scratch(blocks):
+    """Return uninitialised rows of one block each, aligned to a cache line."""
+    memory = np.empty(blocks * BLOCK + LANES)
+    first = (-(memory.ctypes.data // 8)) % LANES
+    return memory[first : first + blocks * BLOCK]
+
+
+@compiled
+def gather(source, start, count, n, rows, row):
+    """Turn `count` samples of a sample-major array into n rows of a block; the last sample fills the rest."""
+    for j in range(n):
+        at = start * n + j
+        if count == BLOCK:
+            for sample in range(0, BLOCK, LANES):
+                store(rows, (row + j) * BLOCK + sample, load_every(source, at + sample * n, n))
+        else:
+            for sample in range(BLOCK):
+                rows[(row + j) * BLOCK + sample] = source[at + min(sample, count - 1) * n]
+
+
+@compiled
+def gather_states(q, qd, qdd, start, count, n, rows, row):
+    """Turn `count` samples of the joints' motion into 3 n rows of a block: positions, then rates, then accelerations."""
+    gather(q, start, count, n, rows, row)
+    gather(qd, start, count, n, rows, row + n)
+    gather(qdd, start, count, n, rows, row + 2 * n)
+
+
+@compiled
+def trigonometry(rows, angle, cosine, sine):
+    """Write cosine and sine of a row."""
+    for at in range(0, BLOCK, LANES):
+        x = load(rows, angle + at)
+        s, c = sine_cosine(x)
+        store(rows, sine + at, s)
+        store(rows, cosine + at, c)
+        if exceeds(x, LARGEST_ANGLE):
+            for sample in range(at, at + LANES):
+                if abs(rows[angle + sample]) > LARGEST_ANGLE:
+                    rows[sine + sample] = math.sin(rows[angle + sample])
+                    rows[cosine + sample] = math.cos(rows[angle + sample])
+
+
+@compiled
+def vector(rows, at):
+    """Return the x, y and z of a vector whose three rows start at `at`."""
+    return load(rows, at), load(rows, at + BLOCK), load(rows, at + 2 * BLOCK)
+
+
+@compiled
+def put(rows, at, x, y, z):
+    """Write a vector into three rows; the reverse of `vector`."""
+    store(rows, at, x)
+    store(rows, at + BLOCK, y)
+    store(rows, at + 2 * BLOCK, z)
+
+
+@compiled
+def add(rows, at, x, y, z):
+    """Add a vector to the one in three rows."""
+    put(rows, at, load(rows, at) + x, load(rows, at + BLOCK) + y, load(rows, at + 2 * BLOCK) + z)
+
+
+@compiled
+def cross(ax, ay, az, bx, by, bz):
+    """Return a x b."""
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+
+
+@compiled
+def into(kind, p, o, x, y, z):
+    """Return R^T v for the rotation at p[o:o+9]."""
+    if kind == ABOUT_X:
+        return x, y * p[o + 4] + z * p[o + 7], z * p[o + 8] + y * p[o + 5]
+    return (
+        x * p[o] + y * p[o + 3] + z * p[o + 6],
+        x * p[o + 1] + y * p[o + 4] + z * p[o + 7],
+        x * p[o + 2] + y * p[o + 5] + z * p[o + 8],
+    )
+
+
+@compiled
+def out_of(kind, p, o, x, y, z):
+    """Return R v for the rotation at p[o:o+9]."""
+    if kind == ABOUT_X:
+        return x, y * p[o + 4] + z * p[o + 5], z * p[o + 8] + y * p[o + 7]
+    return (
+        x * p[o] + y * p[o + 1] + z * p[o + 2],
+        x * p[o + 3] + y * p[o + 4] + z * p[o + 5],
+        x * p[o + 6] + y * p[o + 7] + z * p[o + 8],
+    )
+
+
+@compiled
+def accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, tx, ty, tz):
+    """Return a + dw x t + w x (w x t)."""
+    cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
+    ex, ey, ez = cross(wx, wy, wz, cx, cy, cz)
+    gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
+    return ax + gx + ex, ay + gy + ey, az + gz + ez
+
+
+@compiled
+def rest(rows, gravity):
+    """Fill slot 0: the root stands still and accelerates against free fall."""
+    for at in range(0, BLOCK, LANES):
+        for j in range(6):
+            store(rows, j * BLOCK + at, splat(0.0))
+        for j in range(3):
+            store(rows, (6 + j) * BLOCK + at, splat(-gravity[j]))
+
+
+@compiled
+def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
+    """Carry w, dw, a from the parent's slot to the link's; all positions in `rows` are of doubles."""
+    for at in range(0, BLOCK, LANES):
+        r = read + at
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        v, dv = load(rows, rate + at), load(rows, change + at)
+        kind = code[BEFORE]
+        if kind != NOTHING:
+            ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[9]), splat(p[10]), splat(p[11]))
+            wx, wy, wz = into(kind, p, 0, wx, wy, wz)
+            dx, dy, dz = into(kind, p, 0, dx, dy, dz)
+            ax, ay, az = into(kind, p, 0, ax, ay, az)
+        if code[REVOLUTE]:
+            c, s = load(rows, cosine + at), load(rows, sine + at)
+            wx, wy = wx * c + wy * s, wy * c - wx * s
+            dx, dy = dx * c + dy * s, dy * c - dx * s
+            ax, ay = ax * c + ay * s, ay * c - ax * s
+            dx, dy, dz = dx + wy * v, dy - wx * v, dz + dv
+            wz = wz + v
+        else:
+            q = load(rows, angle + at)
+            v2 = v + v
+            ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, splat(0.0), splat(0.0), q)
+            ax, ay, az = ax + wy * v2, ay - wx * v2, az + dv
+        kind = code[AFTER]
+        if kind != NOTHING:
+            ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[21]), splat(p[22]), splat(p[23]))
+            wx, wy, wz = into(kind, p, 12, wx, wy, wz)
+            dx, dy, dz = into(kind, p, 12, dx, dy, dz)
+            ax, ay, az = into(kind, p, 12, ax, ay, az)
+        w = write + at
+        put(rows, w, wx, wy, wz)
+        put(rows, w + 3 * BLOCK, dx, dy, dz)
+        put(rows, w + 6 * BLOCK, ax, ay, az)
+
+
+@compiled
+def move_screws(code, p, rows, read, write, angle, cosine, sine):
+    """Carry the screws of all joints above from the parent's slot to the link's and add that of the link's own joint."""
+    before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]
+    for d in range(depth + 1):
+        o = (STATE + 6 * d) * BLOCK
+        for at in range(0, BLOCK, LANES):
+            if d < depth:
+                r = read + o + at
+                zx, zy, zz = vector(rows, r)
+                mx, my, mz = vector(rows, r + 3 * BLOCK)
+                if before != NOTHING:
+                    cx, cy, cz = cross(zx, zy, zz, p[9], p[10], p[11])
+                    mx, my, mz = into(before, p, 0, mx + cx, my + cy, mz + cz)
+                    zx, zy, zz = into(before, p, 0, zx, zy, zz)
+                if revolute:
+                    c, s = load(rows, cosine + at), load(rows, sine + at)
+                    zx, zy = zx * c + zy * s, zy * c - zx * s
+                    mx, my = mx * c + my * s, my * c - mx * s
+                else:
+                    q = load(rows, angle + at)
+                    mx, my = mx + zy * q, my - zx * q
+            else:
+                zx = zy = mx = my = splat(0.0)
+                zz, mz = (splat(1.0), splat(0.0)) if revolute else (splat(0.0), splat(1.0))
+            if after != NOTHING:
+                cx, cy, cz = cross(zx, zy, zz, p[21], p[22], p[23])
+                mx, my, mz = into(after, p, 12, mx + cx, my + cy, mz + cz)
+                zx, zy, zz = into(after, p, 12, zx, zy, zz)
+            w = write + o + at
+            put(rows, w, zx, zy, zz)
+            put(rows, w + 3 * BLOCK, mx, my, mz)

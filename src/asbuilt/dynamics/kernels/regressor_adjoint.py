@@ -1,0 +1,315 @@
+"""The adjoint of the regressor: derivatives of any weighted sum of its entries with respect to positions, velocities and accelerations.
+
+Forward, the recursion of `recursion` with every link's state kept; backward, the transpose of each step, leaves first. The cost is some
+three times that of the regressor, whatever the number of joints, for all derivatives at once.
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.batches import flat, inertial_parameters
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.lanes import LANES, load, splat, store
+from asbuilt.dynamics.kernels.recursion import (
+    AFTER,
+    BEFORE,
+    BLOCK,
+    DEPTH,
+    NOTHING,
+    PARENT,
+    REVOLUTE,
+    STATE,
+    add,
+    cross,
+    gather,
+    gather_states,
+    layout_of,
+    move_link,
+    move_screws,
+    out_of,
+    put,
+    rest,
+    scratch,
+    trigonometry,
+    vector,
+)
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import UsageError
+
+
+def regressor_adjoint(
+    plan: RegressorPlan, q: Array, qd: Array, qdd: Array, weights: Array, loads: Array | None = None, parameters: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Return the derivatives of `f = sum_skc G[s, k, c] Y[s, k, c] + sum_sk l[s, k] tau[s, k]` with respect to q, qd and qdd, each (N, n).
+
+    `weights` holds G in the layout that `plan.evaluate` writes Y in: one row per joint and chosen column, samples innermost, contiguous
+    (plan.n_rows, at least N); rows of drive columns and spare rows are not looked at. `loads` (N, n) are the weights l of the torques
+    tau of rigid bodies with the standard `parameters` (10 n,). Raises UsageError for shapes that do not fit.
+    """
+    n, layout = plan.model.n_joints, layout_of(plan.model)
+    states = plan.checked_inputs(q, qd, qdd)
+    n_samples = states[0].shape[0]
+    if weights.ndim != 2 or weights.shape[0] < plan.n_rows or weights.shape[1] < n_samples:
+        raise UsageError(
+            f"weights must have at least {plan.n_rows} rows and {n_samples} columns, got {weights.shape}; use plan.buffer(n_samples)"
+        )
+    lam = np.zeros((0, n)) if loads is None else np.ascontiguousarray(loads, dtype=np.float64)
+    if loads is not None and lam.shape != (n_samples, n):
+        raise UsageError(f"loads must have shape ({n_samples}, {n}), one per sample and joint, got {lam.shape}")
+    chi = np.zeros((n, 10)) if parameters is None else inertial_parameters(plan.model, parameters)
+    out = tuple(np.empty((n_samples, n)) for _ in range(3))
+    _adjoint(
+        layout.codes,
+        layout.chain,
+        layout.placements,
+        layout.gravity,
+        plan.places,
+        flat(weights),
+        weights.shape[1],
+        flat(lam),
+        chi,
+        *(flat(array) for array in states),
+        n_samples,
+        *(array.reshape(-1) for array in out),
+    )
+    return out[0], out[1], out[2]
+
+
+@compiled
+def _clear(rows, start, count):
+    for row in range(count):
+        for at in range(0, BLOCK, LANES):
+            store(rows, start + row * BLOCK + at, splat(0.0))
+
+
+@compiled
+def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
+    """Add what `z . moment + m . force` of a link with the parameters in ten rows gives to the adjoints of its state and of one screw."""
+    for at in range(0, BLOCK, LANES):
+        r = state + at
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        p = parameters + at
+        ixx, ixy, ixz = vector(rows, p)
+        iyy, iyz, izz = vector(rows, p + 3 * BLOCK)
+        hx, hy, hz = vector(rows, p + 6 * BLOCK)
+        mass = load(rows, p + 9 * BLOCK)
+        s = screw + at
+        zx, zy, zz = vector(rows, s)
+        mx, my, mz = vector(rows, s + 3 * BLOCK)
+
+        lx, ly, lz = wx * ixx + wy * ixy + wz * ixz, wx * ixy + wy * iyy + wz * iyz, wx * ixz + wy * iyz + wz * izz
+        wh, ww, mh, mw = wx * hx + wy * hy + wz * hz, wx * wx + wy * wy + wz * wz, mx * hx + my * hy + mz * hz, mx * wx + my * wy + mz * wz
+        gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+        ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+        b = screw_bar + at
+        vx, vy, vz = vector(rows, b)
+        vx = vx + dx * ixx + dy * ixy + dz * ixz + gx + ex
+        vy = vy + dx * ixy + dy * iyy + dz * iyz + gy + ey
+        vz = vz + dx * ixz + dy * iyz + dz * izz + gz + ez
+        put(rows, b, vx, vy, vz)
+        cx, cy, cz = cross(dx, dy, dz, hx, hy, hz)
+        vx, vy, vz = vector(rows, b + 3 * BLOCK)
+        vx = vx + mass * ax + cx + wx * wh - hx * ww
+        vy = vy + mass * ay + cy + wy * wh - hy * ww
+        vz = vz + mass * az + cz + wz * wh - hz * ww
+        put(rows, b + 3 * BLOCK, vx, vy, vz)
+
+        b = state_bar + at
+        cx, cy, cz = cross(lx, ly, lz, zx, zy, zz)
+        ux, uy, uz = cross(zx, zy, zz, wx, wy, wz)
+        two = mh + mh
+        vx = cx + ux * ixx + uy * ixy + uz * ixz + mx * wh + hx * mw - wx * two
+        vy = cy + ux * ixy + uy * iyy + uz * iyz + my * wh + hy * mw - wy * two
+        vz = cz + ux * ixz + uy * iyz + uz * izz + mz * wh + hz * mw - wz * two
+        add(rows, b, vx, vy, vz)
+        cx, cy, cz = cross(hx, hy, hz, mx, my, mz)
+        vx, vy, vz = vector(rows, b + 3 * BLOCK)
+        vx = vx + zx * ixx + zy * ixy + zz * ixz + cx
+        vy = vy + zx * ixy + zy * iyy + zz * iyz + cy
+        vz = vz + zx * ixz + zy * iyz + zz * izz + cz
+        put(rows, b + 3 * BLOCK, vx, vy, vz)
+        cx, cy, cz = cross(zx, zy, zz, hx, hy, hz)
+        vx, vy, vz = vector(rows, b + 6 * BLOCK)
+        put(rows, b + 6 * BLOCK, vx + mass * mx + cx, vy + mass * my + cy, vz + mass * mz + cz)
+
+
+@compiled
+def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
+    """Return the derivative of b . (w x (w x t)) with respect to w."""
+    wt, bw, bt = wx * tx + wy * ty + wz * tz, bx * wx + by * wy + bz * wz, bx * tx + by * ty + bz * tz
+    return bx * wt + tx * bw - (bt + bt) * wx, by * wt + ty * bw - (bt + bt) * wy, bz * wt + tz * bw - (bt + bt) * wz
+
+
+@compiled
+def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine, sine, bars):
+    """Carry the adjoint of a link's w, dw, a to its parent's, and start the adjoints of its joint in three rows: q, qd, qdd."""
+    after, before = code[AFTER], code[BEFORE]
+    for at in range(0, BLOCK, LANES):
+        r = state + at
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        b = state_bar + at
+        ox, oy, oz = vector(rows, b)
+        ex, ey, ez = vector(rows, b + 3 * BLOCK)
+        fx, fy, fz = vector(rows, b + 6 * BLOCK)
+        if after != NOTHING:
+            tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
+            wx, wy, wz = out_of(after, p, 12, wx, wy, wz)
+            dx, dy, dz = out_of(after, p, 12, dx, dy, dz)
+            ax, ay, az = out_of(after, p, 12, ax, ay, az)
+            gx, gy, gz = cross(dx, dy, dz, tx, ty, tz)
+            cx, cy, cz = cross(wx, wy, wz, tx, ty, tz)
+            cx, cy, cz = cross(wx, wy, wz, cx, cy, cz)
+            ax, ay, az = ax - gx - cx, ay - gy - cy, az - gz - cz
+            ox, oy, oz = out_of(after, p, 12, ox, oy, oz)
+            ex, ey, ez = out_of(after, p, 12, ex, ey, ez)
+            fx, fy, fz = out_of(after, p, 12, fx, fy, fz)
+            cx, cy, cz = cross(tx, ty, tz, fx, fy, fz)
+            ex, ey, ez = ex + cx, ey + cy, ez + cz
+            cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, tx, ty, tz)
+            ox, oy, oz = ox + cx, oy + cy, oz + cz
+        v = load(rows, angle + bars[3] + at)
+        if code[REVOLUTE]:
+            c, s = load(rows, cosine + at), load(rows, sine + at)
+            store(rows, bars[1] + at, oz + ex * wy - ey * wx)
+            store(rows, bars[2] + at, ez)
+            px, py = dx - wy * v, dy + wx * v
+            ox, oy = ox - v * ey, oy + v * ex
+            store(rows, bars[0] + at, ox * wy - oy * wx + ex * py - ey * px + fx * ay - fy * ax)
+            ox, oy = ox * c - oy * s, oy * c + ox * s
+            ex, ey = ex * c - ey * s, ey * c + ex * s
+            fx, fy = fx * c - fy * s, fy * c + fx * s
+        else:
+            q = load(rows, angle + at)
+            store(rows, bars[2] + at, fz)
+            turn = fx * wy - fy * wx
+            store(rows, bars[1] + at, turn + turn)
+            fw, ww = fx * wx + fy * wy + fz * wz, wx * wx + wy * wy + wz * wz
+            store(rows, bars[0] + at, fx * dy - fy * dx + fw * wz - fz * ww)
+            ex, ey = ex - q * fy, ey + q * fx
+            v2 = v + v
+            cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, splat(0.0), splat(0.0), q)
+            ox, oy, oz = ox - v2 * fy + cx, oy + v2 * fx + cy, oz + cz
+        if code[PARENT] >= 0:
+            if before != NOTHING:
+                tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
+                ox, oy, oz = out_of(before, p, 0, ox, oy, oz)
+                ex, ey, ez = out_of(before, p, 0, ex, ey, ez)
+                fx, fy, fz = out_of(before, p, 0, fx, fy, fz)
+                cx, cy, cz = cross(tx, ty, tz, fx, fy, fz)
+                ex, ey, ez = ex + cx, ey + cy, ez + cz
+                wx, wy, wz = vector(rows, above + at)
+                cx, cy, cz = _spun(fx, fy, fz, wx, wy, wz, tx, ty, tz)
+                ox, oy, oz = ox + cx, oy + cy, oz + cz
+            b = above_bar + at
+            add(rows, b, ox, oy, oz)
+            add(rows, b + 3 * BLOCK, ex, ey, ez)
+            add(rows, b + 6 * BLOCK, fx, fy, fz)
+
+
+@compiled
+def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine, bar):
+    """Carry the adjoints of the screws of the joints above to the parent link, adding to the adjoint of q of the link's joint."""
+    after, before = code[AFTER], code[BEFORE]
+    for d in range(code[DEPTH]):
+        o = (STATE + 6 * d) * BLOCK
+        for at in range(0, BLOCK, LANES):
+            r, b = state + o + at, state_bar + o + at
+            zx, zy, zz = vector(rows, r)
+            mx, my, mz = vector(rows, r + 3 * BLOCK)
+            ux, uy, uz = vector(rows, b)
+            nx, ny, nz = vector(rows, b + 3 * BLOCK)
+            if after != NOTHING:
+                tx, ty, tz = splat(p[21]), splat(p[22]), splat(p[23])
+                zx, zy, zz = out_of(after, p, 12, zx, zy, zz)
+                mx, my, mz = out_of(after, p, 12, mx, my, mz)
+                cx, cy, cz = cross(zx, zy, zz, tx, ty, tz)
+                mx, my, mz = mx - cx, my - cy, mz - cz
+                ux, uy, uz = out_of(after, p, 12, ux, uy, uz)
+                nx, ny, nz = out_of(after, p, 12, nx, ny, nz)
+                cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
+                ux, uy, uz = ux + cx, uy + cy, uz + cz
+            if code[REVOLUTE]:
+                c, s = load(rows, cosine + at), load(rows, sine + at)
+                store(rows, bar + at, load(rows, bar + at) + ux * zy - uy * zx + nx * my - ny * mx)
+                ux, uy = ux * c - uy * s, uy * c + ux * s
+                nx, ny = nx * c - ny * s, ny * c + nx * s
+            else:
+                q = load(rows, angle + at)
+                store(rows, bar + at, load(rows, bar + at) + nx * zy - ny * zx)
+                ux, uy = ux - q * ny, uy + q * nx
+            if before != NOTHING:
+                tx, ty, tz = splat(p[9]), splat(p[10]), splat(p[11])
+                ux, uy, uz = out_of(before, p, 0, ux, uy, uz)
+                nx, ny, nz = out_of(before, p, 0, nx, ny, nz)
+                cx, cy, cz = cross(tx, ty, tz, nx, ny, nz)
+                ux, uy, uz = ux + cx, uy + cy, uz + cz
+            b = above_bar + o + at
+            add(rows, b, ux, uy, uz)
+            add(rows, b + 3 * BLOCK, nx, ny, nz)
+
+
+@compiled
+def _adjoint(codes, chain, placements, gravity, places, weights, stride, loads, chi, q, qd, qdd, n_samples, q_bar, qd_bar, qdd_bar):
+    n = codes.shape[0]
+    slot = (STATE + 6 * n) * BLOCK
+    bars = (n + 1) * slot
+    angles = 2 * (n + 1) * slot
+    turns = angles + 3 * n * BLOCK
+    given = turns + 2 * n * BLOCK
+    lam = given + 10 * BLOCK
+    found = lam + n * BLOCK
+    rows = scratch(found // BLOCK + 3 * n)
+    rest(rows, gravity)
+    loaded = loads.size > 0
+    place = np.empty(4, np.int64)
+    for block in range(0, n_samples, BLOCK):
+        count = min(BLOCK, n_samples - block)
+        gather_states(q, qd, qdd, block, count, n, rows, angles // BLOCK)
+        if loaded:
+            gather(loads, block, count, n, rows, lam // BLOCK)
+        for i in range(n):
+            read, write, angle, turn = (codes[i, PARENT] + 1) * slot, (i + 1) * slot, angles + i * BLOCK, turns + 2 * i * BLOCK
+            if codes[i, REVOLUTE]:
+                trigonometry(rows, angle, turn, turn + BLOCK)
+            move_link(codes[i], placements[i], rows, read, write, angle, angle + n * BLOCK, angle + 2 * n * BLOCK, turn, turn + BLOCK)
+            move_screws(codes[i], placements[i], rows, read, write, angle, turn, turn + BLOCK)
+        _clear(rows, bars, (n + 1) * (STATE + 6 * n))
+        for i in range(n - 1, -1, -1):
+            state, state_bar, angle, turn = (i + 1) * slot, bars + (i + 1) * slot, angles + i * BLOCK, turns + 2 * i * BLOCK
+            for d in range(codes[i, DEPTH] + 1):
+                k = chain[i, d]
+                for c in range(10):
+                    row = places[k, i, c]
+                    for at in range(0, BLOCK, LANES):
+                        if loaded:
+                            store(rows, given + c * BLOCK + at, load(rows, lam + k * BLOCK + at) * chi[i, c])
+                        else:
+                            store(rows, given + c * BLOCK + at, splat(0.0))
+                    if row >= 0:
+                        for sample in range(count):
+                            rows[given + c * BLOCK + sample] += weights[row * stride + block + sample]
+                o = (STATE + 6 * d) * BLOCK
+                _own_terms(rows, state, state + o, state_bar, state_bar + o, given)
+            above = codes[i, PARENT] + 1
+            place[0] = found + i * BLOCK
+            place[1] = found + (n + i) * BLOCK
+            place[2] = found + (2 * n + i) * BLOCK
+            place[3] = n * BLOCK
+            _state_back(
+                codes[i], placements[i], rows, state, above * slot, state_bar, bars + above * slot, angle, turn, turn + BLOCK, place
+            )
+            _screws_back(codes[i], placements[i], rows, state, state_bar, bars + above * slot, angle, turn, turn + BLOCK, place[0])
+        for sample in range(count):
+            for i in range(n):
+                o = (block + sample) * n + i
+                q_bar[o] = rows[found + i * BLOCK + sample]
+                qd_bar[o] = rows[found + (n + i) * BLOCK + sample]
+                qdd_bar[o] = rows[found + (2 * n + i) * BLOCK + sample]

@@ -1,0 +1,268 @@
+"""Batched regressor and inverse dynamics: one set of compiled functions for every robot, samples innermost.
+
+Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1, so that threads share one array.
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.lanes import LANES, load, load_every, splat, store
+from asbuilt.dynamics.kernels.recursion import (
+    AFTER,
+    BEFORE,
+    BLOCK,
+    DEPTH,
+    NOTHING,
+    PARENT,
+    READ,
+    REVOLUTE,
+    STATE,
+    WRITE,
+    accelerated,
+    add,
+    cross,
+    gather_states,
+    move_link,
+    move_screws,
+    out_of,
+    put,
+    rest,
+    scratch,
+    trigonometry,
+    vector,
+)
+
+TERMS = 21
+"""Rows that `_link_terms` writes."""
+FORCE = 6
+"""Rows of a force and a moment."""
+
+
+@compiled
+def _link_terms(rows, state, terms):
+    """Write the 21 products of w, dw and a that the ten columns of a link are made of."""
+    for at in range(0, BLOCK, LANES):
+        r, t = state + at, terms + at
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        xx, yy, zz, xy, xz, yz = wx * wx, wy * wy, wz * wz, wx * wy, wx * wz, wy * wz
+        put(rows, t, dx, dy, dz)
+        put(rows, t + 3 * BLOCK, yz, xz, xy)
+        put(rows, t + 6 * BLOCK, dx + yz, dx - yz, dy + xz)
+        put(rows, t + 9 * BLOCK, dy - xz, dz + xy, dz - xy)
+        put(rows, t + 12 * BLOCK, yy - zz, zz - xx, xx - yy)
+        put(rows, t + 15 * BLOCK, yy + zz, xx + zz, xx + yy)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        put(rows, t + 18 * BLOCK, ax, ay, az)
+
+
+@compiled
+def _position(row, stride, start):
+    return row * stride + start if row >= 0 else row
+
+
+@compiled
+def _columns_of_link(rows, screw, terms, places, out, stride, start):
+    """Write z . (moment) + m . (force) per unit of each parameter, for one joint and one link, where `places` names a row of `out`.
+
+    force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment (Atkeson, An and Hollerbach, 1986).
+    """
+    o0, o1, o2 = _position(places[0], stride, start), _position(places[1], stride, start), _position(places[2], stride, start)
+    o3, o4, o5 = _position(places[3], stride, start), _position(places[4], stride, start), _position(places[5], stride, start)
+    o6, o7, o8 = _position(places[6], stride, start), _position(places[7], stride, start), _position(places[8], stride, start)
+    o9 = _position(places[9], stride, start)
+    for at in range(0, BLOCK, LANES):
+        r, t = screw + at, terms + at
+        zx, zy, zz = vector(rows, r)
+        mx, my, mz = vector(rows, r + 3 * BLOCK)
+        if o0 >= 0:
+            xx = zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
+            store(out, o0 + at, xx)
+        if o1 >= 0:
+            xy = zx * load(rows, t + 9 * BLOCK) + zy * load(rows, t + 6 * BLOCK) + zz * load(rows, t + 14 * BLOCK)
+            store(out, o1 + at, xy)
+        if o2 >= 0:
+            xz = zx * load(rows, t + 10 * BLOCK) + zy * load(rows, t + 13 * BLOCK) + zz * load(rows, t + 7 * BLOCK)
+            store(out, o2 + at, xz)
+        if o3 >= 0:
+            yy = zy * load(rows, t + BLOCK) + zz * load(rows, t + 5 * BLOCK) - zx * load(rows, t + 3 * BLOCK)
+            store(out, o3 + at, yy)
+        if o4 >= 0:
+            yz = zx * load(rows, t + 12 * BLOCK) + zy * load(rows, t + 11 * BLOCK) + zz * load(rows, t + 8 * BLOCK)
+            store(out, o4 + at, yz)
+        if o5 >= 0:
+            izz = zx * load(rows, t + 3 * BLOCK) - zy * load(rows, t + 4 * BLOCK) + zz * load(rows, t + 2 * BLOCK)
+            store(out, o5 + at, izz)
+        ax, ay, az = vector(rows, t + 18 * BLOCK)
+        if o6 >= 0:
+            hx = my * load(rows, t + 10 * BLOCK) - mx * load(rows, t + 15 * BLOCK) - mz * load(rows, t + 9 * BLOCK)
+            store(out, o6 + at, hx + zz * ay - zy * az)
+        if o7 >= 0:
+            hy = mz * load(rows, t + 6 * BLOCK) - my * load(rows, t + 16 * BLOCK) - mx * load(rows, t + 11 * BLOCK)
+            store(out, o7 + at, hy + zx * az - zz * ax)
+        if o8 >= 0:
+            hz = mx * load(rows, t + 8 * BLOCK) - my * load(rows, t + 7 * BLOCK) - mz * load(rows, t + 17 * BLOCK)
+            store(out, o8 + at, hz + zy * ax - zx * ay)
+        if o9 >= 0:
+            store(out, o9 + at, mx * ax + my * ay + mz * az)
+
+
+@compiled
+def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
+    """Run down the tree with the block in `rows` and write the chosen columns into rows of `out`, from position `start`."""
+    n = codes.shape[0]
+    slot = (STATE + 6 * n) * BLOCK
+    terms = n_slots * slot
+    angles = terms + TERMS * BLOCK
+    cosine = angles + 3 * n * BLOCK
+    sine = cosine + BLOCK
+    for i in range(n):
+        code, p = codes[i], placements[i]
+        read, write = code[READ] * slot, code[WRITE] * slot
+        angle = angles + i * BLOCK
+        rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
+        if code[REVOLUTE]:
+            trigonometry(rows, angle, cosine, sine)
+        move_link(code, p, rows, read, write, angle, rate, change, cosine, sine)
+        move_screws(code, p, rows, read, write, angle, cosine, sine)
+        _link_terms(rows, write, terms)
+        for d in range(code[DEPTH] + 1):
+            _columns_of_link(rows, write + (STATE + 6 * d) * BLOCK, terms, places[chain[i, d], i], out, stride, start)
+
+
+@compiled
+def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride):
+    """Write the regressor with samples innermost: one row of `out` per joint and chosen column, `stride` numbers long.
+
+    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the first row of joint k and the row after its last.
+    """
+    n = codes.shape[0]
+    rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
+    angles = n_slots * (STATE + 6 * n) + TERMS
+    tail = scratch(bounds[n - 1, 1] if (stop - start) % BLOCK else 0)
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather_states(q, qd, qdd, block, count, n, rows, angles)
+        if count == BLOCK:
+            _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, block)
+        else:
+            _regressor_block(codes, chain, placements, n_slots, places, rows, tail, BLOCK, 0)
+            for k in range(n):
+                for row in range(bounds[k, 0], bounds[k, 1]):
+                    for sample in range(count):
+                        out[row * stride + block + sample] = tail[row * BLOCK + sample]
+
+
+@compiled
+def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, columns, q, qd, qdd, start, stop, out, width):
+    """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest.
+
+    `columns` increases within a joint, so that neighbours can be moved by the vector.
+    """
+    n = codes.shape[0]
+    rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
+    angles = n_slots * (STATE + 6 * n) + TERMS
+    tile = scratch(bounds[n - 1, 1])
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather_states(q, qd, qdd, block, count, n, rows, angles)
+        _regressor_block(codes, chain, placements, n_slots, places, rows, tile, BLOCK, 0)
+        for k in range(n):
+            row = bounds[k, 0]
+            while row < bounds[k, 1]:
+                neighbours = row + LANES <= bounds[k, 1] and columns[row + LANES - 1] - columns[row] == LANES - 1
+                o = (block * n + k) * width + columns[row]
+                for sample in range(count):
+                    if neighbours:
+                        store(out, o + sample * n * width, load_every(tile, row * BLOCK + sample, BLOCK))
+                    else:
+                        out[o + sample * n * width] = tile[row * BLOCK + sample]
+                row += LANES if neighbours else 1
+
+
+@compiled
+def _wrench(rows, state, force, chi):
+    """Write the force and the moment about its origin that link motion needs (Newton and Euler), in link axes."""
+    for at in range(0, BLOCK, LANES):
+        r, f = state + at, force + at
+        wx, wy, wz = vector(rows, r)
+        dx, dy, dz = vector(rows, r + 3 * BLOCK)
+        ax, ay, az = vector(rows, r + 6 * BLOCK)
+        hx, hy, hz, m = splat(chi[6]), splat(chi[7]), splat(chi[8]), chi[9]
+        fx, fy, fz = accelerated(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+        lx = wx * chi[0] + wy * chi[1] + wz * chi[2]
+        ly = wx * chi[1] + wy * chi[3] + wz * chi[4]
+        lz = wx * chi[2] + wy * chi[4] + wz * chi[5]
+        gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+        ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+        put(rows, f, fx, fy, fz)
+        nx = dx * chi[0] + dy * chi[1] + dz * chi[2] + gx + ex
+        ny = dx * chi[1] + dy * chi[3] + dz * chi[4] + gy + ey
+        nz = dx * chi[2] + dy * chi[4] + dz * chi[5] + gz + ez
+        put(rows, f + 3 * BLOCK, nx, ny, nz)
+
+
+@compiled
+def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
+    """Write the joint torque of a link's wrench and add the wrench to that of the parent link."""
+    for at in range(0, BLOCK, LANES):
+        f = force + at
+        fx, fy, fz = vector(rows, f)
+        nx, ny, nz = vector(rows, f + 3 * BLOCK)
+        if code[AFTER] != NOTHING:
+            fx, fy, fz = out_of(code[AFTER], p, 12, fx, fy, fz)
+            nx, ny, nz = out_of(code[AFTER], p, 12, nx, ny, nz)
+            cx, cy, cz = cross(splat(p[21]), splat(p[22]), splat(p[23]), fx, fy, fz)
+            nx, ny, nz = nx + cx, ny + cy, nz + cz
+        store(rows, torque + at, nz if code[REVOLUTE] else fz)
+        if code[PARENT] >= 0:
+            if code[REVOLUTE]:
+                c, s = load(rows, cosine + at), load(rows, sine + at)
+                fx, fy = fx * c - fy * s, fy * c + fx * s
+                nx, ny = nx * c - ny * s, ny * c + nx * s
+            else:
+                q = load(rows, angle + at)
+                nx, ny = nx - fy * q, ny + fx * q
+            if code[BEFORE] != NOTHING:
+                fx, fy, fz = out_of(code[BEFORE], p, 0, fx, fy, fz)
+                nx, ny, nz = out_of(code[BEFORE], p, 0, nx, ny, nz)
+                cx, cy, cz = cross(splat(p[9]), splat(p[10]), splat(p[11]), fx, fy, fz)
+                nx, ny, nz = nx + cx, ny + cy, nz + cz
+            f = parent_force + at
+            add(rows, f, fx, fy, fz)
+            add(rows, f + 3 * BLOCK, nx, ny, nz)
+
+
+@compiled
+def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
+    """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980); `chi` (n, 10)."""
+    n = codes.shape[0]
+    state = STATE * BLOCK
+    forces = (n + 1) * state
+    angles = forces + n * FORCE * BLOCK
+    turns = angles + 3 * n * BLOCK
+    torques = turns + 2 * n * BLOCK
+    rows = scratch(torques // BLOCK + n)
+    rest(rows, gravity)
+    for block in range(start, stop, BLOCK):
+        count = min(BLOCK, stop - block)
+        gather_states(q, qd, qdd, block, count, n, rows, angles // BLOCK)
+        for i in range(n):
+            angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
+            if codes[i, REVOLUTE]:
+                trigonometry(rows, angle, cosine, cosine + BLOCK)
+            read, write = (codes[i, PARENT] + 1) * state, (i + 1) * state
+            rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
+            move_link(codes[i], placements[i], rows, read, write, angle, rate, change, cosine, cosine + BLOCK)
+            _wrench(rows, write, forces + i * FORCE * BLOCK, chi[i])
+        for i in range(n - 1, -1, -1):
+            angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
+            force, parent_force = forces + i * FORCE * BLOCK, forces + codes[i, PARENT] * FORCE * BLOCK
+            _hand_down(codes[i], placements[i], rows, force, parent_force, angle, cosine, cosine + BLOCK, torques + i * BLOCK)
+        for sample in range(count):
+            for i in range(n):
+                out[(block + sample) * n + i] = rows[torques + i * BLOCK + sample]

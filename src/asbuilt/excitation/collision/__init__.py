@@ -1,0 +1,1 @@
+"""Distances between the bodies of a robot and to obstacles, and their constraints."""

@@ -1,0 +1,1 @@
+"""Design of motions by optimisation."""

@@ -1,0 +1,353 @@
+"""A primal-dual interior-point method for motions that are linear in their coefficients: every iterate respects every constraint."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from asbuilt.arrays import Array
+
+FRACTION_TO_BOUNDARY = 0.995
+"""The most of the way to a constraint that one step takes."""
+ARMIJO = 1e-4
+"""The least decrease of the barrier function that a step must bring, in parts of what its slope promises."""
+SHRINK_BARRIER = 0.2
+"""By what factor the weight of the barrier falls."""
+STEPS_PER_BARRIER = 40
+"""Steps at one weight of the barrier, at most."""
+DAMPING = 0.2
+"""The least curvature along a step that BFGS believes, in parts of what it believed before (Powell 1978)."""
+MOST_BACKTRACKS = 14
+"""Halvings of a step before another one is tried."""
+COMPLEMENTARITY_SPREAD = 1e8
+"""How far a multiplier times its slack may be from the weight of the barrier, as a factor."""
+
+
+class StateConstraint(ABC):
+    """Bound something that depends on the joint state at one instant: torque, distance to an obstacle, place of the tool.
+
+    Its values are normalised so that they must stay below 1, and above -1 where it is `two_sided`.
+    """
+
+    name: str
+    two_sided: bool
+
+    @abstractmethod
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the normalised values (N, m) at the states (N, n)."""
+
+    @abstractmethod
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the derivatives of the values with respect to the joint positions and their time derivatives of orders below r, (N, m, n, r)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """A value, minus infinity where it is not defined, and a function for its derivatives with respect to the states, each (N, n)."""
+
+    value: float
+    gradient: Callable[[], tuple[Array, Array, Array]]
+
+
+class MotionProgram(ABC):
+    """Maximise a function of the states of a motion `d^k q / dt^k (t_s) = bases[k] @ coefficients`, coefficients (n_basis, n).
+
+    `bases[k]` (N, n_basis) for the orders 0 ... 3, each of whose products must stay within `centre[k] +- half[k]` (n,), where half may be
+    infinite. The values of state constraints must stay below `1 - room`.
+    """
+
+    bases: tuple[Array, ...]
+    centre: Array
+    half: Array
+    constraints: tuple[StateConstraint, ...]
+    room: float
+
+    @abstractmethod
+    def evaluate(self, q: Array, qd: Array, qdd: Array) -> Evaluation:
+        """Return what is to be maximised."""
+
+    def states(self, coefficients: Array) -> tuple[Array, Array, Array]:
+        """Return positions, velocities and accelerations at the nodes."""
+        return self.bases[0] @ coefficients, self.bases[1] @ coefficients, self.bases[2] @ coefficients
+
+    def margins(self, coefficients: Array) -> list[Array]:
+        """Return the slacks of all constraints: for each order the room above and below, then those of the state constraints."""
+        found = []
+        for basis, centre, half in zip(self.bases, self.centre, self.half, strict=True):
+            v = (basis @ coefficients - centre) / half
+            found += [1.0 - v, 1.0 + v]
+        state = self.states(coefficients)
+        for constraint in self.constraints:
+            v, most = constraint.values(*state), 1.0 - self.room
+            found += [most - v, most + v] if constraint.two_sided else [most - v]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The coefficients (n_basis, n), the value reached, the iterations spent and whether the method converged."""
+
+    coefficients: Array
+    value: float
+    iterations: int
+    converged: bool
+
+
+@dataclass(eq=False)
+class _Point:
+    coefficients: Array
+    value: float
+    gradient: Array
+    curved: list[Array]
+    slacks: list[Array]
+
+
+def solve(
+    program: MotionProgram,
+    start: Array,
+    *,
+    barrier: tuple[float, float] = (0.1, 1e-4),
+    most_iterations: int = 400,
+    tolerance: float = 1e-4,
+    cancelled: Callable[[], bool] = lambda: False,
+    improved: Callable[[Array, float], None] | None = None,
+) -> Optimum | None:
+    """Climb from strictly feasible coefficients; None where the start is not strictly feasible.
+
+    The barrier problem `max f + mu sum log s` is solved for falling mu by Newton steps with primal-dual multipliers for the constraints, whose
+    curvature is exact to first order, and a damped BFGS approximation of the curvature of f (Nocedal & Wright 2006, chapter 19; Powell
+    1978). Line search on the barrier function itself keeps all slacks positive. `improved(coefficients, value)` is told each iterate.
+    """
+    x = np.array(start, dtype=np.float64)
+    mu, mu_end = barrier
+    slacks, evaluation = program.margins(x), program.evaluate(*program.states(x))
+    if min(float(s.min()) for s in slacks) <= 0 or not np.isfinite(evaluation.value):
+        return None
+    point = _point(program, x, slacks, evaluation)
+    metric = _metric(program)
+    scale = max(1.0, float(np.sqrt(point.gradient @ np.linalg.solve(metric, point.gradient))))
+    curvature = scale * metric
+    fresh = True
+    duals = [mu / s for s in point.slacks]
+    since = 0
+    last_value = -np.inf
+    converged = False
+    spent = 0
+    for spent in range(1, most_iterations + 1):  # noqa: B007
+        if cancelled():
+            break
+        pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)]
+        residual = -point.gradient + _through(program, point, pull)
+        mismatch = max(float(np.abs(z * s - mu).max()) for z, s in zip(duals, point.slacks, strict=True))
+        error = max(float(np.abs(residual).max()) / scale, mismatch)
+        since += 1
+        if error < 10 * mu or since > STEPS_PER_BARRIER:
+            if mu <= mu_end * 1.0001:
+                converged = error < 10 * mu or point.value - last_value < tolerance
+                if converged or since > STEPS_PER_BARRIER:
+                    break
+            else:
+                mu = max(mu_end, SHRINK_BARRIER * mu)
+                since = 0
+                last_value = point.value
+        steep = [mu / s_up - mu / s_low for s_up, s_low in _pairs(program, point.slacks, np.inf)]
+        slope = -point.gradient + _through(program, point, steep)
+        stiffness = [
+            z_up / s_up + z_low / s_low
+            for (z_up, z_low), (s_up, s_low) in zip(_pairs(program, duals), _pairs(program, point.slacks, np.inf), strict=True)
+        ]
+        hessian = curvature + _stiffened(program, point, stiffness)
+        try:
+            step = -cho_solve(cho_factor(hessian), slope)
+        except np.linalg.LinAlgError:
+            curvature, fresh = scale * metric, True
+            continue
+        moved, length = _line_search(program, point, step, slope, mu)
+        if moved is None:
+            if fresh:
+                if mu <= mu_end * 1.0001:
+                    break
+                mu, since = max(mu_end, SHRINK_BARRIER * mu), 0
+            curvature, fresh = scale * metric, True
+            duals = [mu / s for s in point.slacks]
+            continue
+        shift = length * step
+        duals = _next_duals(program, point, moved, duals, step, mu)
+        curved_pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)][len(program.bases) :]
+        change = _curved_gradient(program, moved, curved_pull) - _curved_gradient(program, point, curved_pull)
+        if fresh:
+            sharp = float(shift @ change)
+            if sharp > 0:
+                curvature = metric * max(1e-3 * scale, sharp / float(shift @ metric @ shift))
+            fresh = False
+        curvature = _bfgs(curvature, shift, change)
+        point = moved
+        if improved is not None:
+            improved(point.coefficients, point.value)
+    return Optimum(point.coefficients, point.value, spent, converged)
+
+
+def _flat(by_coefficient: Array) -> Array:
+    """Return (n_basis, n) joint by joint."""
+    return by_coefficient.T.reshape(-1)
+
+
+def _metric(program: MotionProgram) -> Array:
+    """Return the mean of the squared normalised position, velocity and acceleration as a quadratic form of the coefficients."""
+    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    whole = np.zeros((n * n_basis, n * n_basis))
+    for basis, half in zip(program.bases[:3], program.half, strict=False):
+        gram = basis.T @ basis / len(basis)
+        for j in range(n):
+            block = slice(j * n_basis, (j + 1) * n_basis)
+            whole[block, block] += gram / (half[j] ** 2 if np.isfinite(half[j]) else 1.0)
+    whole[np.diag_indices_from(whole)] *= 1 + 1e-9
+    return whole
+
+
+def _point(program: MotionProgram, coefficients: Array, slacks: list[Array], evaluation: Evaluation) -> _Point:
+    state = program.states(coefficients)
+    gradient = sum(basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False))
+    curved = [constraint.slopes(*state) for constraint in program.constraints]
+    return _Point(coefficients, evaluation.value, _flat(np.asarray(gradient)), curved, slacks)
+
+
+def _pulled(program: MotionProgram, slopes: Array, weights: Array) -> Array:
+    """Return `sum weights dv/dx` over the values v (N, m) of one constraint, x the coefficients joint by joint."""
+    samples, m, n, orders = slopes.shape
+    by_state = (weights[:, None, :] @ slopes.reshape(samples, m, -1)).reshape(samples, n, orders)
+    return _flat(np.asarray(sum(program.bases[k].T @ by_state[:, :, k] for k in range(orders))))
+
+
+def _rates(program: MotionProgram, slopes: Array, direction: Array) -> Array:
+    """Return dv/dx along a direction (n_basis, n), (N, m)."""
+    samples, m, _, orders = slopes.shape
+    motion = np.stack([program.bases[k] @ direction for k in range(orders)], axis=2)
+    rates: Array = (slopes.reshape(samples, m, -1) @ motion.reshape(samples, -1, 1))[:, :, 0]
+    return rates
+
+
+def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
+    """Return `sum weights dv/dx (dv/dx)^T`, first by the states of a sample, then by the coefficients behind them."""
+    samples, m, n, orders = slopes.shape
+    rows = slopes.reshape(samples, m, -1)
+    by_state = (rows * weights[:, :, None]).transpose(0, 2, 1) @ rows
+    bases = np.stack(program.bases[:orders], axis=1)
+    n_basis = bases.shape[2]
+    half = (by_state.reshape(samples, -1, orders) @ bases).reshape(samples, n, orders, -1)
+    flat = bases.reshape(-1, n_basis).T
+    return np.vstack([flat @ half[:, j].reshape(samples * orders, -1) for j in range(n)])
+
+
+def _pairs(program: MotionProgram, each: list[Array], absent: float = 0.0) -> list[tuple[Array, Array]]:
+    """Return what belongs to the upper and the lower side of each group of constraints, `absent` where there is no lower side."""
+    found, at = [], 0
+    for _ in program.bases:
+        found.append((each[at], each[at + 1]))
+        at += 2
+    for constraint in program.constraints:
+        if constraint.two_sided:
+            found.append((each[at], each[at + 1]))
+            at += 2
+        else:
+            found.append((each[at], np.full_like(each[at], absent)))
+            at += 1
+    return found
+
+
+def _through(program: MotionProgram, point: _Point, weights: list[Array]) -> Array:
+    """Return `sum weights dv/dx` over all normalised values v."""
+    total = np.zeros((program.bases[0].shape[1], program.half.shape[1]))
+    for basis, half, w in zip(program.bases, program.half, weights, strict=False):
+        total += basis.T @ (w / half)
+    flat = _flat(total)
+    for slopes, w in zip(point.curved, weights[len(program.bases) :], strict=True):
+        flat = flat + _pulled(program, slopes, w)
+    return flat
+
+
+def _stiffened(program: MotionProgram, point: _Point, stiffness: list[Array]) -> Array:
+    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    whole = np.zeros((n * n_basis, n * n_basis))
+    for basis, half, w in zip(program.bases, program.half, stiffness, strict=False):
+        for j in np.flatnonzero(np.isfinite(half)):
+            block = slice(j * n_basis, (j + 1) * n_basis)
+            whole[block, block] += (basis.T * (w[:, j] / half[j] ** 2)) @ basis
+    for slopes, w in zip(point.curved, stiffness[len(program.bases) :], strict=True):
+        whole += _curved_stiffness(program, slopes, w)
+    return whole
+
+
+def _barrier(slacks: list[Array]) -> float:
+    return sum(float(np.log(s).sum()) for s in slacks)
+
+
+def _line_search(program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float) -> tuple[_Point | None, float]:
+    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    direction = step.reshape(n, n_basis).T
+    length = 1.0
+    for k, (basis, half) in enumerate(zip(program.bases, program.half, strict=True)):
+        speed = basis @ direction / half
+        for s, ds in ((point.slacks[2 * k], -speed), (point.slacks[2 * k + 1], speed)):
+            falling = ds < 0
+            if np.any(falling):
+                length = min(length, FRACTION_TO_BOUNDARY * float((-s[falling] / ds[falling]).min()))
+    reference = -point.value - mu * _barrier(point.slacks)
+    fall = float(slope @ step)
+    for _ in range(MOST_BACKTRACKS):
+        trial = point.coefficients + length * direction
+        slacks = program.margins(trial)
+        worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
+        if worst > 1 - FRACTION_TO_BOUNDARY:
+            evaluation = program.evaluate(*program.states(trial))
+            if -evaluation.value - mu * _barrier(slacks) <= reference + ARMIJO * length * fall + 1e-12 * abs(reference):
+                return _point(program, trial, slacks, evaluation), length
+        length *= 0.5
+    return None, 0.0
+
+
+def _next_duals(program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float) -> list[Array]:
+    """Take the Newton step of the multipliers, as far as they stay positive, and keep them near the central path."""
+    n_basis, n = program.bases[0].shape[1], program.half.shape[1]
+    direction = step.reshape(n, n_basis).T
+    rates: list[Array] = []
+    for basis, half in zip(program.bases, program.half, strict=True):
+        speed = basis @ direction / half
+        rates += [-speed, speed]
+    for constraint, slopes in zip(program.constraints, old.curved, strict=True):
+        speed = _rates(program, slopes, direction)
+        rates += [-speed, speed] if constraint.two_sided else [-speed]
+    moves = [mu / s - z - z / s * ds for z, s, ds in zip(duals, old.slacks, rates, strict=True)]
+    length = 1.0
+    for z, dz in zip(duals, moves, strict=True):
+        falling = dz < 0
+        if np.any(falling):
+            length = min(length, FRACTION_TO_BOUNDARY * float((-z[falling] / dz[falling]).min()))
+    spread = COMPLEMENTARITY_SPREAD
+    return [np.clip(z + length * dz, mu / s / spread, mu / s * spread) for z, dz, s in zip(duals, moves, new.slacks, strict=True)]
+
+
+def _curved_gradient(program: MotionProgram, point: _Point, pull: list[Array]) -> Array:
+    """Return the part of the Lagrangian's gradient that is not linear in the coefficients."""
+    total = -point.gradient
+    for slopes, w in zip(point.curved, pull, strict=True):
+        total = total + _pulled(program, slopes, w)
+    return total
+
+
+def _bfgs(curvature: Array, shift: Array, change: Array) -> Array:
+    """Update with Powell's damping, so that the matrix stays positive definite."""
+    forward = curvature @ shift
+    along, sharp = float(shift @ forward), float(shift @ change)
+    if along <= 0:
+        return curvature
+    if sharp < DAMPING * along:
+        theta = (1 - DAMPING) * along / (along - sharp)
+        change = theta * change + (1 - theta) * forward
+        sharp = float(shift @ change)
+    updated: Array = curvature - np.outer(forward, forward) / along + np.outer(change, change) / sharp
+    return updated

@@ -1,0 +1,1 @@
+"""Information about the base parameters that joint states carry."""

@@ -1,0 +1,203 @@
+"""The information that joint states carry about the base parameters, and its derivatives with respect to the states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.selection import NO_DRIVE
+from asbuilt.dynamics.kernels.regressor_adjoint import regressor_adjoint
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import UsageError
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.motion import read_only
+
+Indices = NDArray[np.int64]
+
+SIGN_WIDTH = 0.02
+"""While a motion is designed, a drive column that jumps where the velocity changes sign follows `tanh(qd / width)` instead; the width is this
+fraction of the velocity limit. What is reported of a motion uses the exact columns."""
+
+STEP = 1e-6
+"""Step of the central differences through drive columns."""
+
+SMALLEST_SPEED = 1e-12
+"""Stands in for standstill where a column is taken just before and just behind it [rad/s or m/s]."""
+LEAST_JUMP = 1e-3
+"""A drive column that changes by more than this from one side of standstill to the other jumps there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Evaluate `M = sum_s Y_s^T S^-1 Y_s` over samples s, Y the base columns, S the diagonal of `noise` squared, and differentiate it.
+
+    `noise` (n,) is the standard deviation of each joint torque [N m or N].
+    """
+
+    model: RobotModel
+    base: BaseParameters
+    noise: Array
+    width: Array
+
+    @classmethod
+    def of(cls, model: RobotModel, base: BaseParameters, noise: ArrayLike = 1.0) -> Information:
+        """Prepare the evaluation; raises UsageError where the noise is not positive, one number or one per joint."""
+        sigma = np.asarray(noise, dtype=np.float64)
+        if sigma.shape not in ((), (1,), (model.n_joints,)) or not np.all(np.isfinite(sigma)) or not np.all(sigma > 0):
+            raise UsageError(f"the noise must be one positive number or one per joint ({model.n_joints}), got {sigma.tolist()}")
+        shared = [term.key for term in base.drive.terms if term.of_motor]
+        if shared:
+            raise UsageError(
+                f"drive term {shared[0]!r} belongs to motors that move several joints; a motion cannot be designed for it, leave it out"
+            )
+        velocity = MotionBounds.assumed(model).velocity
+        return cls(model, base, read_only(np.broadcast_to(sigma, (model.n_joints,))), read_only(SIGN_WIDTH * velocity))
+
+    @cached_property
+    def plan(self) -> RegressorPlan:
+        """The evaluation of the base columns."""
+        return RegressorPlan.of(self.model, self.base.drive, self.base.columns)
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of base parameters, drive terms included."""
+        return self.base.n_base
+
+    def rows(self, q: Array, qd: Array, qdd: Array, *, smooth: bool = True) -> Array:
+        """Return the base columns of all joints in the layout of `plan`, (n_rows, at least N); `smooth` replaces jumps of drive columns."""
+        out = self.plan.buffer(len(q))
+        if not smooth or not self.base.drive:
+            self.plan.evaluate(q, qd, qdd, out)
+            return out
+        self._bodies.evaluate(q, qd, qdd, out)
+        columns = self._drive_columns(self._state(q, qd, qdd))
+        for k, (chosen, places) in enumerate(self._drive_places):
+            out[places, : len(q)] = columns[chosen, :, k]
+        return out
+
+    def matrix(self, rows: Array, n_samples: int) -> Array:
+        """Return M (p, p) from what `rows` returned."""
+        total = np.zeros((self.n_parameters, self.n_parameters))
+        for support, (first, stop), sigma in zip(self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True):
+            w = rows[first:stop, :n_samples] / sigma
+            total[np.ix_(support, support)] += w @ w.T
+        return total
+
+    def state_gradient(
+        self,
+        q: Array,
+        qd: Array,
+        qdd: Array,
+        rows: Array,
+        sensitivity: Array,
+        loads: Array | None = None,
+        parameters: Array | None = None,
+    ) -> tuple[Array, Array, Array]:
+        """Return the derivatives of `tr(P M)` for a constant symmetric P = `sensitivity`, each (N, n).
+
+        With `d phi = tr(P dM)` this is the gradient of phi. `loads` (N, n) are weights of the joint torques of rigid bodies with standard
+        `parameters`, whose derivatives are added.
+        """
+        count = len(q)
+        weights = np.zeros_like(rows)
+        for support, (first, stop), sigma in zip(self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True):
+            weights[first:stop, :count] = (2.0 / sigma**2) * (sensitivity[np.ix_(support, support)] @ rows[first:stop, :count])
+        drive = self.base.drive
+        slopes = (np.zeros_like(q), np.zeros_like(q), np.zeros_like(q))
+        if drive:
+            given = np.zeros((drive.columns_per_joint, count, self.model.n_joints))
+            for k, (chosen, places) in enumerate(self._drive_places):
+                given[chosen, :, k] = weights[places, :count]
+            state = self._state(q, qd, qdd)
+            for order in self._drive_arguments:
+                up, down = ([x + step if i == order else x for i, x in enumerate(state)] for step in (STEP, -STEP))
+                slope = self._drive_columns(up) - self._drive_columns(down)
+                through = np.einsum("csk,csk->sk", given, slope) / (2 * STEP)
+                if order < 3:
+                    slopes[order][...] += through
+                else:
+                    loads = through if loads is None else loads + through
+                    parameters = self.model.parameters if parameters is None else parameters
+        found = regressor_adjoint(self.plan, q, qd, qdd, weights, loads, parameters)
+        return found[0] + slopes[0], found[1] + slopes[1], found[2] + slopes[2]
+
+    @cached_property
+    def _bodies(self) -> RegressorPlan:
+        """The same layout without evaluating the drive columns."""
+        return replace(self.plan, drive=NO_DRIVE)
+
+    @cached_property
+    def _drive_places(self) -> tuple[tuple[Indices, Indices], ...]:
+        """For each joint the chosen among its drive columns, and their rows in the layout of `plan`."""
+        n, per, found = self.model.n_joints, self.base.drive.columns_per_joint, []
+        for k, (support, (first, _)) in enumerate(zip(self.plan.support, self.plan.bounds.tolist(), strict=True)):
+            own = self.plan.columns[support] - (10 * n + k * per)
+            found.append((own[own >= 0], first + np.flatnonzero(own >= 0)))
+        return tuple(found)
+
+    def _drive_columns(self, state: Sequence[Array]) -> Array:
+        """Return the drive columns of all joints, jumps at zero velocity smoothed: (columns per joint, N, n); `state` is q, qd, qdd, (load)."""
+        columns = self._exact_drive_columns(state)
+        jumps = self._jumps
+        if np.any(jumps):
+            speed = np.abs(state[1]) + SMALLEST_SPEED
+            ahead, behind = (self._exact_drive_columns([state[0], v, *state[2:]])[jumps] for v in (speed, -speed))
+            sign = np.tanh(state[1] / self.width)
+            columns[jumps] = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
+        return columns
+
+    def _exact_drive_columns(self, state: Sequence[Array]) -> Array:
+        drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
+        if not self._differ:
+            flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
+            return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(-1, samples, n)
+        columns = np.empty((drive.columns_per_joint, samples, n))
+        for k in range(n):
+            own = [np.ascontiguousarray(x[:, k]) for x in state]
+            columns[:, :, k] = drive.evaluate(*own[:3], load=own[3] if len(own) > 3 else None, joint=k)
+        return columns
+
+    @cached_property
+    def _differ(self) -> bool:
+        """Whether a term has a shape of its own for each joint."""
+        return any(isinstance(getattr(term, shape.name), tuple) for term in self.base.drive.terms for shape in term.shapes)
+
+    def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
+        load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []
+        return [q, qd, qdd, *load]
+
+    @cached_property
+    def _jumps(self) -> NDArray[np.bool_]:
+        """Which drive columns jump at zero velocity."""
+        n = self.model.n_joints
+        still = np.tile(np.linspace(-1.0, 1.0, 7)[:, None], (1, n))
+        ahead, behind = (
+            self._exact_drive_columns([still, np.full((7, n), v), *[still] * (1 + self.base.drive.needs_load)]) for v in (1e-9, -1e-9)
+        )
+        return np.asarray(np.any(np.abs(ahead - behind) > LEAST_JUMP, axis=(1, 2)))
+
+    @cached_property
+    def _drive_arguments(self) -> tuple[int, ...]:
+        """Which of q, qd, qdd and load the drive columns depend on."""
+        rng = np.random.default_rng(0)
+        state = [rng.uniform(0.1, 1.0, (5, self.model.n_joints)) for _ in range(3 + self.base.drive.needs_load)]
+        reference = self._drive_columns(state)
+        moved = [[x + 0.05 if i == order else x for i, x in enumerate(state)] for order in range(len(state))]
+        return tuple(order for order, other in enumerate(moved) if np.any(self._drive_columns(other) != reference))
+
+
+def mean_information(information: Information, q: Array, qd: Array, qdd: Array, *, at_once: int = 2048) -> Array:
+    """Return the information per sample of many states, with exact drive columns, (p, p)."""
+    total = np.zeros((information.n_parameters, information.n_parameters))
+    for start in range(0, len(q), at_once):
+        part = slice(start, start + at_once)
+        total += information.matrix(information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part]))
+    return total / len(q)

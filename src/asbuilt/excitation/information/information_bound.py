@@ -1,0 +1,192 @@
+"""How much information per sample any motion could have: the D-optimal continuous design over the admissible states."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.excitation.design.torque_limit import TorqueLimit
+from asbuilt.excitation.information.criteria import DOptimality
+from asbuilt.excitation.information.information import Information
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.state_bounds import random_states
+
+States = tuple[Array, Array, Array]
+
+POOL = 1500
+"""States in the pool at the start."""
+RANDOM_TRIALS = 6000
+"""Random states looked at in a round."""
+ROUNDS = 14
+"""Rounds at most."""
+REFINED = 192
+"""States per round that are climbed from."""
+CLIMBS = 12
+"""Steps of a climb."""
+WEIGHT_STEPS = 60
+"""Steps in which the weights of a pool settle, at most."""
+KEPT_WEIGHT = 1e-6
+"""States whose weight is below this part of the mean are dropped."""
+GAP = 0.02
+"""Where the gap per parameter, log(d_max / p), falls below this, the search for better states ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class InformationBound:
+    """Bound the information per sample: `log_det` is attained by a distribution over states, `upper` is above that of every distribution.
+
+    By the equivalence theorem of Kiefer and Wolfowitz (1960), for any design M and every admissible state x,
+    `log det M* <= log det M + p log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1 Y(x))`. `upper` is the right side with the maximum over all
+    states that were looked at: `n_states` random ones and those reached from them by climbing d. It is exact for these, and a
+    (very likely tight) estimate for the continuum between. States are independent here, while a motion cannot be at its highest speed and
+    acceleration in both directions at once; no motion attains the bound.
+    """
+
+    information: Array
+    log_det: float
+    upper: float
+    n_states: int
+    support: States
+    weights: Array
+
+    def efficiency(self, mean_information: Array) -> float:
+        """Return `exp((log det M - upper) / p)` of a motion's mean information per sample."""
+        sign, value = np.linalg.slogdet(mean_information)
+        return float(np.exp((value - self.upper) / len(mean_information))) if sign > 0 else 0.0
+
+
+def information_bound(
+    model: RobotModel,
+    information: Information,
+    bounds: MotionBounds,
+    *,
+    torque: Array | None = None,
+    seed: int = 0,
+    rounds: int = ROUNDS,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> InformationBound:
+    """Return the D-optimal continuous design over the states within `bounds` whose torque stays within `torque` (n,), and its bound.
+
+    Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those with the largest d are added after
+    climbing d within the limits, until the gap closes; at least one round is made before `cancelled` is asked, and the bound is a looser one
+    where that ends it.
+    """
+    rng = np.random.default_rng([seed, 7])
+    limit = None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
+    pool = _admissible(limit, random_states(bounds, POOL, rng, extreme=0.7))
+    weights = np.full(len(pool[0]), 1.0 / len(pool[0]))
+    p, seen = information.n_parameters, len(pool[0])
+    best_upper, mean = np.inf, np.eye(p)
+    for _ in range(rounds):
+        weights, mean = _weighted(information, pool, weights)
+        keep = weights > KEPT_WEIGHT / len(weights)
+        pool, weights = _chosen(pool, keep), weights[keep] / weights[keep].sum()
+        log_det, inverse = DOptimality().value_and_gradient(mean)
+        trials = _admissible(limit, random_states(bounds, RANDOM_TRIALS, rng, extreme=0.8))
+        seen += len(trials[0])
+        worth = variance(information, inverse, trials)
+        top = _chosen(trials, np.argsort(-worth)[:REFINED])
+        heavy = _chosen(pool, np.argsort(-weights)[:REFINED])
+        climbed = _climbed(information, inverse, bounds, limit, _joined(top, heavy))
+        worth_climbed = variance(information, inverse, climbed)
+        highest = max(float(worth.max(initial=0.0)), float(worth_climbed.max()), float(variance(information, inverse, pool).max()))
+        upper = log_det + p * max(0.0, float(np.log(highest / p)))
+        best_upper = min(best_upper, upper)
+        if np.log(highest / p) < GAP or cancelled():
+            break
+        new = _chosen(climbed, np.argsort(-worth_climbed)[: REFINED // 2])
+        pool = _joined(pool, new)
+        weights = np.concatenate([0.9 * weights, np.full(len(new[0]), 0.1 / len(new[0]))])
+    log_det = DOptimality().value(mean)
+    return InformationBound(mean, log_det, max(best_upper, log_det), seen, pool, weights[: len(pool[0])])
+
+
+def variance(information: Information, inverse: Array, states: States) -> Array:
+    """Return `d(x) = tr(M^-1 Y^T S^-1 Y)` of every state (N,), from M^-1."""
+    count = len(states[0])
+    rows = information.rows(*states, smooth=False)
+    total = np.zeros(count)
+    for support, (first, stop), sigma in zip(information.plan.support, information.plan.bounds.tolist(), information.noise, strict=True):
+        w = rows[first:stop, :count]
+        total += np.einsum("is,is->s", w, inverse[np.ix_(support, support)] @ w) / sigma**2
+    return total
+
+
+def _weighted(information: Information, pool: States, weights: Array) -> tuple[Array, Array]:
+    """Return weights with (nearly) the largest log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i / p, and that matrix."""
+    count, p = len(pool[0]), information.n_parameters
+    rows = information.rows(*pool, smooth=False)
+    parts = [
+        (support, rows[first:stop, :count] / sigma)
+        for support, (first, stop), sigma in zip(information.plan.support, information.plan.bounds.tolist(), information.noise, strict=True)
+    ]
+    mean = np.zeros((p, p))
+    for _ in range(WEIGHT_STEPS):
+        mean = np.zeros((p, p))
+        for support, w in parts:
+            mean[np.ix_(support, support)] += (w * weights) @ w.T
+        value, inverse = DOptimality().value_and_gradient(mean)
+        if not np.isfinite(value):
+            inverse = np.asarray(np.linalg.pinv(mean), dtype=np.float64)
+        worth = np.zeros(count)
+        for support, w in parts:
+            worth += np.einsum("is,is->s", w, inverse[np.ix_(support, support)] @ w)
+        if worth.max() < p * (1 + GAP / 4):
+            break
+        weights = weights * worth / p
+        weights /= weights.sum()
+    return weights, mean
+
+
+def _climbed(information: Information, inverse: Array, bounds: MotionBounds, limit: TorqueLimit | None, states: States) -> States:
+    """Return states of larger d, reached by steps along its gradient within the limits; a step that does not pay is halved."""
+    centre = (bounds.upper + bounds.lower) / 2
+    halves = ((bounds.upper - bounds.lower) / 2, bounds.velocity, bounds.acceleration)
+    middles = (centre, np.zeros_like(centre), np.zeros_like(centre))
+    current, worth = states, variance(information, inverse, states)
+    length = np.full((len(worth), 1), 0.3)
+    for _ in range(CLIMBS):
+        rows = information.rows(*current)
+        slopes = information.state_gradient(*current, rows, inverse)
+        # In units of the limits; velocities and accelerations, in which d is nearly convex, go to a corner.
+        steps = [slope * half for slope, half in zip(slopes, halves, strict=True)]
+        size = np.sqrt(sum((step**2).sum(axis=1, keepdims=True) for step in steps)) + 1e-300
+        moved = [
+            middle + np.clip((x - middle) / half + length * np.sqrt(step.shape[1]) * step / size, -1, 1) * half
+            for x, step, middle, half in zip(current, steps, middles, halves, strict=True)
+        ]
+        trial = (moved[0], moved[1], moved[2])
+        better = variance(information, inverse, trial)
+        pays = better > worth
+        if limit is not None:
+            pays &= np.abs(limit.values(*trial)).max(axis=1) <= 1
+        current = tuple(np.where(pays[:, None], new, old) for new, old in zip(trial, current, strict=True))  # type: ignore[assignment]
+        worth = np.where(pays, better, worth)
+        length = np.where(pays[:, None], np.minimum(1.3 * length, 2.0), 0.4 * length)
+    return current
+
+
+def _admissible(limit: TorqueLimit | None, states: States) -> States:
+    if limit is None:
+        return states
+    q, qd, qdd = states
+    for _ in range(6):
+        over = np.abs(limit.values(q, qd, qdd)).max(axis=1) > 1
+        if not np.any(over):
+            break
+        qd, qdd = np.where(over[:, None], 0.8 * qd, qd), np.where(over[:, None], 0.6 * qdd, qdd)
+    return _chosen((q, qd, qdd), np.abs(limit.values(q, qd, qdd)).max(axis=1) <= 1)
+
+
+def _chosen(states: States, which: NDArray[np.bool_] | NDArray[np.intp]) -> States:
+    return states[0][which], states[1][which], states[2][which]
+
+
+def _joined(first: States, second: States) -> States:
+    q, qd, qdd = (np.vstack(pair) for pair in zip(first, second, strict=True))
+    return q, qd, qdd

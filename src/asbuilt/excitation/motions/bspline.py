@@ -1,0 +1,79 @@
+"""B-splines: local motions whose control points bound them."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from math import factorial
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
+
+from asbuilt.arrays import Array
+from asbuilt.errors import MotionError
+from asbuilt.excitation.motions.motion import BasisMotion, read_only, way_point_array
+from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
+
+DEGREE = 5
+"""Degree of the splines: their jerk has neither jumps nor corners."""
+
+
+class BSplineMotion(BasisMotion):
+    """Move every joint along a quintic B-spline on uniform knots with zero velocity and acceleration at both ends.
+
+    `coefficients` (m, n) are the control points in order: the first is the start pose and the last the end pose (each stands for three equal
+    control points, which brings the motion to rest; de Boor 1978), the m - 2 between are free. The curve stays within the smallest and
+    the largest control point of each joint, so control points within the position limits give a motion within them.
+
+    Raises
+    ------
+    MotionError
+        If there are fewer than two control points or the duration is not positive.
+
+    Examples
+    --------
+    >>> motion = BSplineMotion([[0.0], [1.0], [-1.0], [0.0]], duration=4.0)
+    >>> [x.round(12).tolist() for x in motion.at(4.0)]
+    [[0.0], [0.0], [0.0]]
+    """
+
+    parametrisation = "b-spline"
+
+    def __init__(self, coefficients: ArrayLike, duration: float) -> None:
+        if not (np.isfinite(duration) and duration > 0):
+            raise MotionError(f"the duration must be a positive number of seconds, got {duration}")
+        self.coefficients = read_only(way_point_array(coefficients, "control points"))
+        self._duration = float(duration)
+        m = self.coefficients.shape[0]
+        knots = np.linspace(0.0, self._duration, m + 4 - DEGREE + 1)
+        padded = np.concatenate([np.zeros(DEGREE), knots, np.full(DEGREE, self._duration)])
+        # Column i of the basis is a sum of plain B-splines: the first three, one each in between, the last three.
+        folding = np.zeros((m + 4, m))
+        folding[:3, 0] = 1.0
+        folding[np.arange(3, m + 1), np.arange(1, m - 1)] = 1.0
+        folding[m + 1 :, m - 1] = 1.0
+        self._functions = BSpline(padded, folding, DEGREE)
+
+    @property
+    def duration(self) -> float:
+        """Time from start to end [s]."""
+        return self._duration
+
+    def basis(self, t: ArrayLike, order: int = 0) -> Array:
+        """Return the derivative of this order of each basis function at the times `t` (N,), shape (N, m)."""
+        return np.asarray(self._functions(np.atleast_1d(np.asarray(t, dtype=np.float64)), nu=order), dtype=np.float64)
+
+    @cached_property
+    def pieces(self) -> PiecewisePolynomial:
+        """The same motion as polynomials between the knots."""
+        breaks = np.unique(self._functions.t)
+        rows = [self.basis(breaks[:-1], k) @ self.coefficients / factorial(k) for k in range(DEGREE, -1, -1)]
+        return PiecewisePolynomial(breaks, np.stack(rows))
+
+    def extremes(self, order: int) -> tuple[Array, Array]:
+        """Return the smallest and the largest value of a derivative over the whole motion, two (n,); exact."""
+        return self.pieces.extremes(order)
+
+    def with_coefficients(self, coefficients: ArrayLike) -> BSplineMotion:
+        """Return the motion of the same duration with other control points, shape (m, n_joints)."""
+        return BSplineMotion(coefficients, self._duration)

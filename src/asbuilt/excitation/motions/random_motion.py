@@ -1,0 +1,104 @@
+"""Random motions within the limits of a robot: a sane excitation where none was designed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import MotionError
+from asbuilt.excitation.limits import MotionBounds, check_motion
+from asbuilt.excitation.motions.fourier import FourierMotion
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+
+Seed = np.random.Generator | int | None
+
+TORQUE_RATE = 100.0
+"""Rate at which the torque of a random motion is checked [Hz]."""
+
+SHRINKAGE = 0.85
+"""By what factor amplitudes or accelerations are reduced each time the torque limit is exceeded."""
+
+ATTEMPTS = 40
+"""How often that is tried."""
+
+
+def random_fourier(
+    model: RobotModel, rng: Seed = None, *, duration: float = 20.0, n_harmonics: int = 5, periods: int = 1, fraction: float = 0.9
+) -> FourierMotion:
+    """Return a random Fourier motion scaled until each joint uses up `fraction` of its position, velocity or acceleration limit.
+
+    Coefficients are normal, alike for all harmonics; each joint's mean position is drawn where its amplitude leaves room. Limits that
+    the description does not give are those of `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink.
+
+    Raises
+    ------
+    MotionError
+        If the robot cannot hold its weight within the torque limits even at small amplitudes.
+    """
+    if n_harmonics < 2 or periods < 1:
+        raise MotionError(f"a Fourier motion needs at least 2 harmonics and 1 period, got {n_harmonics} and {periods}")
+    generator = np.random.default_rng(rng)
+    bounds = MotionBounds.assumed(model, fraction)
+    rows = generator.normal(size=(2 * n_harmonics - 1, model.n_joints))
+    rows[0] = 0.0
+    shape = FourierMotion(rows, duration / periods, periods)
+    low, high = shape.extremes(0)
+    scales = [(bounds.upper - bounds.lower) / (high - low), bounds.velocity / shape.peaks(1), bounds.acceleration / shape.peaks(2)]
+    scale = np.min([*scales, bounds.jerk / shape.peaks(3)], axis=0)
+    place = generator.uniform(size=model.n_joints)
+
+    def motion(size: float) -> FourierMotion:
+        coefficients = size * scale * rows
+        free_low, free_high = bounds.lower - size * scale * low, bounds.upper - size * scale * high
+        coefficients[0] = free_low + place * (free_high - free_low)
+        return shape.with_coefficients(coefficients)
+
+    size = 1.0
+    for _ in range(ATTEMPTS):
+        candidate = motion(size)
+        if _holds_torque(model, candidate, fraction):
+            return candidate
+        size *= SHRINKAGE
+    raise _too_heavy(model)
+
+
+def random_point_to_point(
+    model: RobotModel, rng: Seed = None, n_poses: int = 20, *, dwell: float = 0.25, fraction: float = 0.9
+) -> PointToPointMotion:
+    """Return a point-to-point motion through `n_poses` random poses, within `fraction` of the limits.
+
+    Poses are uniform within the position limits; limits that the description does not give are those of `MotionBounds.assumed`. Where a torque
+    limit is exceeded the acceleration shrinks. Raises MotionError as `random_fourier` does.
+    """
+    if n_poses < 2:
+        raise MotionError(f"a point-to-point motion needs at least 2 poses, got {n_poses}")
+    generator = np.random.default_rng(rng)
+    bounds = MotionBounds.assumed(model, fraction)
+    poses = generator.uniform(bounds.lower, bounds.upper, size=(n_poses, model.n_joints))
+    size = 1.0
+    for _ in range(ATTEMPTS):
+        motion = PointToPointMotion.within(
+            poses, velocity=np.sqrt(size) * bounds.velocity, acceleration=size * bounds.acceleration, dwell=dwell
+        )
+        if _holds_torque(model, motion, fraction):
+            return motion
+        size *= SHRINKAGE
+        if size < SHRINKAGE ** (ATTEMPTS // 2):
+            poses = generator.uniform(bounds.lower, bounds.upper, size=poses.shape)
+    raise _too_heavy(model)
+
+
+def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
+    if not np.any(np.isfinite(MotionBounds.of(model).torque)):
+        return True
+    worst = check_motion(model, motion, TORQUE_RATE).worst["torque"]
+    return worst is None or worst.margin >= 1 - fraction
+
+
+def _too_heavy(model: RobotModel) -> MotionError:
+    limits = ", ".join(f"{limit:g}" for limit in MotionBounds.of(model).torque)
+    return MotionError(
+        f"{model.name}: no random motion within the torque limits ({limits}) was found, however slow; "
+        "check torque limits, masses and gravity, or raise `fraction`"
+    )

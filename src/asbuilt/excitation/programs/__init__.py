@@ -1,1 +1,0 @@
-"""Programs that make real controllers run a motion and record it, one format per file."""

@@ -1,0 +1,239 @@
+"""Recordings as delimited text: CSV and its relatives."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.table import Table
+
+_SEPARATORS = (",", ";", "\t", "|")
+_COMMENTS = ("#", "%")
+_PACKED = {
+    b"\xff\xfe": "UTF-16 text; save it as UTF-8",
+    b"\xfe\xff": "UTF-16 text; save it as UTF-8",
+    b"\x1f\x8b": "a gzip archive; unpack it",
+    b"PK\x03\x04": "a ZIP archive or a spreadsheet; unpack it, or export the sheet as CSV",
+}
+"""What files begin with that pass for text by their name."""
+_MISSING = ["", "NA", "N/A", "null", "None", "-"]
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a text file is written: `separator` is "" for runs of blanks; `skip` lines precede the data; `names` of all columns."""
+
+    separator: str
+    decimal_comma: bool
+    skip: int
+    names: tuple[str, ...]
+    headless: bool
+    text_columns: tuple[str, ...]
+
+
+def find_dialect(path: Path, *, header: bool | None = None, separator: str | None = None) -> Dialect:
+    """Find separator, header and column names from the first lines; `header` None decides by whether the first line holds numbers.
+
+    Raises
+    ------
+    RecordingError
+        If the file is empty, not text, holds no numbers, or names a column twice.
+    """
+    lines = _first_lines(path)
+    body = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(_COMMENTS)]
+    if not body:
+        raise RecordingError(f"{path} is not a recording: it is empty")
+    first = body[0]
+    if separator is None:
+        separator = _find_separator([lines[k] for k in body[:20]])
+    decimal_comma = separator == ";" and any("," in field for k in body[1:3] for field in lines[k].split(";"))
+    fields = _fields(lines[first], separator)
+    has_header = not all(_is_number(field, decimal_comma) for field in fields) if header is None else header
+    skip, names = first, fields
+    if has_header:
+        if len(body) < 2:
+            raise RecordingError(f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data")
+        skip = body[1]
+        units = _fields(lines[skip], separator)
+        if (
+            len(body) > 2
+            and len(units) == len(names)
+            and _is_words(units, decimal_comma)
+            and not _is_words(_fields(lines[body[2]], separator), decimal_comma)
+        ):
+            names, skip = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)], body[2]
+    else:
+        commented = _fields(lines[first - 1].lstrip(" #%"), separator) if first > 0 else []
+        if header is None and len(commented) == len(fields) and not any(_is_number(field, decimal_comma) for field in commented):
+            names, has_header = commented, True
+        else:
+            names = [str(k) for k in range(1, len(fields) + 1)]
+    names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
+    repeated = [name for name in names if names.count(name) > 1]
+    if repeated:
+        places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
+        raise RecordingError(
+            f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times (columns {places}); rename one of them"
+        )
+    data = _fields(lines[skip], separator)
+    text = tuple(
+        name
+        for name, cell in itertools.zip_longest(names, data, fillvalue="")
+        if name and not _is_number(cell, decimal_comma) and cell not in _MISSING
+    )
+    if len(text) == len(names):
+        raise RecordingError(
+            f"{path} is not a recording: line {skip + 1} holds no number ({lines[skip].strip()[:60]!r}); remove what stands above the header"
+        )
+    return Dialect(separator, decimal_comma, skip, tuple(names), not has_header, text)
+
+
+def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
+    """Open the file lazily: every numeric column Float64, text columns String."""
+    schema = {name: pl.String if name in dialect.text_columns else pl.Float64 for name in dialect.names}
+    return pl.scan_csv(
+        path,
+        separator=dialect.separator,
+        has_header=False,
+        skip_lines=dialect.skip,
+        schema=schema,
+        comment_prefix="#",
+        null_values=_MISSING,
+        decimal_comma=dialect.decimal_comma,
+    )
+
+
+def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
+    """Leave out the rows in which every cell is empty."""
+    return frame.filter(~pl.all_horizontal(pl.all().is_null()))
+
+
+def read_delimited(path: Path, *, header: bool | None = None, separator: str | None = None) -> Table:
+    """Read a CSV file (or one delimited by semicolons, tabs, bars or blanks), with or without header.
+
+    Empty cells become NaN; a cell that is not a number raises with its line and column.
+
+    Raises
+    ------
+    RecordingError
+        If the file is not a table of numbers.
+    """
+    dialect = find_dialect(path, header=header, separator=separator)
+    if dialect.separator == "":
+        return _read_blank_delimited(path, dialect)
+    try:
+        frame = without_blank_lines(scan_delimited(path, dialect)).collect()
+    except pl.exceptions.PolarsError as error:
+        raise RecordingError(bad_cell(path, dialect, error)) from error
+    columns: dict[str, Array] = {}
+    for name in frame.columns:
+        series = frame[name]
+        if series.dtype == pl.String:
+            continue
+        columns[name] = series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
+    for name, values in _times_from_text(frame, dialect.text_columns).items():
+        columns[name] = values
+    return Table(
+        source=str(path),
+        columns=columns,
+        headless=dialect.headless,
+        text_columns=tuple(n for n in dialect.text_columns if n not in columns),
+    )
+
+
+def bad_cell(path: Path, dialect: Dialect, error: Exception) -> str:
+    """Say where the first cell lies that could not be read as a number."""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, line in enumerate(file, start=1):
+            if number <= dialect.skip or not line.strip() or line.startswith("#"):
+                continue
+            fields = _fields(line, dialect.separator)
+            if len(fields) > len(dialect.names):
+                commas = dialect.separator == "," and len(fields) > 1.5 * len(dialect.names)
+                cure = (
+                    "export decimal points, or semicolons between the cells, if these are decimal commas"
+                    if commas
+                    else "repair or remove the line"
+                )
+                return f"{path}, line {number}: {len(fields)} fields where {len(dialect.names)} columns are expected; {cure}"
+            for name, cell in zip(dialect.names, fields, strict=False):
+                if name not in dialect.text_columns and cell not in _MISSING and not _is_number(cell, dialect.decimal_comma):
+                    return f"{path}, line {number}, column {name!r}: {cell!r} is not a number; repair the cell or remove the line"
+    return f"{path} cannot be read as delimited text: {error}"
+
+
+def _read_blank_delimited(path: Path, dialect: Dialect) -> Table:
+    try:
+        data = np.loadtxt(path, comments=list(_COMMENTS), skiprows=dialect.skip, ndmin=2)
+    except ValueError as error:
+        raise RecordingError(f"{path} cannot be read as numbers between blanks: {error}") from error
+    return Table(
+        source=str(path),
+        columns={name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)},
+        headless=dialect.headless,
+    )
+
+
+def _times_from_text(frame: pl.DataFrame, names: tuple[str, ...]) -> dict[str, Array]:
+    """Turn columns of ISO dates and times into seconds."""
+    times = {}
+    for name in names:
+        try:
+            stamps = frame[name].str.to_datetime(strict=True, time_unit="ns")
+        except pl.exceptions.PolarsError:
+            continue
+        nanoseconds = stamps.cast(pl.Int64).to_numpy()
+        times[name] = (nanoseconds - nanoseconds[0]).astype(np.float64) * 1e-9
+    return times
+
+
+def _first_lines(path: Path, count: int = 64) -> list[str]:
+    with path.open("rb") as file:
+        start = file.read(4096)
+    packed = next((what for magic, what in _PACKED.items() if start.startswith(magic)), None)
+    if packed is not None:
+        raise RecordingError(f"{path} is not a recording: it holds {packed}")
+    if b"\r" in start and b"\n" not in start:
+        raise RecordingError(f"{path} is not a recording: its lines end in a carriage return alone; save it with line feeds")
+    if b"\0" in start:
+        raise RecordingError(f"{path} is not a recording: it holds binary data, not text")
+    if start.lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<robot", b"{")):
+        raise RecordingError(
+            f"{path} is not a recording: it starts with {start.lstrip()[:20].decode('utf-8', 'replace')!r}; a table of numbers is expected"
+        )
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        return list(itertools.islice(file, count))
+
+
+def _find_separator(lines: list[str]) -> str:
+    for separator in (";", "\t", "|", ","):
+        counts = {line.count(separator) for line in lines}
+        if len(counts) == 1 and counts != {0}:
+            return separator
+    for separator in _SEPARATORS:
+        if sum(separator in line for line in lines) > len(lines) // 2:
+            return separator
+    return "" if all(len(line.split()) > 1 for line in lines) else ","
+
+
+def _fields(line: str, separator: str) -> list[str]:
+    parts = line.strip("\r\n").split(separator) if separator else line.split()
+    return [part.strip().strip('"').strip() for part in parts]
+
+
+def _is_words(fields: list[str], decimal_comma: bool) -> bool:
+    return not any(_is_number(field, decimal_comma) for field in fields)
+
+
+def _is_number(text: str, decimal_comma: bool) -> bool:
+    try:
+        float(text.replace(",", ".") if decimal_comma else text)
+    except ValueError:
+        return False
+    return True

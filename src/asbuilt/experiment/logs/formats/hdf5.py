@@ -1,0 +1,48 @@
+"""Recordings in HDF5 files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.experiment.logs.formats.table import Table, table_from_variables
+
+
+def read_hdf5(path: Path) -> Table:
+    """Read every numeric dataset of an HDF5 file (also MATLAB 7.3); groups are searched, and a name is the last part of its path where that is unique.
+
+    Raises
+    ------
+    MissingExtraError
+        If h5py is not installed.
+    RecordingError
+        If the file is no HDF5 file or holds no numbers.
+    """
+    try:
+        import h5py  # noqa: PLC0415
+    except ImportError as error:
+        raise MissingExtraError("h5py", "hdf5", f"reading {path}") from error
+    variables: dict[str, Array] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or name.startswith("#"):
+            return
+        if item.dtype.names:
+            for field in item.dtype.names:
+                if np.issubdtype(item.dtype[field], np.number):
+                    variables[f"{name}/{field}"] = item[field]
+        elif np.issubdtype(item.dtype, np.number):
+            variables[name] = item[()]
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except OSError as error:
+        raise RecordingError(f"{path} is not a recording: it cannot be read as HDF5 ({error})") from error
+    short = [name.rsplit("/", 1)[-1] for name in variables]
+    named = {last if short.count(last) == 1 else name: value for (name, value), last in zip(variables.items(), short, strict=True)}
+    return table_from_variables(str(path), named)

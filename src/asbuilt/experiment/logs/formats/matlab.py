@@ -1,0 +1,46 @@
+"""Recordings in MATLAB files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.hdf5 import read_hdf5
+from asbuilt.experiment.logs.formats.table import Table, table_from_variables
+
+
+def read_mat(path: Path) -> Table:
+    """Read numeric variables of a `.mat` file, also inside structures; version 7.3 files are read as HDF5.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no MATLAB file or holds no numbers.
+    """
+    with path.open("rb") as file:
+        start = file.read(128)
+    if start.startswith(b"MATLAB 7.3") or start[1:4] == b"HDF":
+        return read_hdf5(path)
+    try:
+        content = loadmat(path, squeeze_me=True, struct_as_record=False)
+    except (MatReadError, ValueError, OSError, TypeError, NotImplementedError) as error:
+        raise RecordingError(f"{path} is not a recording: it cannot be read as a MATLAB file ({error})") from error
+    variables: dict[str, Array] = {}
+    for name, value in content.items():
+        if not name.startswith("__"):
+            _collect(name, value, variables)
+    return table_from_variables(str(path), variables)
+
+
+def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:
+    if hasattr(value, "_fieldnames"):
+        for field in value._fieldnames:
+            _collect(field if field not in variables else f"{name}.{field}", getattr(value, field), variables)
+    elif isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number):
+        variables[name] = value

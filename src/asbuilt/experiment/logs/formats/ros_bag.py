@@ -1,0 +1,131 @@
+"""Recordings in ROS 2 bags of sensor_msgs/JointState messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.experiment.logs.formats.table import Table
+
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
+    """Read position, velocity and effort of every joint from a bag folder, a bare `.db3` file or an `.mcap` file.
+
+    Times are the message header's where it has one, else the bag's. Messages that name other joints than most do (a gripper's) are left out,
+    and joints are found by name in every message, whatever their order in it.
+
+    Raises
+    ------
+    MissingExtraError
+        If rosbags is not installed.
+    RecordingError
+        If the bag cannot be read, has no joint states, or has several topics of them and `topic` does not say which.
+    """
+    try:
+        from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
+    except ImportError as error:
+        raise MissingExtraError("rosbags", "bags", f"reading {path}") from error
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    messages, topics = _messages(path, topic)
+    if not messages:
+        listing = ", ".join(sorted(topics)) or "none"
+        raise RecordingError(
+            f"{path} is not a recording: it holds no {_JOINT_STATE} message (topics: {listing}); record the joint states' topic"
+        )
+    states: list[tuple[int, Any]] = [(stamp, store.deserialize_cdr(data, _JOINT_STATE)) for stamp, data in messages]
+    names = _usual_names(states)
+    kept = [(stamp, state) for stamp, state in states if set(names) <= set(state.name)]
+    first = kept[0][1]
+    known: dict[str, tuple[str, str]] = {}
+    columns: dict[str, Array] = {"time": _times(kept)}
+    for field, quantity in (("position", "position"), ("velocity", "velocity"), ("effort", "torque")):
+        values = _values(kept, field, names)
+        if values is None:
+            continue
+        for k, name in enumerate(names):
+            columns[f"{name}/{field}"] = np.ascontiguousarray(values[:, k])
+            known[f"{name}/{field}"] = (quantity, name)
+    if not any(quantity == "torque" for quantity, _ in known.values()):
+        raise RecordingError(
+            f"{path}: the joint states of {', '.join(first.name)} carry no effort; torque or current is needed for identification"
+        )
+    dropped = len(states) - len(kept)
+    notes = (f"{dropped} of {len(states)} messages name other joints and were left out",) if dropped else ()
+    return Table(source=str(path), columns=columns, known=known, notes=notes)
+
+
+def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
+    from rosbags.rosbag2 import Reader  # noqa: PLC0415
+
+    storage = path
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        files = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
+        if len(files) != 1:
+            cure = "give one of them" if files else "give the file of a recording, or the folder of a bag"
+            raise RecordingError(f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap files; {cure}")
+        storage = files[0]
+    try:
+        with Reader(storage) as bag:
+            topics = {c.topic: c.msgcount for c in bag.connections}
+            found = [c for c in bag.connections if c.msgtype == _JOINT_STATE]
+            chosen = _choose(path, {c.topic for c in found}, topic)
+            found = [c for c in found if c.topic == chosen]
+            messages = [(stamp, bytes(data)) for _, stamp, data in bag.messages(connections=found)] if found else []
+    except RecordingError:
+        raise
+    except Exception as error:  # rosbags raises whatever its readers of databases and messages raise
+        raise RecordingError(f"{path} is not a recording: it cannot be read as a ROS 2 bag ({type(error).__name__}: {error})") from error
+    return messages, topics
+
+
+def _choose(path: Path, topics: set[str], topic: str | None) -> str | None:
+    if topic is not None:
+        if topic not in topics:
+            raise RecordingError(f"{path} has no joint states on topic {topic!r}; it has them on {', '.join(sorted(topics)) or 'no topic'}")
+        return topic
+    if len(topics) > 1:
+        if "/joint_states" in topics:
+            return "/joint_states"
+        raise RecordingError(
+            f'{path} has joint states on {len(topics)} topics ({", ".join(sorted(topics))}); choose in a recording sheet: topic = "..."'
+        )
+    return next(iter(topics), None)
+
+
+def _usual_names(states: list[tuple[int, Any]]) -> tuple[str, ...]:
+    """Return the joints of the most frequent kind of message that carries efforts."""
+    votes: dict[tuple[str, ...], int] = {}
+    for _, state in states:
+        weight = 1000 if len(state.effort) == len(state.name) > 0 else 1
+        key = tuple(sorted(state.name))
+        votes[key] = votes.get(key, 0) + weight
+    best = max(votes, key=lambda key: (votes[key], len(key)))
+    return tuple(next(state.name for _, state in states if tuple(sorted(state.name)) == best))
+
+
+def _times(states: list[tuple[int, Any]]) -> Array:
+    stamps = np.array([state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec for _, state in states], dtype=np.int64)
+    if len(set(stamps.tolist())) < max(2, len(states) // 2):
+        stamps = np.array([stamp for stamp, _ in states], dtype=np.int64)
+    seconds: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9
+    return seconds
+
+
+def _values(states: list[tuple[int, Any]], field: str, names: tuple[str, ...]) -> Array | None:
+    values = np.full((len(states), len(names)), np.nan)
+    order: dict[tuple[str, ...], list[int]] = {}
+    for row, (_, state) in enumerate(states):
+        logged = getattr(state, field)
+        if len(logged) != len(state.name):
+            continue
+        key = tuple(state.name)
+        if key not in order:
+            order[key] = [key.index(name) for name in names]
+        values[row] = logged[order[key]]
+    return None if np.all(np.isnan(values)) else values

@@ -1,0 +1,290 @@
+"""Which columns of a log hold what, for which joint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.joint_matching import match_joints, numbers_in
+from asbuilt.experiment.logs.roles import Role, recognise, unit_scale
+from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
+from asbuilt.experiment.recording import TorqueSource
+
+_QUANTITIES = ("position", "velocity", "acceleration", "torque")
+_LETTERS = {"q": "position", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
+_EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns of each quantity in joint order, and the factor of each column to SI.
+
+    `quantities` has position and torque, and velocity, acceleration, and extras such as `tau_ext` where the log has them.
+    """
+
+    time: str | None
+    quantities: Mapping[str, tuple[str, ...]]
+    scales: Mapping[str, float]
+    joint_names: tuple[str, ...]
+    torque_source: TorqueSource = "unknown"
+    notes: tuple[str, ...] = ()
+
+    @property
+    def columns(self) -> list[str]:
+        """Every column that is needed, each once."""
+        names = [name for group in self.quantities.values() for name in group]
+        return list(dict.fromkeys([*([self.time] if self.time else []), *names]))
+
+
+@dataclass
+class _Group:
+    """Columns of one quantity, with what their names say of the joint."""
+
+    names: list[str] = field(default_factory=list)
+    roles: list[Role] = field(default_factory=list)
+
+
+def find_layout(
+    source: str,
+    names: Sequence[str],
+    *,
+    model: RobotModel | None = None,
+    sheet: RecordingSheet | None = None,
+    known: Mapping[str, tuple[str, str]] | None = None,
+) -> Layout:
+    """Find the columns of each quantity from the sheet, what the format knows, and the usual names.
+
+    Raises
+    ------
+    RecordingError
+        If positions or torques are missing, columns are missing or claim the same place, or they do not fit the robot's joints.
+    """
+    sheet = sheet or RecordingSheet()
+    groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})})
+    for quantity in _QUANTITIES:
+        listed: list[ColumnName] | None = getattr(sheet.columns, quantity)
+        if listed is not None:
+            groups[quantity, ""] = _listed(source, names, quantity, listed, sheet)
+    for key, columns in sheet.columns.extra.items():
+        groups[key, "sheet"] = _listed(source, names, key, columns, sheet)
+    position = groups.get(("position", ""))
+    torque, torque_source = _torque_group(groups)
+    notes: list[str] = []
+    if position is None or torque is None:
+        absent = " and ".join(what for what, group in (("joint positions", position), ("joint torques", torque)) if group is None)
+        listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
+        raise RecordingError(
+            f"{source} has no columns for {absent}. Its columns are: {listing}. Usual names are q_1, position_1, <joint>_pos and tau_1, effort_1, "
+            '<joint>_torque; name others in a recording sheet beside the log: [columns] position = ["..."], torque = ["..."].'
+        )
+    chosen = _chosen(groups, position, torque)
+    labels = _sorted_labels(source, "position", position, sheet)
+    ordered: dict[str, tuple[str, ...]] = {"position": tuple(position.names)}
+    for quantity, group in chosen.items():
+        if quantity == "position":
+            continue
+        try:
+            ordered[quantity] = _aligned(source, quantity, group, labels, sheet)
+        except RecordingError:
+            if quantity in _QUANTITIES:
+                raise
+            notes.append(f"the {len(group.names)} columns of {quantity} do not match the {len(labels)} joints and were left out")
+    joint_names = tuple(labels)
+    if model is not None:
+        joint_names, order, matched = _order_for(model, source, labels, position, sheet)
+        ordered = {quantity: tuple(columns[k] for k in order) for quantity, columns in ordered.items()}
+        notes.extend(matched)
+    scales = _scales(chosen, sheet, notes)
+    time, time_scale = _time_column(source, names, groups, sheet)
+    if time is not None:
+        scales[time] = time_scale
+    return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes))
+
+
+def _chosen(groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group) -> dict[str, _Group]:
+    """Return the groups by the names of their quantities; what is beside position, velocity, acceleration and torque is extra."""
+    chosen = {"position": position, "torque": torque}
+    for (quantity, kind), group in groups.items():
+        if group is position or group is torque or quantity == "time":
+            continue
+        if kind in ("", "sheet"):
+            chosen[quantity] = group
+        else:
+            chosen[_EXTRA_TORQUES[kind] if quantity == "torque" else f"{quantity}_{kind}"] = group
+    return chosen
+
+
+def _own_columns(names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet) -> dict[str, tuple[str, str]]:
+    """Return the columns that are plainly a quantity's letters and the name of a joint of the robot, for quantities that have one for every joint.
+
+    No joint's name can then be mistaken for a word, as in `q_tau` of a joint called tau.
+    """
+    if model is None or sheet.joints is not None:
+        return {}
+    return {
+        f"{letters}_{joint}": (quantity, joint)
+        for letters, quantity in _LETTERS.items()
+        if all(f"{letters}_{joint}" in names for joint in model.joint_names)
+        for joint in model.joint_names
+    }
+
+
+def _group(names: Sequence[str], known: Mapping[str, tuple[str, str]]) -> dict[tuple[str, str], _Group]:
+    groups: dict[tuple[str, str], _Group] = {}
+    for name in names:
+        if name in known:
+            quantity, joint = known[name]
+            role: Role | None = Role(quantity, joint)  # type: ignore[arg-type]
+        else:
+            role = recognise(name)
+        if role is None:
+            continue
+        group = groups.setdefault((role.quantity, role.kind), _Group())
+        group.names.append(name)
+        group.roles.append(role)
+    return groups
+
+
+def _column(source: str, names: Sequence[str], what: str, column: ColumnName) -> str:
+    if isinstance(column, int):
+        if not 1 <= column <= len(names):
+            raise RecordingError(f"{source}: the sheet gives column {column} for {what}, but columns run from 1 to {len(names)}")
+        return names[column - 1]
+    if column in names:
+        return column
+    listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
+    raise RecordingError(f"{source}: the sheet gives column {column!r} for {what}, which the log does not have; it has {listing}")
+
+
+def _listed(source: str, names: Sequence[str], what: str, columns: Sequence[ColumnName], sheet: RecordingSheet) -> _Group:
+    found = [_column(source, names, what, column) for column in columns]
+    repeated = [name for name in found if found.count(name) > 1]
+    if repeated:
+        raise RecordingError(f"{source}: the sheet gives column {repeated[0]!r} twice for {what}")
+    labels = sheet.joints or ["" for _ in found]
+    if len(labels) != len(found):
+        raise RecordingError(f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for {what}")
+    quantity = what if what in _QUANTITIES else "torque"
+    return _Group(found, [Role(quantity, label, k) for k, label in enumerate(labels, start=1)])  # type: ignore[arg-type]
+
+
+def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | None, TorqueSource]:
+    sources: dict[tuple[str, str], TorqueSource] = {
+        ("torque", ""): "unknown",
+        ("torque", "sensor"): "sensor",
+        ("torque", "motor"): "motor",
+        ("current", ""): "current",
+    }
+    for key, torque_source in sources.items():
+        if key in groups:
+            return groups[key], torque_source
+    return None, "unknown"
+
+
+def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
+    """Sort a group by joint number where it only counts, and return its joint labels; where some columns name a joint, numbers are the names of the rest."""
+    _refuse_repeats(source, quantity, group)
+    if sheet.joints is None and any(role.joint for role in group.roles):
+        group.roles = [role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}") for role in group.roles]
+    if all(role.joint for role in group.roles):
+        return [role.joint for role in group.roles]
+    _sort_by_number(source, quantity, group)
+    if sheet.joints is not None:
+        if len(sheet.joints) != len(group.names):
+            raise RecordingError(
+                f"{source}: the sheet names {len(sheet.joints)} joints but the log has {len(group.names)} {quantity} columns"
+            )
+        return list(sheet.joints)
+    return [f"joint_{k}" for k in range(1, len(group.names) + 1)]
+
+
+def _refuse_repeats(source: str, quantity: str, group: _Group) -> None:
+    places: dict[tuple[str, int | None], str] = {}
+    for name, role in zip(group.names, group.roles, strict=True):
+        place = (role.joint, None) if role.joint else ("", role.index)
+        if place in places:
+            raise RecordingError(
+                f"{source}: columns {places[place]!r} and {name!r} both look like the {quantity} of the same joint; "
+                f"say in a recording sheet which one counts: [columns] {quantity} = [...]"
+            )
+        places[place] = name
+
+
+def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
+    order = sorted(range(len(group.names)), key=lambda k: (group.roles[k].index is not None, group.roles[k].index or 0))
+    group.names = [group.names[k] for k in order]
+    group.roles = [group.roles[k] for k in order]
+    indices = [role.index for role in group.roles if role.index is not None]
+    if indices and len(indices) == len(group.roles):
+        start = 0 if indices[0] == 0 else 1
+        missing = sorted(set(range(start, indices[-1] + 1)) - set(indices))
+        if missing:
+            raise RecordingError(
+                f"{source}: the {quantity} column of joint number {missing[0]} is missing; there are {', '.join(group.names)}. "
+                f"Add it, or say which columns to use in a recording sheet: [columns] {quantity} = [...]"
+            )
+
+
+def _aligned(source: str, quantity: str, group: _Group, labels: Sequence[str], sheet: RecordingSheet) -> tuple[str, ...]:
+    """Return the columns of a group in the order of the position columns."""
+    own = _sorted_labels(source, quantity, group, sheet)
+    named = all(role.joint for role in group.roles)
+    if len(own) != len(labels):
+        raise RecordingError(
+            f"{source}: {len(labels)} position columns but {len(own)} {quantity} columns ({', '.join(group.names)}); each joint needs one of each. "
+            "Say in a recording sheet which columns to use."
+        )
+    if not named or list(own) == list(labels):
+        return tuple(group.names)
+    if set(own) == set(labels):
+        return tuple(group.names[own.index(label)] for label in labels)
+    if all(label.startswith("joint_") for label in labels) and numbers_in(own) is not None:
+        return tuple(name for _, name in sorted(zip(numbers_in(own) or [], group.names, strict=True)))
+    raise RecordingError(
+        f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the position columns ({', '.join(labels)})"
+    )
+
+
+def _order_for(
+    model: RobotModel, source: str, labels: Sequence[str], position: _Group, sheet: RecordingSheet
+) -> tuple[tuple[str, ...], list[int], tuple[str, ...]]:
+    named = sheet.joints is not None or all(role.joint for role in position.roles)
+    if named and len(labels) > 1:
+        order, notes = match_joints(labels, model.joint_names, source=source, robot=model.name)
+        return model.joint_names, order, notes
+    if len(labels) != model.n_joints:
+        raise RecordingError(
+            f"{source} has {len(labels)} position columns ({position.names[0]} ... {position.names[-1]}) but {model.name} has {model.n_joints} joints "
+            f"({', '.join(model.joint_names)}). Choose the right robot, or say in a recording sheet which columns belong to which joint."
+        )
+    return model.joint_names, list(range(len(labels))), ()
+
+
+def _scales(chosen: Mapping[str, _Group], sheet: RecordingSheet, notes: list[str]) -> dict[str, float]:
+    scales: dict[str, float] = {}
+    for quantity, group in chosen.items():
+        unit = getattr(sheet.units, quantity, None)
+        for name, role in zip(group.names, group.roles, strict=True):
+            scales[name] = role.scale if unit is None else unit_scale(unit) or 1.0
+        units = {role.unit for role in group.roles if role.scale != 1.0}
+        if unit is None and units:
+            notes.append(f"{quantity} columns were converted from {', '.join(sorted(units))}")
+    return scales
+
+
+def _time_column(
+    source: str, names: Sequence[str], groups: Mapping[tuple[str, str], _Group], sheet: RecordingSheet
+) -> tuple[str | None, float]:
+    unit = unit_scale(sheet.units.time) if sheet.units.time else None
+    if sheet.columns.time is not None:
+        name = _column(source, names, "time", sheet.columns.time)
+        return name, unit or 1.0
+    group = groups.get(("time", ""))
+    if group is None:
+        return None, 1.0
+    pick = next((k for k, role in enumerate(group.roles) if not role.joint), None)
+    if pick is None:
+        return None, 1.0
+    return group.names[pick], unit or group.roles[pick].scale

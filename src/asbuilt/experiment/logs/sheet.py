@@ -1,0 +1,203 @@
+"""The recording sheet: what a log does not say of itself, written beside it in TOML."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.roles import unit_scale
+
+ColumnName = int | str
+ROBOT_FIELDS = {"links", "dh", "robot", "gravity"}
+"""Fields by which a robot description is told from a recording sheet."""
+
+
+def _spread(value: object) -> object:
+    """Spread "2-7" or "q_1 - q_6" over the numbers between, and a single name into a list of one."""
+    if isinstance(value, list):
+        spread = [_spread(part) for part in value]
+        return [item for part in spread for item in (part if isinstance(part, list) else [part])]
+    if isinstance(value, int) and not isinstance(value, bool):
+        return [value]
+    if not isinstance(value, str):
+        return value
+    numbers = re.fullmatch(r"\s*(\D*?)(\d+)\s*(?:-|:|\.\.)\s*(\D*?)(\d+)\s*", value)
+    if numbers is None or numbers.group(1) != numbers.group(3):
+        return [value]
+    prefix, first, last = numbers.group(1), int(numbers.group(2)), int(numbers.group(4))
+    return [f"{prefix}{k}" if prefix else k for k in range(first, last + 1)]
+
+
+ColumnList = Annotated[list[ColumnName], BeforeValidator(_spread)]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class SheetColumns(_Part):
+    """Columns by name, or by number from 1; lists in joint order, where "2-7" and "q_1-q_6" stand for all between."""
+
+    time: ColumnName | None = None
+    position: ColumnList | None = None
+    velocity: ColumnList | None = None
+    acceleration: ColumnList | None = None
+    torque: ColumnList | None = None
+    extra: dict[str, ColumnList] = Field(default_factory=dict)
+
+
+class SheetUnits(_Part):
+    """Units of the log, each converted to SI: "deg", "deg/s", "mN m", "ms", ..."""
+
+    time: str | None = None
+    position: str | None = None
+    velocity: str | None = None
+    acceleration: str | None = None
+    torque: str | None = None
+
+    @model_validator(mode="after")
+    def _known(self) -> SheetUnits:
+        for name, unit in self.model_dump().items():
+            if unit is not None and unit_scale(unit) is None:
+                raise ValueError(
+                    f"units.{name}: {unit!r} is not known; write s, ms, us, ns | rad, deg, mrad, m, mm (per s, s^2) | N m, mN m, kN m, N | A, mA"
+                )
+        return self
+
+
+class SheetWindow(_Part):
+    """A stretch of the recording to keep [s], counted from its first sample."""
+
+    start: float = 0.0
+    stop: float = Field(default=float("inf"))
+
+    @model_validator(mode="after")
+    def _forward(self) -> SheetWindow:
+        if not self.stop > self.start:
+            raise ValueError(f"windows: stop {self.stop:g} s does not come after start {self.start:g} s")
+        return self
+
+
+class SheetFiles(_Part):
+    """Separate files for the quantities, relative to the sheet."""
+
+    position: str | None = None
+    velocity: str | None = None
+    acceleration: str | None = None
+    torque: str | None = None
+
+
+class RecordingSheet(_Part):
+    """Describe a log: every field is optional and overrides what would be told from the names.
+
+    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's), `gains` turn them into N m (amperes times N m/A);
+    both are one number or one per joint.
+
+    Examples
+    --------
+    >>> RecordingSheet.model_validate({"rate": 100, "columns": {"position": "2-4"}}).columns.position
+    [2, 3, 4]
+    """
+
+    rate: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    header: bool | None = None
+    separator: Literal[",", ";", "\t", "|", " "] | None = None
+    joints: list[str] | None = None
+    torque_source: Literal["sensor", "motor", "current", "unknown"] | None = None
+    sign: float | list[float] | None = None
+    gains: float | list[float] | None = None
+    columns: SheetColumns = SheetColumns()
+    units: SheetUnits = SheetUnits()
+    windows: list[SheetWindow] = Field(default_factory=list)
+    files: SheetFiles = SheetFiles()
+    topic: str | None = None
+
+    def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
+        """Return which instants t (N,) [s] of a recording that began at `start` lie in one of the windows."""
+        inside = np.zeros(t.size, dtype=np.bool_)
+        for window in self.windows:
+            inside |= (t >= start + window.start) & (t < start + window.stop)
+        return inside
+
+    @model_validator(mode="after")
+    def _signs(self) -> RecordingSheet:
+        signs = self.sign if isinstance(self.sign, list) else [] if self.sign is None else [self.sign]
+        if any(sign not in (1, -1) for sign in signs):
+            raise ValueError(f"sign: {self.sign} is given; each sign is 1 or -1 (other factors are gains)")
+        gains = self.gains if isinstance(self.gains, list) else [] if self.gains is None else [self.gains]
+        if any(gain == 0 or not math.isfinite(gain) for gain in gains):
+            raise ValueError(f"gains: {self.gains} is given; each must be finite and not zero")
+        return self
+
+
+def read_sheet(path: str | Path) -> RecordingSheet:
+    """Read a recording sheet.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no TOML, has a field that a sheet does not have, or a value that makes no sense; the message names field, value and cure.
+    """
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError as error:
+        raise RecordingError(f"recording sheet {path} does not exist") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"recording sheet {path} cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise RecordingError(f"recording sheet {path} is not TOML: {error}") from error
+    try:
+        return RecordingSheet.model_validate(content)
+    except ValidationError as error:
+        raise RecordingError(_explain(path, error)) from error
+
+
+def sheet_beside(log: Path) -> Path | None:
+    """Return the sheet that lies beside a log: `run.csv.toml` or `run.toml`, if its fields are those of a sheet."""
+    for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
+        if candidate == log or not candidate.is_file():
+            continue
+        try:
+            fields = set(tomllib.loads(candidate.read_text(encoding="utf-8-sig")))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+            return candidate
+        if fields & ROBOT_FIELDS:
+            continue
+        return candidate
+    return None
+
+
+def _explain(path: Path, error: ValidationError) -> str:
+    problems = []
+    unknown: dict[tuple[int | str, ...], list[str]] = {}
+    for item in error.errors():
+        field = ".".join(
+            str(part) for part in item["loc"] if not (isinstance(part, str) and ("[" in part or part in {"int", "str", "float"}))
+        )
+        if item["type"] == "extra_forbidden":
+            unknown.setdefault(item["loc"][:-1], []).append(field)
+        elif item["type"] == "value_error":
+            problems.append(item["msg"].removeprefix("Value error, "))
+        else:
+            problems.append(f"field {field!r} is {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}")
+    if ROBOT_FIELDS & set(unknown.get((), ())):
+        return f"{path} is a robot description, not a recording and no recording sheet; the robot comes first, then the logs"
+    for place, fields in unknown.items():
+        are = "fields {} are" if len(fields) > 1 else "field {} is"
+        problems.append(f"{are.format(', '.join(map(repr, fields)))} not known here; known are {', '.join(_fields_at(place))}")
+    return f"recording sheet {path}: {'; '.join(dict.fromkeys(problems))}"
+
+
+def _fields_at(location: tuple[int | str, ...]) -> list[str]:
+    models: dict[str, type[BaseModel]] = {"columns": SheetColumns, "units": SheetUnits, "windows": SheetWindow, "files": SheetFiles}
+    model = models.get(str(location[0]), RecordingSheet) if location else RecordingSheet
+    return list(model.model_fields)

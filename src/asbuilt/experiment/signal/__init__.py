@@ -1,0 +1,1 @@
+"""Signal chain from a recording to samples, and the division into training and held-out samples."""

@@ -1,0 +1,75 @@
+"""Derivatives of sampled positions: central differences, Savitzky-Golay, smoothing spline."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import interpolate, signal
+
+from asbuilt.arrays import Array
+from asbuilt.errors import UsageError
+
+
+def central_differences(x: ArrayLike, rate: float) -> Array:
+    """Differentiate the columns of x (N,) or (N, m): (x[k+1] - x[k-1]) rate / 2, exact on parabolas; second-order one-sided at the ends.
+
+    A sine of frequency f comes out at sin(w) / w of its derivative, w = 2 pi f / rate, without phase.
+
+    Examples
+    --------
+    >>> central_differences([0.0, 1.0, 4.0, 9.0], rate=1.0).tolist()
+    [0.0, 2.0, 4.0, 6.0]
+    """
+    values = np.asarray(x, dtype=np.float64)
+    if values.shape[0] < 3:
+        raise UsageError(f"central differences need at least 3 samples, got {values.shape[0]}")
+    return np.asarray(np.gradient(values, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
+
+
+def savitzky_golay(x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4) -> tuple[Array, Array, Array]:
+    """Smooth the columns of x (N,) or (N, m) and return value, first and second derivative from a moving polynomial of the given degree.
+
+    The window is that of `savitzky_golay_window`. Exact on polynomials up to the degree, also at the ends (Savitzky and Golay, Analytical
+    Chemistry, 1964).
+    """
+    values = np.asarray(x, dtype=np.float64)
+    if not 0.0 < cutoff < 0.5 * rate:
+        raise UsageError(f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and {0.5 * rate:g} Hz")
+    window = savitzky_golay_window(cutoff, rate, degree)
+    if window > values.shape[0]:
+        raise UsageError(
+            f"a Savitzky-Golay cutoff of {cutoff:g} Hz needs {window} samples at {rate:g} Hz, but the segment has {values.shape[0]}; raise the cutoff"
+        )
+    q, qd, qdd = (
+        np.ascontiguousarray(signal.savgol_filter(values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp"))
+        for d in range(3)
+    )
+    return q, qd, qdd
+
+
+def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
+    """Return the odd window length 2 m + 1 whose smoothing filter has its -3 dB point nearest `cutoff` [Hz], at least degree + 2.
+
+    Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011).
+    """
+    half = ((degree + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
+    return max(2 * round(half) + 1, degree + 2 + (degree + 1) % 2)
+
+
+def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array, Array, Array]:
+    """Smooth the columns of x (N,) or (N, m) with a cubic smoothing spline and return value, first and second derivative.
+
+    With time k counted in samples the spline minimises sum (x - s)^2 + lambda int s''^2 dk (Reinsch, Numerische Mathematik, 1967). Away from the ends it
+    is a zero-phase filter of amplitude 1 / (1 + lambda w^4), w = 2 pi f / rate (Craven and Wahba, Numerische Mathematik, 1979), so lambda follows
+    from -3 dB at `cutoff` [Hz].
+    """
+    values = np.asarray(x, dtype=np.float64)
+    if not 0.0 < cutoff < 0.5 * rate:
+        raise UsageError(f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and {0.5 * rate:g} Hz")
+    if values.shape[0] < 5:
+        raise UsageError(f"a smoothing spline needs at least 5 samples, got {values.shape[0]}")
+    lam = (np.sqrt(2.0) - 1.0) / (2.0 * np.pi * cutoff / rate) ** 4
+    k = np.arange(values.shape[0], dtype=np.float64)
+    spline = interpolate.make_smoothing_spline(k, values, lam=lam, axis=0)
+    q, qd, qdd = (np.ascontiguousarray(spline.derivative(d)(k) if d else spline(k)) * rate**d for d in range(3))
+    return q, qd, qdd

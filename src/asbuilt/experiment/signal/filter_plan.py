@@ -1,0 +1,190 @@
+"""What a signal chain comes to at one sampling rate: filters, factors and margins, and how they turn a run into segments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import UsageError
+from asbuilt.experiment.signal.differentiation import (
+    central_differences,
+    savitzky_golay,
+    savitzky_golay_window,
+    smoothing_spline,
+)
+from asbuilt.experiment.signal.lowpass import butterworth, decimate_chebyshev, settling_samples
+from asbuilt.experiment.signal.parallel_filter import (
+    STOP_BAND_EDGE,
+    ParallelFilter,
+    design_parallel_filter,
+)
+from asbuilt.experiment.signal.resampling import UniformRun
+from asbuilt.experiment.signal.standstill import PAUSE, moving_ranges, standing
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.signal_chain import SignalChain
+
+Piece = tuple[Array, Array, Array, Array, Array, Array]
+"""t, q, qd, qdd, tau and the torque as recorded, of one segment."""
+
+LOWEST_RATE = 100.0
+"""Logs are not thinned below this rate [Hz] before the regressor is evaluated."""
+RATE_IN_CUTOFFS = 12.0
+"""Nor below this multiple of the position cutoff."""
+PARALLEL_IN_CUTOFFS = 1.0
+"""Default cutoff of the parallel filter, in position cutoffs."""
+OUTPUT_RATE_IN_CUTOFFS = 4.0
+"""Rate after the parallel filter in its cutoffs, where the user does not say otherwise."""
+EXACT = 1e-12
+"""Where the low-pass's impulse response has fallen to this share of its peak, what lies beyond does not matter."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterPlan:
+    """The filters of a chain whose cutoff is known, for logs at `rate` [Hz].
+
+    `thinning` is how many logged samples make one of `Samples`, `anti_alias` what the torque passes before that, `parallel` what remains to be applied.
+    `margin` logged samples are trimmed at either end of a run; `exact` of them depend on the ends at all.
+    """
+
+    chain: SignalChain
+    rate: float
+    thinning: int
+    anti_alias: ParallelFilter | None
+    parallel: ParallelFilter | None
+    margin: int
+    exact: int
+
+    @classmethod
+    def of(cls, chain: SignalChain, rate: float) -> FilterPlan:
+        """Work out a chain at a rate.
+
+        Raises
+        ------
+        UsageError
+            If the chain has no cutoff yet, or its cutoffs and decimation do not fit the rate.
+        """
+        cutoff, total = chain.cutoff, chain.decimate
+        if cutoff is None:
+            raise UsageError("this chain has no cutoff yet; give one, or take it from a recording with chain.resolved(recording)")
+        if chain.derivative == "savitzky-golay":
+            margin = exact = savitzky_golay_window(cutoff, rate) // 2
+        else:
+            margin, exact = (
+                settling_samples(cutoff, rate, order=chain.order, corrected=chain.corrected, tolerance=tolerance)
+                for tolerance in (0.01, EXACT)
+            )
+        margin = margin if chain.trimmed else 0
+        if not chain.parallel:
+            return cls(chain, rate, total or 1, None, None, margin, exact)
+        low = chain.parallel_cutoff or min(PARALLEL_IN_CUTOFFS * cutoff, 0.5 * rate / STOP_BAND_EDGE)
+        thinning = max(1, int(rate / max(LOWEST_RATE, RATE_IN_CUTOFFS * cutoff) + 1e-9))
+        if total is not None:
+            thinning = max(factor for factor in range(1, thinning + 1) if total % factor == 0)
+            factor = total // thinning
+            if chain.parallel_cutoff is None:
+                low = min(low, 0.5 * rate / total / STOP_BAND_EDGE)
+        else:
+            factor = max(1, int(rate / thinning / (OUTPUT_RATE_IN_CUTOFFS * low)))
+        anti_alias = design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
+        return cls(chain, rate, thinning, anti_alias, design_parallel_filter(low, rate / thinning, factor), margin, exact)
+
+    @property
+    def reach(self) -> int:
+        """How many logged samples on either side a prepared sample depends on (the rest of the response is below 1e-12)."""
+        smear = self.anti_alias.margin if self.anti_alias else 0
+        rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
+        return max(self.exact, smear) + rest + 2
+
+    @property
+    def shoulder(self) -> int:
+        """How many logged samples on either side an output of the parallel filter takes."""
+        return self.parallel.margin * self.thinning if self.parallel else 0
+
+    @property
+    def step(self) -> int:
+        """How many logged samples lie between outputs of the parallel filter."""
+        return self.parallel.decimation * self.thinning if self.parallel else self.thinning
+
+    def motion(self, run: UniformRun) -> tuple[Array, Array, Array]:
+        """Return q, qd, qdd (L, n) of a run at the logged rate, low-passed."""
+        chain, rate = self.chain, self.rate
+        cutoff = chain.cutoff or 0.0
+
+        def smooth(x: Array) -> Array:
+            return butterworth(x, cutoff=cutoff, rate=rate, order=chain.order, corrected=chain.corrected)
+
+        if chain.derivative == "savitzky-golay":
+            q, qd, qdd = savitzky_golay(run.q, rate, cutoff=cutoff)
+        elif chain.derivative == "spline":
+            q, qd, qdd = smoothing_spline(run.q, rate, cutoff=cutoff)
+        else:
+            q = smooth(run.q)
+            qd = central_differences(q, rate)
+            qdd = central_differences(qd, rate)
+        if chain.velocity == "measured" and run.qd is not None:
+            qd = smooth(run.qd)
+            qdd = central_differences(qd, rate)
+        return q, qd, qdd
+
+    def fits(self, run: UniformRun) -> bool:
+        """Whether a run is long enough to be filtered and differentiated."""
+        return run.t.size >= (2 * self.exact + 1 if self.chain.derivative == "savitzky-golay" else max(2 * self.margin + 1, 5))
+
+    def segments(self, run: UniformRun, low: int, stop: int) -> tuple[list[Piece], int]:
+        """Return the segments of a run between the logged samples `low` and `stop`, and the `low` from which a longer run would go on.
+
+        Going on from there gives, put together, the filtered samples of the whole run, each once.
+        """
+        q, qd, qdd = self.motion(run)
+        n, speeds = self.thinning, self.chain.standstill
+        if not self.chain.parallel and n > 1:
+            q, qd, qdd, tau = (decimate_chebyshev(x, n) for x in (q, qd, qdd, run.tau))
+            return [(run.t[::n], q, qd, qdd, tau, run.tau[::n])], run.t.size
+        ranges = [(0, run.t.size)]
+        if not self.chain.rests and speeds is not None:
+            still = standing(qd, speeds, self.rate)
+            qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
+            ranges = moving_ranges(still, self.rate, self.shoulder)
+        m = self.anti_alias.margin if self.anti_alias else 0
+        pieces, after = [], stop
+        for begin, end in ranges:
+            a, b = max(begin, low, m), min(end, stop, run.t.size - m)
+            if a >= b:
+                continue
+            kept = slice(a, b, n)
+            tau = self.anti_alias.apply(run.tau[a - m : b + m], axis=0) if self.anti_alias else run.tau[kept]
+            pieces.append((run.t[kept], q[kept], qd[kept], qdd[kept], tau, run.tau[kept]))
+            if end >= stop:
+                outputs = self.parallel.n_outputs(len(tau)) if self.parallel else len(tau)
+                after = a + outputs * self.step
+        return pieces, after
+
+    def description(self) -> Iterator[str]:
+        """Say in sentences what the plan does."""
+        chain, cutoff = self.chain, self.chain.cutoff
+        if chain.derivative == "central":
+            passes = "of both passes" if chain.corrected else "of each pass"
+            yield (
+                f"positions: Butterworth of order {chain.order} forwards and backwards, -3 dB {passes} at {cutoff:.3g} Hz of {self.rate:g} Hz; "
+                "velocities and accelerations by central differences"
+            )
+        else:
+            yield f"positions, velocities and accelerations: {chain.derivative}, -3 dB at {cutoff:.3g} Hz of {self.rate:g} Hz"
+        if chain.velocity == "measured":
+            yield "velocities: as logged, through the same low-pass; accelerations from them"
+        if self.margin:
+            yield f"{self.margin} samples ({self.margin / self.rate:.2g} s) trimmed at either end of every run, where the low-pass has not settled"
+        if self.anti_alias is not None:
+            yield f"thinned by {self.thinning} to {self.rate / self.thinning:g} Hz, the torque through an anti-aliasing filter"
+        if self.parallel is not None:
+            yield (
+                f"torque and every regressor column: the same zero-phase low-pass, -3 dB at {self.parallel.cutoff:.3g} Hz, then one sample in "
+                f"{self.parallel.decimation} ({self.parallel.output_rate:.3g} Hz)"
+            )
+        elif self.thinning > 1:
+            yield f"everything decimated by {self.thinning} with a Chebyshev type I filter of order 8 forwards and backwards"

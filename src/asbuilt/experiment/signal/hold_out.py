@@ -1,0 +1,92 @@
+"""Divide samples into those to learn from and those held out to judge by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.signal.samples import Samples
+
+FORMS = "blocks:5s:3 (every third 5 s block) or last:0.3 (the last 30 %)"
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """Hold out the last of every so many blocks of so many seconds."""
+
+    seconds: float
+    every: int
+
+
+@dataclass(frozen=True, slots=True)
+class Last:
+    """Hold out the last share of the time."""
+
+    share: float
+
+
+def parse_rule(rule: str) -> Blocks | Last:
+    """Return what a rule of `hold_out` says; raises UsageError where it cannot be read.
+
+    >>> parse_rule("blocks:5s:3")
+    Blocks(seconds=5.0, every=3)
+    """
+    kind, *arguments = rule.strip().split(":")
+    if kind == "blocks" and len(arguments) == 2:
+        seconds = _number(arguments[0].removesuffix("s"), rule, "a block length in seconds")
+        every = _number(arguments[1], rule, "every how many blocks one is held out")
+        if seconds <= 0 or every != int(every) or every < 2:
+            raise UsageError(f"cannot hold out {rule!r}: blocks need a positive length and a whole number of 2 or more, as in {FORMS}")
+        return Blocks(seconds, int(every))
+    if kind == "last" and len(arguments) == 1:
+        share = _number(arguments[0], rule, "a share of the time")
+        if not 0 < share < 1:
+            raise UsageError(f"cannot hold out {rule!r}: the share must lie between 0 and 1, as in {FORMS}")
+        return Last(share)
+    raise UsageError(f"cannot hold out {rule!r}: give {FORMS}")
+
+
+def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
+    """Return (train, held out) by a rule: `blocks:5s:3` holds out every third 5 s block, `last:0.3` the last 30 % of the time.
+
+    Time counts from where the recording began, whatever was trimmed, so that the division does not depend on the filters.
+
+    Every sample goes to exactly one side and every border cuts a segment, so the parallel filter, which needs `margin` inputs on either side of an output
+    and drops outputs that lack them, never mixes torques of the two sides: the margins are the guard bands.
+
+    Raises
+    ------
+    UsageError
+        If the rule cannot be read.
+    RecordingError
+        If the recording is too short for it: one side would be empty.
+
+    Examples
+    --------
+    >>> t, x = np.arange(30.0), np.zeros((30, 1))
+    >>> samples = Samples(t, x, x, x, x, rate=1.0, joint_names=("elbow",))
+    >>> [part.n_samples for part in hold_out(samples, "blocks:5s:3")]
+    [20, 10]
+    """
+    since, chosen = samples.t - samples.origin, parse_rule(rule)
+    if isinstance(chosen, Blocks):
+        held = np.floor(since / chosen.seconds + 1e-9).astype(int) % chosen.every == chosen.every - 1
+    else:
+        held = since >= (1.0 - chosen.share) * (since[-1] + 1.0 / samples.rate) - 1e-9
+    if held.all() or not held.any():
+        raise RecordingError(
+            f"{samples.source}: holding out {rule!r} leaves nothing to {'train on' if held.all() else 'judge by'} in {since[-1]:.3g} s; give shorter blocks"
+        )
+    return samples.select(~held), samples.select(held)
+
+
+def _number(text: str, rule: str, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise UsageError(f"cannot hold out {rule!r}: {text!r} is not {what}; give {FORMS}")
+    return value

@@ -1,0 +1,158 @@
+"""What identification uses: positions, velocities, accelerations and torques on a uniform clock, and how they were made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.recording import TorqueSource
+from asbuilt.experiment.signal.parallel_filter import ParallelFilter
+
+Segments = tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Hold prepared samples: t (N,) s; q, qd, qdd, tau (N, n) in SI; all joints at the same instants.
+
+    `segments` are the half-open index ranges of contiguous, uniformly sampled runs at `rate` [Hz]; between them lie gaps. `parallel` is a filter still to be
+    applied, run by run and alike, to the torque and to every regressor column (`filtered`); None where there is none. `tau` is what that
+    filter takes; `tau_raw` is the torque as logged, unfiltered, at the same instants, for errors that filtering cannot flatter.
+    `origin` [s] is where the recording began, before trimming, and where blocks of time begin; by default the first sample.
+    `provenance` says in sentences what was done.
+
+    Examples
+    --------
+    >>> motion = np.zeros((6, 1))
+    >>> samples = Samples(np.arange(6.0), motion, motion, motion, motion, rate=1.0, joint_names=("elbow",), segments=((0, 2), (3, 6)))
+    >>> samples.n_samples, samples.select(np.array([1, 1, 1, 1, 1, 0], bool)).segments
+    (6, ((0, 2), (2, 4)))
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    rate: float
+    joint_names: tuple[str, ...]
+    segments: Segments = ()
+    source: str = "samples"
+    torque_source: TorqueSource = "unknown"
+    parallel: ParallelFilter | None = None
+    tau_raw: Array = field(default_factory=lambda: np.empty((0, 0)))
+    origin: float = np.nan
+    provenance: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        t = _read_only(self.t)
+        if t.ndim != 1 or t.size == 0:
+            raise RecordingError(f"{self.source}: t must be a vector of at least one time, got shape {t.shape}")
+        object.__setattr__(self, "t", t)
+        if np.isnan(self.origin):
+            object.__setattr__(self, "origin", float(t[0]))
+        shape = (t.size, len(self.joint_names))
+        if self.tau_raw.size == 0:
+            object.__setattr__(self, "tau_raw", self.tau)
+        for name in ("q", "qd", "qdd", "tau", "tau_raw"):
+            array = _read_only(getattr(self, name))
+            if array.shape != shape:
+                raise RecordingError(f"{self.source}: {name} must have shape {shape} for {shape[1]} joints, got {array.shape}")
+            object.__setattr__(self, name, array)
+        segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
+        object.__setattr__(self, "segments", segments)
+        ends = [0, *(edge for segment in segments for edge in segment), t.size]
+        if any(later < earlier for earlier, later in pairwise(ends)):
+            raise RecordingError(f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got {list(segments)}")
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples, before the parallel filter's decimation."""
+        return int(self.t.size)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
+
+    @property
+    def n_filtered(self) -> int:
+        """Number of samples after the parallel filter, which is how many rows per joint identification has."""
+        return sum(self._n_outputs(b - a) for a, b in self.segments)
+
+    @property
+    def duration(self) -> float:
+        """Time covered by the segments [s]."""
+        return sum(b - a for a, b in self.segments) / self.rate
+
+    @property
+    def filtered_times(self) -> Array:
+        """The instants (n_filtered,) of `filtered` [s]."""
+        return np.concatenate([self.parallel.times(self.t[a:b]) if self.parallel else self.t[a:b] for a, b in self.segments])
+
+    @property
+    def filtered_torque(self) -> Array:
+        """The torque (n_filtered, n) after the parallel filter: the right-hand side of identification."""
+        return self.filtered(self.tau)
+
+    def filtered(self, x: Array) -> Array:
+        """Apply the parallel filter, segment by segment, to x (N, ...) given at `t`; returns (n_filtered, ...)."""
+        return np.concatenate([self.parallel.apply(x[a:b], axis=0) if self.parallel else x[a:b] for a, b in self.segments])
+
+    def select(self, keep: NDArray[np.bool_]) -> Samples:
+        """Return the samples where `keep` (N,) holds; what was contiguous and stays so remains one segment."""
+        mask = np.asarray(keep)
+        if mask.dtype != np.bool_ or mask.shape != self.t.shape:
+            raise UsageError(
+                f"a selection needs one truth value for each of {self.n_samples} samples, got {mask.dtype} of shape {mask.shape}"
+            )
+        ranges: list[tuple[int, int]] = []
+        for a, b in self.segments:
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], mask[a:b].astype(np.int8), [0]]))) + a
+            ranges.extend(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+        if not ranges:
+            raise RecordingError(f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and {self.t[-1]:g} s")
+        stops = np.cumsum([b - a for a, b in ranges]).tolist()
+        segments = tuple(zip([0, *stops[:-1]], stops, strict=True))
+
+        def take(x: Array) -> Array:
+            return x[slice(*ranges[0])] if len(ranges) == 1 else np.concatenate([x[a:b] for a, b in ranges])
+
+        return replace(
+            self,
+            t=take(self.t),
+            q=take(self.q),
+            qd=take(self.qd),
+            qdd=take(self.qdd),
+            tau=take(self.tau),
+            tau_raw=take(self.tau_raw),
+            segments=segments,
+        )
+
+    def between(self, start: float, stop: float) -> Samples:
+        """Return the samples with `start <= t < stop` [s]."""
+        return self.select((self.t >= start) & (self.t < stop))
+
+    def outside(self, windows: Sequence[tuple[float, float]]) -> Samples:
+        """Return the samples whose instants lie in none of the half-open windows (start, stop) [s]."""
+        keep = np.ones(self.n_samples, dtype=bool)
+        for start, stop in windows:
+            keep &= (self.t < start) | (self.t >= stop)
+        return self.select(keep)
+
+    def _n_outputs(self, n_inputs: int) -> int:
+        return self.parallel.n_outputs(n_inputs) if self.parallel else n_inputs
+
+
+def _read_only(value: ArrayLike) -> Array:
+    array = np.asarray(value, dtype=np.float64)
+    if array.flags.writeable:
+        array = array.view()
+        array.setflags(write=False)
+    return array

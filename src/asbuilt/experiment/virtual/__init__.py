@@ -1,0 +1,1 @@
+"""Virtual robots to record."""

@@ -1,0 +1,84 @@
+"""What a logger makes of what sensors measure: a rate, stamps that jitter, samples that get lost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.excitation.motions.motion import Trajectory
+from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoggedColumns:
+    """Hold the columns of a log, each (N, n) but `t` (N,); None where not logged."""
+
+    t: Array
+    q: Array
+    tau: Array
+    q_command: Array
+    qd: Array | None
+    qdd: Array | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DataLogger:
+    """Describe a logger: its `rate` [Hz], and what goes wrong in it.
+
+    A time stamp misses the instant of its values by `clock_jitter` [s] (standard deviation); the fraction `dropped` of the samples gets lost, in
+    bursts of `burst` samples on average. `accelerations` logs velocities and accelerations too, which no real robot measures, as long as the sensors
+    are perfect: beside positions that an encoder rounds they would tell what it hides.
+    """
+
+    rate: float = 1000.0
+    clock_jitter: float = 0.0
+    dropped: float = 0.0
+    burst: float = 3.0
+    accelerations: bool = False
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.rate) and self.rate > 0):
+            raise UsageError(f"the rate of the logger must be a positive number of samples per second, got {self.rate}")
+        if not 0.0 <= self.clock_jitter < 0.5 / self.rate:
+            raise UsageError(
+                f"clock_jitter goes from 0 to below half a sampling period, {0.5 / self.rate:g} s at {self.rate:g} Hz; got {self.clock_jitter}"
+            )
+        if not (0.0 <= self.dropped < 1.0 and self.burst >= 1.0):
+            raise UsageError(f"dropped is a fraction from 0 to below 1 and burst at least 1 sample, got {self.dropped} and {self.burst}")
+
+    def logged(
+        self, model: RobotModel, sensors: SensorNoise, truth: Trajectory, tau: Array, command: Array, rng: np.random.Generator
+    ) -> LoggedColumns:
+        """Return what is written down of a trajectory and its torque (N, n), sampled at a multiple of the rate."""
+        every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
+        pick = slice(None, None, every)
+        seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])
+        q, qd, torque = sensors.measured(model, seen, tau[pick], rng)
+        t = seen.t.copy()
+        if self.clock_jitter:
+            slips = np.clip(self.clock_jitter * rng.standard_normal(t.size), -0.45 / self.rate, 0.45 / self.rate)
+            t = t + slips - slips[0]
+        perfect = sensors == PERFECT_SENSORS and self.accelerations
+        columns = LoggedColumns(
+            t=t, q=q, tau=torque, q_command=command[pick], qd=seen.qd if perfect else qd, qdd=seen.qdd if perfect else None
+        )
+        return columns if not self.dropped else _without(columns, self._kept(t.size, rng))
+
+    def _kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Return which samples survive; bursts start at random and have geometric lengths."""
+        keep = np.ones(n, dtype=np.bool_)
+        starts = np.flatnonzero(rng.random(n) < self.dropped / self.burst)
+        for start, length in zip(starts, rng.geometric(1.0 / self.burst, starts.size), strict=True):
+            keep[start : start + length] = False
+        keep[[0, -1]] = True
+        return keep
+
+
+def _without(columns: LoggedColumns, keep: NDArray[np.bool_]) -> LoggedColumns:
+    qd, qdd = (None if values is None else values[keep] for values in (columns.qd, columns.qdd))
+    return LoggedColumns(columns.t[keep], columns.q[keep], columns.tau[keep], columns.q_command[keep], qd, qdd)

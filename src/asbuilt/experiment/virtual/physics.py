@@ -1,0 +1,192 @@
+"""MuJoCo as the physics of a robot: an engine written by others, so that what it says is a second opinion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import DriveValues, RobotModel
+from asbuilt.description.rotation import quaternion_from_rotation, rotation_from_rpy
+from asbuilt.dynamics.newton_euler import mass_matrix
+from asbuilt.errors import InertiaError, MissingExtraError
+
+_ASKEW = rotation_from_rpy([0.3, 0.2, 0.1])
+STAND_IN = LinkInertia.from_com(1.0, [0.1, 0.2, 0.3], _ASKEW @ np.diag([2.0, 3.0, 4.0]) @ _ASKEW.T)
+"""Compiled in place of an inertia that no body has and overwritten afterwards; askew, lest MuJoCo takes shortcuts with it."""
+FRICTION_IMPEDANCE = 0.9999
+"""How hard MuJoCo makes dry friction: the share of the force that stops a joint which it applies (1 would be rigid)."""
+FRICTION_TIME = 0.002
+"""Time constant with which a joint that dry friction holds comes to rest [s]."""
+SINGULAR = 1e-12
+"""Ratio of the eigenvalues of a mass matrix at which it counts as singular."""
+STABLE = 2.0
+"""Step times rate of decay up to which the integrator is used; Runge-Kutta of fourth order blows up from 2.79 on."""
+
+
+def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
+    """Return MuJoCo, or raise MissingExtraError with the way to install it."""
+    try:
+        return import_module("mujoco")
+    except ImportError:
+        raise MissingExtraError("mujoco", "sim", purpose) from None
+
+
+class Physics:
+    """A robot in MuJoCo: rigid bodies, armature, viscous and dry friction, torques on the joints; without contacts and joint stops.
+
+    Any inertia is taken, also one that no rigid body has, as long as the mass matrix is positive definite. `armature`, `viscous` and `coulomb`
+    (n,) replace what the description says; zeros where they are not given. `timestep` [s] is that of the integrator, Runge-Kutta of fourth order,
+    which divides it further where viscous friction stops a light joint within it.
+
+    Raises
+    ------
+    MissingExtraError
+        If MuJoCo is not installed.
+    InertiaError
+        If a massless link has a first moment, or the mass matrix is singular.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        *,
+        armature: ArrayLike = 0.0,
+        viscous: ArrayLike = 0.0,
+        coulomb: ArrayLike = 0.0,
+        timestep: float = 1e-3,
+    ) -> None:
+        self._mujoco = mujoco_module()
+        self.model = model
+        n = model.n_joints
+        bare = replace(
+            model,
+            joints=tuple(replace(joint, drive=DriveValues()) for joint in model.joints),
+            links=tuple(
+                link if link.inertia.is_consistent and link.inertia.mass > 0 else replace(link, inertia=STAND_IN) for link in model.links
+            ),
+        )
+        self.compiled: Any = self._mujoco.MjModel.from_xml_string(mjcf_text(bare, actuators=False, shapes=False))
+        self.compiled.opt.timestep = timestep
+        self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_LIMIT | self._mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+        self.compiled.jnt_actfrclimited[:] = 0
+        names, ids = model.joint_names, self._mujoco.mj_name2id
+        self._order = np.array([ids(self.compiled, self._mujoco.mjtObj.mjOBJ_JOINT, name) for name in names])
+        self._bodies = [ids(self.compiled, self._mujoco.mjtObj.mjOBJ_BODY, name) for name in model.link_names]
+        self._take_inertias(bare)
+        self.compiled.dof_armature[self._order] = np.broadcast_to(np.asarray(armature, dtype=np.float64), (n,))
+        self.rub(np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)), np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)))
+        self.compiled.dof_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
+        self.compiled.dof_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
+        self._parts = max(1, math.ceil(timestep * self._fastest_decay(self._sound_mass_matrices()) / STABLE))
+        self.compiled.opt.timestep = timestep / self._parts
+        self.data: Any = self._mujoco.MjData(self.compiled)
+        with self.quiet():
+            self._mujoco.mj_setConst(self.compiled, self.data)
+
+    def _take_inertias(self, compiled: RobotModel) -> None:
+        for k, link, stand_in in zip(self._bodies, self.model.links, compiled.links, strict=True):
+            if stand_in.inertia is not STAND_IN:
+                continue
+            inertia = link.inertia
+            if inertia.mass == 0.0 and np.any(inertia.first_moment != 0.0):
+                raise InertiaError(
+                    f"{self.model.name}: link {link.name!r} has no mass but the first moment {inertia.first_moment.tolist()} kg m; an engine places mass "
+                    "at a centre of mass, so give the link some mass"
+                )
+            moments, axes = np.linalg.eigh(inertia.inertia_about_com)
+            if np.linalg.det(axes) < 0:
+                axes[:, 0] *= -1.0
+            self.compiled.body_mass[k] = inertia.mass
+            self.compiled.body_ipos[k] = inertia.com
+            self.compiled.body_iquat[k] = quaternion_from_rotation(axes)
+            self.compiled.body_inertia[k] = moments
+
+    def _sound_mass_matrices(self) -> Array:
+        """Return the mass matrices of some random poses (8, n, n), armature included; raises InertiaError where one is singular."""
+        q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, self.model.n_joints))
+        masses: Array = mass_matrix(self.model, q) + np.diag(self.compiled.dof_armature[self._order])
+        for M in masses:
+            eigenvalues, vectors = np.linalg.eigh(M)
+            if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
+                worst = self.model.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
+                raise InertiaError(
+                    f"the mass matrix of {self.model.name} is not positive definite (smallest eigenvalue {eigenvalues[0]:.3g}, mostly joint {worst!r}), "
+                    "so torques do not determine how it moves; check the inertias, or give the joint an armature"
+                )
+        return masses
+
+    def _fastest_decay(self, masses: Array) -> float:
+        """Return the fastest rate at which viscous friction alone brings a joint to rest, the largest eigenvalue of M^-1 D [1/s]."""
+        root = np.sqrt(self.compiled.dof_damping[self._order])
+        return float(np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max())
+
+    def inverse_dynamics(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
+        """Return MuJoCo's torque for states (N, n): rigid bodies, armature and viscous friction, without dry friction; shape (N, n)."""
+        states = [np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd)]
+        torque = np.empty(states[0].shape)
+        flags = self.compiled.opt.disableflags
+        self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+        data, order = self.data, self._order
+        for k, (position, velocity, acceleration) in enumerate(zip(*states, strict=True)):
+            data.qpos[order], data.qvel[order], data.qacc[order] = position, velocity, acceleration
+            self._mujoco.mj_inverse(self.compiled, data)
+            torque[k] = data.qfrc_inverse[order]
+        self.compiled.opt.disableflags = flags
+        return torque
+
+    def accelerations(self, q: Array, qd: Array, tau: Array, *, coulomb: Array, viscous: Array) -> tuple[Array, Array]:
+        """Return joint accelerations and the torque of friction, two (N, n), for states, torques and friction of the moment, all (N, n).
+
+        Friction is counted as the drive has to overcome it: `tau = rigid bodies + armature qdd + friction`.
+        """
+        acceleration, friction = np.empty(q.shape), np.empty(q.shape)
+        data, order = self.data, self._order
+        for k in range(len(q)):
+            data.qpos[order], data.qvel[order], data.qfrc_applied[order] = q[k], qd[k], tau[k]
+            self.rub(coulomb[k], viscous[k])
+            self._mujoco.mj_forward(self.compiled, data)
+            acceleration[k] = data.qacc[order]
+            friction[k] = -(data.qfrc_constraint + data.qfrc_passive)[order]
+        return acceleration, friction
+
+    def start(self, q: ArrayLike, qd: ArrayLike) -> None:
+        """Put the robot into a state (n,), at time 0 and without memory of earlier motion."""
+        self._mujoco.mj_resetData(self.compiled, self.data)
+        self.data.qpos[self._order], self.data.qvel[self._order] = q, qd
+
+    @property
+    def state(self) -> tuple[Array, Array]:
+        """Joint positions and velocities of this moment, two (n,)."""
+        return self.data.qpos[self._order], self.data.qvel[self._order]
+
+    @contextmanager
+    def quiet(self) -> Iterator[list[str]]:
+        """Collect MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
+        warnings: list[str] = []
+        previous = self._mujoco.get_mju_user_warning()
+        self._mujoco.set_mju_user_warning(warnings.append)
+        try:
+            yield warnings
+        finally:
+            self._mujoco.set_mju_user_warning(previous)
+
+    def rub(self, coulomb: Array, viscous: Array) -> None:
+        """Set dry [N m] and viscous [N m s/rad] friction, two (n,)."""
+        self.compiled.dof_frictionloss[self._order], self.compiled.dof_damping[self._order] = coulomb, viscous
+
+    def advance(self, tau: Array, steps: int = 1) -> None:
+        """Take time steps under constant joint torques (n,)."""
+        self.data.qfrc_applied[self._order] = tau
+        self._mujoco.mj_step(self.compiled, self.data, steps * self._parts)

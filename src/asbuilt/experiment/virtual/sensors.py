@@ -1,0 +1,91 @@
+"""Sensors: what encoders and torque sensors make of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.excitation.motions.motion import Trajectory
+
+PerJoint = float | tuple[float, ...]
+"""One number for all joints, or one per joint."""
+SIGNED = ("torque_bias", "torque_gain", "ripple_phase")
+"""Fields that may be negative."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """Say how the sensors distort what they measure; every field is one number or one per joint, zero for a perfect sensor.
+
+    Position: `round_to(q + N(0, position_noise), 2 pi / encoder_counts)`, with counts per turn at the joint, or per metre; 0 counts for no
+    quantisation. Torque: `round_to(torque_gain tau + torque_bias + ripple + N(0, torque_noise), torque_resolution)` with the ripple
+    `torque_ripple sin(ripple_cycles q + ripple_phase)`, its phase in rad, and `ripple_cycles` per turn at the joint, or per metre. A negative
+    `torque_gain` is a sensor that counts the other way. Noise is white, and independent of joint and time. Velocities are logged only where
+    `velocity_noise` is given.
+    """
+
+    position_noise: PerJoint = 0.0
+    encoder_counts: PerJoint = 0.0
+    torque_noise: PerJoint = 0.0
+    torque_bias: PerJoint = 0.0
+    torque_resolution: PerJoint = 0.0
+    velocity_noise: PerJoint | None = None
+    torque_gain: PerJoint = 1.0
+    torque_ripple: PerJoint = 0.0
+    ripple_cycles: PerJoint = 200.0
+    ripple_phase: PerJoint = 0.0
+
+    def check(self, n: int) -> None:
+        """Raise UsageError if a field has neither one number nor one for each of n joints, or a negative one where that makes no sense."""
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if value is not None:
+                per_joint(value, n, entry.name, signed=entry.name in SIGNED)
+
+    def measured(self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator) -> tuple[Array, Array | None, Array]:
+        """Return position, velocity (None where it is not logged) and torque, each (N, n), as these sensors see them.
+
+        Raises
+        ------
+        UsageError
+            If a field has neither one number nor one per joint, or a negative one where that makes no sense.
+        """
+        n = model.n_joints
+        counts = per_joint(self.encoder_counts, n, "encoder_counts")
+        turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, 1.0)
+        step = np.divide(turn, counts, out=np.zeros(n), where=counts > 0)
+        position = truth.q + per_joint(self.position_noise, n, "position_noise") * rng.standard_normal(truth.q.shape)
+        torque = tau * per_joint(self.torque_gain, n, "torque_gain", signed=True) + per_joint(
+            self.torque_bias, n, "torque_bias", signed=True
+        )
+        torque = torque + per_joint(self.torque_noise, n, "torque_noise") * rng.standard_normal(tau.shape)
+        ripple = per_joint(self.torque_ripple, n, "torque_ripple")
+        if np.any(ripple > 0):
+            waves = per_joint(self.ripple_cycles, n, "ripple_cycles") * 2 * np.pi / turn
+            torque = torque + ripple * np.sin(waves * truth.q + per_joint(self.ripple_phase, n, "ripple_phase", signed=True))
+        velocity = None
+        if self.velocity_noise is not None:
+            velocity = truth.qd + per_joint(self.velocity_noise, n, "velocity_noise") * rng.standard_normal(truth.qd.shape)
+        return _rounded(position, step), velocity, _rounded(torque, per_joint(self.torque_resolution, n, "torque_resolution"))
+
+
+PERFECT_SENSORS = SensorNoise()
+"""Sensors that add nothing."""
+
+
+def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
+    """Return one number or one per joint as (n,); raises UsageError for any other shape, and for negative numbers unless `signed`."""
+    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if array.shape not in ((1,), (n,)) or not np.all(np.isfinite(array)) or (not signed and np.any(array < 0)):
+        raise UsageError(f"{name} must be one {'' if signed else 'non-negative '}number or one per joint ({n}), got {value}")
+    return np.broadcast_to(array, (n,))
+
+
+def _rounded(values: Array, step: Array) -> Array:
+    """Return the nearest multiples of `step` (n,); values stay as they are where the step is 0."""
+    safe = np.where(step > 0, step, 1.0)
+    return np.where(step > 0, np.round(values / safe) * safe, values)

@@ -1,0 +1,85 @@
+"""Settings of a virtual robot in a few words: `backlash=2e-4`, `controller.rate=500`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
+
+from asbuilt.errors import UsageError
+from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
+from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+
+PARTS: Mapping[str, type] = {"train": DriveTrain, "controller": PositionController, "sensors": SensorNoise, "logger": DataLogger}
+OWN = ("torque", "behind")
+"""Settings of the robot itself."""
+SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
+
+
+def setting_names() -> dict[str, str]:
+    """Return every setting by the name it is given by, and the part that it belongs to ("" for the robot itself).
+
+    Names that two parts share carry the part before a dot.
+
+    Examples
+    --------
+    >>> setting_names()["backlash"], setting_names()["controller.rate"]
+    ('train', 'controller')
+    """
+    count = Counter(entry.name for part in PARTS.values() for entry in fields(part))
+    shared = {name for name, number in count.items() if number > 1}
+    named = {f"{part}.{entry.name}" if entry.name in shared else entry.name: part for part, kind in PARTS.items() for entry in fields(kind)}
+    return {**dict.fromkeys(OWN, ""), **named}
+
+
+def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
+    """Return the robot with each `NAME=VALUE` of `settings` in place of what it had; a value is a number, one per joint with commas, or a word.
+
+    Raises
+    ------
+    UsageError
+        If there is no such setting, or its value makes no sense.
+
+    Examples
+    --------
+    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> robot = with_settings(VirtualRobot.preset("ideal", bundled_robot("two-link")), ["coulomb=1,0.5", "feedforward=none"])
+    >>> robot.train.coulomb, robot.controller.feedforward, robot.drive.keys
+    ((1.0, 0.5), 'none', ('coulomb',))
+    """
+    known = setting_names()
+    changes: dict[str, dict[str, Any]] = {"": {}, **{part: {} for part in PARTS}}
+    for setting in settings:
+        name, equals, text = (piece.strip() for piece in setting.partition("="))
+        if name not in known or not equals or not text:
+            raise UsageError(f"a setting of the virtual robot is NAME=VALUE with a NAME of {', '.join(known)}; got {setting!r}")
+        part, field = known[name], name.rpartition(".")[2]
+        changes[part][field] = _value(name, text, of_joints=part in PARTS and field in _of_joints(PARTS[part]))
+    if not any(changes.values()):
+        return robot
+    parts = {part: replace(getattr(robot, part), **changed) for part, changed in changes.items() if part and changed}
+    return replace(robot, **parts, **changes[""])
+
+
+def _of_joints(part: type) -> set[str]:
+    """Return the fields that may have one number per joint."""
+    return {entry.name for entry in fields(part) if "PerJoint" in str(entry.type)}
+
+
+def _value(name: str, text: str, *, of_joints: bool) -> float | tuple[float, ...] | str | bool:
+    if name in ("torque", "feedforward"):
+        return text
+    if name == "accelerations":
+        if text.lower() not in SWITCHES:
+            raise UsageError(f"{name} is yes or no, got {text!r}")
+        return SWITCHES[text.lower()]
+    try:
+        numbers = tuple(float(piece) for piece in text.split(","))
+    except ValueError:
+        numbers = ()
+    if not numbers or (len(numbers) > 1 and not of_joints):
+        raise UsageError(f"{name} takes one number{', or one per joint separated by commas' if of_joints else ''}; got {text!r}")
+    return numbers if len(numbers) > 1 else numbers[0]

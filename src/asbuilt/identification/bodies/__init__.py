@@ -1,0 +1,1 @@
+"""Physical consistency of bodies: bounds, priors, cone programs."""

@@ -1,0 +1,198 @@
+"""The least torque error that real bodies allow: a conic program on the square-root information, solved by Clarabel in milliseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import lapack, solve_triangular
+from scipy.optimize import nnls
+
+from asbuilt.arrays import Array
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.bodies.body_bounds import BodyBounds
+from asbuilt.identification.bodies.cad_prior import (
+    IDENTITY_SVEC,
+    PSEUDO_INERTIA_SVEC,
+    CadPrior,
+    smat,
+    svec,
+)
+from asbuilt.identification.bodies.cone_program import solve_cone_program
+
+SMALLEST_PART = 1e-3
+"""Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
+TINY_PULL = 1e-3
+"""Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution unique."""
+RESOLVED = (1e-11, 1e-9, 1e-7)
+"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide: it only counts where there is next to no noise. The stronger ones
+are tried where the solver gives up, as with torques that no robot near CAD could have."""
+DRIVE_PULL = 1e-3
+"""Pull of drive parameters beside that of bodies."""
+CERTAIN = 1e-13
+"""How precise a proof must be that bounds contradict one another: large residuals look like proofs at the solver's usual tolerance."""
+ROUGH = 1e-6
+"""Relative gap and infeasibility of a rough fit, 1e-8 being the solver's usual ones."""
+EXACTLY: dict[str, float | bool] = {"tol_infeas_abs": CERTAIN, "tol_infeas_rel": CERTAIN}
+ROUGHLY: dict[str, float | bool] = EXACTLY | {
+    "tol_gap_abs": ROUGH,
+    "tol_gap_rel": ROUGH,
+    "tol_feas": ROUGH,
+    "iterative_refinement_enable": False,
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConicFit:
+    """Hold the minimiser `chi` (n_standard,), the largest part t of the CAD bodies below all bodies (`P_i >= t P0_i`), and the iterations it took."""
+
+    chi: Array
+    part: float
+    iterations: int
+
+
+def fit_real_bodies(
+    prior: CadPrior,
+    regrouping: Array,
+    *,
+    factor: Array,
+    bounds: BodyBounds | None = None,
+    weight: float = TINY_PULL,
+    smallest_part: float = SMALLEST_PART,
+) -> ConicFit:
+    """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` subject to `P_i >= smallest_part P0_i` for every link and to `bounds`.
+
+    [R z] is the triangular `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the CAD values, g their metric: the distance
+    `tr((P0^-1 dP)^2)` of every body, the same in all frames and units (the constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, near 1 all of them, which a solver likes. Positive definiteness after Wensing, Kim &
+    Slotine, IEEE RA-L 3, 2018, and Sousa & Cortesao, IJRR 33, 2014.
+
+    Raises `IdentifiabilityError` where the bounds leave nothing, saying so.
+    """
+    return RealBodies.of(prior, regrouping, bounds, smallest_part).fit(factor, weight)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RealBodies:
+    """Hold what all conic fits of one robot have in common: `fit` is `fit_real_bodies` for another factor.
+
+    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) + s = (z, limits)`, r the residual, s in the `cones`; the first p rows
+    take `R torque` at `places` of their data, whose entries `told` (n_standard, p) can be nonzero. `bounds` and `room` are the linear ones, `bounds q <= room`.
+    """
+
+    prior: CadPrior
+    bodies: Array
+    q0: Array
+    torque: Array
+    bounds: Array
+    room: Array
+    smallest_part: float
+    pattern: sparse.csc_matrix
+    places: NDArray[np.int64]
+    told: NDArray[np.bool_]
+    limits: Array
+    cones: tuple[object, ...]
+
+    @classmethod
+    def of(cls, prior: CadPrior, regrouping: Array, bounds: BodyBounds | None = None, smallest_part: float = SMALLEST_PART) -> RealBodies:
+        """Return the program of a robot with these bounds."""
+        bodies, q0 = near_one(prior)
+        n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
+        rows, room = np.zeros((0, n)), np.zeros(0)
+        if bounds is not None:
+            rows, room = -bounds.rows @ bodies, bounds.offsets
+            size = np.linalg.norm(rows, axis=1)
+            rows, room = rows / size[:, None], room / size
+        below = np.vstack([rows, -np.eye(inertial, n)])
+        right = np.concatenate([room, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)])
+        torque = regrouping @ bodies
+        told = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
+        pattern = sparse.csc_matrix(np.vstack([np.hstack([told, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]))
+        places = np.flatnonzero((pattern.indices < p) & (np.arange(pattern.nnz) < pattern.indptr[n]))
+        linear = [clarabel.NonnegativeConeT(len(rows))] if len(rows) else []
+        cones = (clarabel.ZeroConeT(p), *linear, *[clarabel.PSDTriangleConeT(4)] * prior.n_links)
+        return cls(prior, bodies, q0, torque, rows, room, smallest_part, pattern, places, told.T > 0.0, right, cones)
+
+    def fit(self, factor: Array, weight: float = TINY_PULL, *, rough: bool = False) -> ConicFit:
+        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1); a `rough` one misses it by a thousandth of a standard error or so.
+
+        Raises `IdentifiabilityError` where the bounds leave nothing, or the solver gives up.
+        """
+        prior, z = self.prior, factor[:-1, -1]
+        p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
+        torque = factor[:-1, :-1] @ self.torque
+        stiffest = float(np.max(np.sum(torque**2, axis=0)))
+        for resolved in RESOLVED:
+            pulled = max(weight, resolved * stiffest)
+            pull = np.concatenate([np.repeat(pulled * prior.strength, 10), np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL)])
+            inside = self._inside(torque, z, pull) if weight > TINY_PULL else None
+            if inside is not None:
+                return self._fit(inside, 0)
+            constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])
+            constraints.data[self.places] = torque.T[self.told]
+            quadratic = sparse.csc_matrix((np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)), (n + p, n + p))
+            linear = np.concatenate([-pull * self.q0, np.zeros(p)])
+            solution = solve_cone_program(quadratic, linear, constraints, limits, list(self.cones), **(ROUGHLY if rough else EXACTLY))
+            if "PrimalInfeasible" in solution.status and len(self.bounds):
+                raise IdentifiabilityError(
+                    f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them"
+                )
+            if solution.is_solved:
+                return self._fit(solution.x[:n], solution.iterations)
+        raise IdentifiabilityError(
+            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {solution.status}; "
+            "the data may hold values of extreme size"
+        )
+
+    def _fit(self, q: Array, iterations: int) -> ConicFit:
+        q = self._at_bounds(q)
+        return ConicFit(self.bodies @ q, self._smallest(q), iterations)
+
+    def _at_bounds(self, q: Array) -> Array:
+        """Return q with drive parameters that rounding has left beyond their own bound at it: friction of -1e-9 would be a drive that pushes."""
+        q, inertial = q.copy(), 10 * self.prior.n_links
+        for row, room in zip(self.bounds[:, inertial:], self.room, strict=True):
+            (own,) = np.nonzero(row)
+            if len(own) == 1 and row @ q[inertial:] > room:
+                q[inertial + own] = room / row[own]
+        return q
+
+    def _smallest(self, q: Array) -> float:
+        return float(np.linalg.eigvalsh(smat(q[: 10 * self.prior.n_links].reshape(-1, 10)))[:, 0].min())
+
+    def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
+        """Return the minimiser within the linear bounds, where its bodies are real already: no cone is needed for it then. None elsewhere.
+
+        Least distance programming by non-negative least squares (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23).
+        """
+        root, info = lapack.dpotrf(torque.T @ torque + np.diag(pull), lower=1)
+        if info:
+            return None
+        solved = solve_triangular(root, np.column_stack([torque.T @ z + pull * self.q0, -self.bounds.T]), lower=True, check_finite=False)
+        u, slopes = solved[:, 0], solved[:, 1:]
+        broken = -(self.room + u @ slopes)
+        if np.any(broken > 0.0):
+            goal = np.append(np.zeros(len(u)), 1.0)
+            both = np.vstack([slopes, broken])
+            error = both @ nnls(both, goal)[0] - goal
+            if error[-1] >= 0.0:
+                return None
+            u = u - error[:-1] / error[-1]
+        q = solve_triangular(root, u, lower=True, trans="T", check_finite=False)
+        return np.asarray(q) if self._smallest(q) >= self.smallest_part else None
+
+
+def near_one(prior: CadPrior) -> tuple[Array, Array]:
+    """Return M and q0 with `chi = M q`: q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD."""
+    n, inertial = len(prior.parameters), 10 * prior.n_links
+    roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]
+    images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)
+    M = np.zeros((n, n))
+    places = np.arange(inertial).reshape(-1, 10)
+    M[places[:, :, None], places[:, None, :]] = np.linalg.solve(PSEUDO_INERTIA_SVEC, images)
+    M[range(inertial, n), range(inertial, n)] = prior.drive_scale
+    q0 = np.concatenate([np.tile(IDENTITY_SVEC, prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
+    return M, q0

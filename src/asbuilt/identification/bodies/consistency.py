@@ -1,0 +1,77 @@
+"""Whether real bodies can have the base parameters that were found."""
+
+from __future__ import annotations
+
+import clarabel
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.bodies.cad_prior import (
+    IDENTITY_SVEC,
+    PSEUDO_INERTIA_SVEC,
+    non_negative_columns,
+)
+from asbuilt.identification.bodies.cone_program import solve_cone_program
+
+MARGIN_TOLERANCE = 1e-8
+"""How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be rounding of the solver."""
+
+ROUNDING_OF_DRIVES = 1e-9
+"""How far below zero friction or an armature may be and still be rounding: at unit velocity and acceleration that makes no more than 1e-9 N m."""
+
+
+def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
+    """Return the largest t such that some standard parameters with `K chi = beta` have pseudo-inertias `P_i >= t 1` for every link.
+
+    The 4 x 4 pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a real body is positive semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a
+    negative margin says that no bodies can have these base parameters. Armatures, where among the drive terms, must be at least t as well; friction
+    is not judged. A semidefinite program, solved by Clarabel in milliseconds. Infinite where nothing bounds t.
+
+    Raises `IdentifiabilityError` where beta is not of shape (p,) or not finite, or the solver gives up.
+    """
+    values = np.asarray(beta, dtype=np.float64)
+    if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
+        raise IdentifiabilityError(f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}: {values.tolist()}")
+    n_links = sum(name.startswith("Ixx") for name in base.standard_names)
+    free = np.array([j for j, name in enumerate(base.standard_names) if j < 10 * n_links or name.startswith("Ia")])
+    armatures = range(10 * n_links, len(free))
+    rows = np.flatnonzero(np.any(base.regrouping[:, free] != 0, axis=1))
+    n = len(free)
+    fixed = sparse.hstack([sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))])
+    positive = sparse.hstack([-sparse.eye_array(len(armatures), n, k=10 * n_links), sparse.csc_matrix(np.ones((len(armatures), 1)))])
+    bodies = sparse.hstack(
+        [
+            sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-PSEUDO_INERTIA_SVEC)),
+            sparse.csc_matrix((10 * n_links, len(armatures))),
+            sparse.csc_matrix(np.tile(IDENTITY_SVEC, n_links)[:, None]),
+        ]
+    )
+    constraints = sparse.csc_matrix(sparse.vstack([fixed, positive, bodies]))
+    bounds = np.concatenate([values[rows], np.zeros(len(armatures) + 10 * n_links)])
+    cones = [clarabel.ZeroConeT(len(rows)), clarabel.NonnegativeConeT(len(armatures)), *[clarabel.PSDTriangleConeT(4)] * n_links]
+    goal = np.append(np.zeros(n), -1.0)
+    solution = solve_cone_program(sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones)
+    if "DualInfeasible" in solution.status:
+        return float("inf")
+    if not solution.is_solved:
+        raise IdentifiabilityError(
+            f"the consistency of {base.n_base} base parameters of {base.robot} could not be decided: the solver says {solution.status}"
+        )
+    return float(solution.x[-1])
+
+
+def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
+    """Return whether a margin says that real bodies can have `beta`: it is not negative beyond the solver's rounding."""
+    scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
+    return margin >= -MARGIN_TOLERANCE * scale
+
+
+def pushing_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
+    """Return the names of the base parameters (p,) that are a drive parameter by itself and below zero, where a passive drive has it at zero or above."""
+    values = np.asarray(beta, dtype=np.float64)
+    n_links = sum(name.startswith("Ixx") for name in base.standard_names)
+    alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(base.columns, non_negative_columns(n_links, base.drive))
+    return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))

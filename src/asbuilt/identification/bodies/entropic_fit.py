@@ -1,0 +1,281 @@
+"""The bodies closest to CAD in entropy, given torques or exact base parameters: smooth and convex, solved by Newton's method, many problems side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.bodies.body_bounds import BodyBounds
+from asbuilt.identification.bodies.cad_prior import (
+    SVEC_COLUMN,
+    SVEC_LENGTH,
+    SVEC_ROW,
+    CadPrior,
+    smat,
+    svec,
+)
+from asbuilt.identification.bodies.conic_fit import near_one
+
+DRIVE_RIDGE = 1e-6
+"""Pull of drive parameters toward CAD, or toward zero, that decides only what nothing else does."""
+BARRIER = 1e-3
+"""Weight of the logarithm that keeps a bounded parameter off its bound, in units of the squared weighted residual: far below one standard error."""
+CLOSE = 1e-9
+"""Squared Newton decrement, in units of the squared weighted residual or of the weight where that is less, from which one more step is the last,"""
+CENTRAL = 0.5
+"""if duals and multipliers are no further than this fraction from those of the bodies and bounds."""
+ROUNDING = 1e-14
+"""Rise of the value, as a fraction of it, that is rounding."""
+MOST_STEPS = 300
+SUFFICIENT = 0.05
+SHORTER = 0.5
+SHORTEST = 1e-12
+NEAR_EDGE = 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coordinates:
+    """Split the standard parameters: `chi = kept beta + dependent d`, so that `K chi = beta` whatever d (K is the regrouping, 1 on its own columns).
+
+    `kept` (n_standard, p), `dependent` (n_standard, n_standard - p).
+    """
+
+    regrouping: Array
+    kept: Array
+    dependent: Array
+
+    @classmethod
+    def of(cls, base: BaseParameters) -> Coordinates:
+        """Return the split that belongs to base parameters."""
+        others = np.setdiff1d(np.arange(base.n_standard), base.columns)
+        kept = np.zeros((base.n_standard, base.n_base))
+        kept[base.columns, np.arange(base.n_base)] = 1.0
+        dependent = np.zeros((base.n_standard, len(others)))
+        dependent[others, np.arange(len(others))] = 1.0
+        dependent[base.columns] = -base.regrouping[:, others]
+        return cls(base.regrouping, kept, dependent)
+
+    @property
+    def n_base(self) -> int:
+        """Number of base parameters."""
+        return int(self.kept.shape[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EntropicFits:
+    """Hold the minimisers of m problems: `chi` (m, n_standard), the `values` there (m,), and how many Newton `steps` the slowest took.
+
+    `duals` (m, n_links, 4, 4) belong to the bodies and `multipliers` (m, n_bounds) to the bounds; with them the search goes on for another weight.
+    """
+
+    chi: Array
+    values: Array
+    steps: int
+    duals: Array
+    multipliers: Array
+
+    def alone(self, problem: int) -> EntropicFits:
+        """Return the fit of one problem; -1 is the last."""
+        one = [range(len(self.chi))[problem]]
+        return EntropicFits(self.chi[one], self.values[one], self.steps, self.duals[one], self.multipliers[one])
+
+
+class EntropicProblem:
+    """Minimise `|R K chi - z|^2 / 2 + weight sum_i D(P_i || P0_i)` over the standard parameters of one robot, for any number of triangular factors [R z] at once.
+
+    D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi` stays what it is at the start, exactly. Bounds enter with a
+    logarithmic barrier. The variables are those of `fit_real_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`. Newton's method on a self-concordant function with a
+    line search; the Hessian of a body is taken as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the body and its dual `Z -> weight Q^-1`, that of a bound likewise, which
+    sees edges coming that a former, stronger weight kept away (Nesterov & Todd, SIAM J. Optimization 8, 1998; Boyd & Vandenberghe, Convex Optimization,
+    2004, sections 9.6 and 11.7; Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    """
+
+    def __init__(self, prior: CadPrior, coordinates: Coordinates, bounds: BodyBounds | None = None, *, held: bool = False) -> None:
+        self.prior, self.regrouping = prior, coordinates.regrouping
+        scale, self.q0 = near_one(prior)
+        self.whitening = np.linalg.inv(scale)
+        self.inertial = 10 * prior.n_links
+        self.free = coordinates.dependent if held else scale
+        self.along = self.whitening @ self.free if held else np.eye(len(scale))
+        self.torque = coordinates.regrouping @ self.free
+        self.rows = np.zeros((0, len(scale))) if bounds is None else bounds.rows
+        self.offsets = np.zeros(0) if bounds is None else bounds.offsets
+        self.slopes = self.rows @ self.free
+        self.identity = svec(np.eye(4))
+        self.held = held
+
+    def curve(self, hessians: Array, scaling: Array) -> None:
+        """Add to Hessians (m, v, v) those of the divergences and of the pull of the drives, from the scaling points W^-1 (m, n_links, 4, 4)."""
+        n = self.inertial
+        pairs = scaling[..., SVEC_ROW[:, None], SVEC_ROW] * scaling[..., SVEC_COLUMN[:, None], SVEC_COLUMN]
+        pairs += scaling[..., SVEC_ROW[:, None], SVEC_COLUMN] * scaling[..., SVEC_COLUMN[:, None], SVEC_ROW]
+        blocks = 0.5 * np.outer(SVEC_LENGTH, SVEC_LENGTH) * pairs
+        if self.held:
+            parts, drives = self.along[:n].reshape(-1, 10, self.along.shape[1]), self.along[n:]
+            hessians += (_turned(parts) @ blocks @ parts).sum(axis=1) + DRIVE_RIDGE * drives.T @ drives
+            return
+        for i in range(len(blocks[0])):
+            hessians[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += blocks[:, i]
+        drive = range(n, len(self.q0))
+        hessians[:, drive, drive] += DRIVE_RIDGE
+
+    def fit(
+        self, factors: Array | None, weight: float, start: Array | EntropicFits, *, barrier: float = BARRIER, close: float = CLOSE
+    ) -> EntropicFits:
+        """Return the minima for m factors (m, p + 1, p + 1), from `start` (m, n_standard) strictly inside: definite bodies, bounds kept with room to spare.
+
+        Raises `IdentifiabilityError` where a start is outside, or a descent stalls.
+        """
+        search = _Search(self, factors, weight, barrier, start)
+        if not np.all(np.isfinite(search.values)):
+            raise IdentifiabilityError(f"the search for bodies of {self.prior.robot} must start from possible bodies inside the bounds")
+        active, steps = np.arange(len(search.y)), 0
+        while active.size and steps < MOST_STEPS:
+            active, steps = active[~search.advance(active, close)], steps + 1
+        if active.size:
+            raise IdentifiabilityError(
+                f"no closest bodies of {self.prior.robot} were found: after {steps} Newton steps the squared decrement is still {search.decrements[active].max():.3g}; "
+                "the data may hold values of extreme size"
+            )
+        return EntropicFits(search.start + search.y @ self.free.T, search.values, steps, search.duals, search.multipliers)
+
+
+class _Search:
+    """Hold where m descents stand.
+
+    Steps `y` (m, v) along the free coordinates, bodies and drives `q`, `error` of the torque, `slack` of the bounds, Cholesky `roots` of the bodies, `duals`, `multipliers`,
+    `values` and squared Newton `decrements`.
+    """
+
+    def __init__(self, problem: EntropicProblem, factors: Array | None, weight: float, barrier: float, start: Array | EntropicFits) -> None:
+        self.problem, self.weight, self.barrier = problem, weight, barrier
+        self.weights = weight * problem.prior.strength
+        self.start = start.chi if isinstance(start, EntropicFits) else np.array(start, dtype=np.float64)
+        m, v = len(self.start), problem.free.shape[1]
+        self.A, self.error = np.zeros((m, 0, v)), np.zeros((m, 0))
+        if factors is not None:
+            self.A = factors[:, :-1, :-1] @ problem.torque
+            self.error = _times(factors[:, :-1, :-1], self.start @ problem.regrouping.T) - factors[:, :-1, -1]
+        self.gram = _turned(self.A) @ self.A
+        self.y = np.zeros((m, v))
+        self.q = self.start @ problem.whitening.T
+        self.slack = self.start @ problem.rows.T + problem.offsets
+        self.values, self.roots = self._evaluated(self.q, self.error, self.slack)
+        self.decrements = np.full(m, np.inf)
+        if isinstance(start, EntropicFits):
+            self.duals, self.multipliers = start.duals.copy(), start.multipliers.copy()
+        else:
+            inverse = np.asarray(np.linalg.inv(self.roots), dtype=np.float64)
+            self.duals = self.weights[:, None, None] * (_turned(inverse) @ inverse)
+            self.multipliers = barrier / self.slack
+
+    def model(self, a: Indices | slice) -> tuple[Array, Array, Array, Array]:
+        """Return gradients (m, v), Hessians (m, v, v), and T (m, n_links, 4, 4) and V (m, n_links, 4) of problems a.
+
+        T takes bodies and duals to the same diagonal, `T Q T^T = T^-T Z T^-1 = diag(V)`.
+        """
+        problem, n, q = self.problem, self.problem.inertial, self.q[a]
+        roots = self.roots[a]
+        inverse = np.asarray(np.linalg.inv(roots), dtype=np.float64)
+        size, turn = np.linalg.eigh(_turned(roots) @ self.duals[a] @ roots)
+        V = np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
+        T = np.sqrt(V)[..., None] * (_turned(turn) @ inverse)
+        bodies = self.weights[:, None] * np.asarray(problem.identity - svec(_turned(inverse) @ inverse))
+        slope = np.hstack([bodies.reshape(len(q), -1), DRIVE_RIDGE * (q[:, n:] - problem.q0[n:])])
+        gradient = _times(_turned(self.A[a]), self.error[a]) + (slope @ problem.along if problem.held else slope)
+        gradient -= (self.barrier / self.slack[a]) @ problem.slopes
+        hessian = (problem.slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]) @ problem.slopes
+        hessian += self.gram[a]
+        problem.curve(hessian, _turned(T) @ T)
+        return gradient, hessian, T, V
+
+    def advance(self, active: Indices, close: float) -> NDArray[np.bool_]:
+        """Take one step of the active problems, and return which of them have arrived."""
+        problem, m, n = self.problem, len(active), self.problem.inertial
+        a: Indices | slice = active if m < len(self.y) else slice(None)
+        error, q, slack, multipliers, own = self.error[a], self.q[a], self.slack[a], self.multipliers[a], self.weights[:, None]
+        gradient, hessian, T, V = self.model(a)
+        try:
+            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]), dtype=np.float64)[:, :, 0]
+        except np.linalg.LinAlgError:
+            raise IdentifiabilityError(
+                f"no closest bodies of {problem.prior.robot} were found: the curvature is singular; the data or values may be of extreme size"
+            ) from None
+        self.decrements[a] = -np.sum(gradient * step, axis=1)
+        change = step @ problem.along.T if problem.held else step
+        narrowing, swing = step @ problem.slopes.T, _times(self.A[a], step)
+
+        X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _turned(T)
+        Y = _diagonal(own / V - V) - X
+        loosening = (self.barrier - multipliers * narrowing) / slack - multipliers
+        steepest = np.column_stack([_nearest_edge(np.array([X, Y]), V).T, -narrowing / slack, -loosening / multipliers])
+        n_bounds = slack.shape[1]
+        ahead, dual_ahead = steepest[:, [0, *range(2, 2 + n_bounds)]], steepest[:, [1, *range(2 + n_bounds, 2 + 2 * n_bounds)]]
+        length, dual_length = (
+            np.minimum(1.0, NEAR_EDGE / np.maximum(each.max(axis=1), np.finfo(np.float64).tiny)) for each in (ahead, dual_ahead)
+        )
+        self.duals[a] += dual_length[:, None, None, None] * (_turned(T) @ Y @ T)
+        self.multipliers[a] += dual_length[:, None] * loosening
+
+        trying = np.arange(m)
+        while trying.size:
+            b, far = active[trying], length[trying, None]
+            tried = q[trying] + far * change[trying], error[trying] + far * swing[trying], slack[trying] + far * narrowing[trying]
+            values, roots = self._evaluated(*tried)
+            promised = SUFFICIENT * length[trying] * np.maximum(self.decrements[b], 0.0)
+            good = values <= self.values[b] - promised + ROUNDING * np.abs(self.values[b])
+            kept = b[good]
+            self.y[kept] += (far * step[trying])[good]
+            self.q[kept], self.error[kept], self.slack[kept] = (each[good] for each in tried)
+            self.values[kept], self.roots[kept] = values[good], roots[good]
+            trying = trying[~good]
+            length[trying] *= SHORTER
+            trying = trying[length[trying] > SHORTEST]
+        off = np.max(np.abs(V**2 / own - 1.0), axis=(1, 2), initial=0.0)
+        off = np.maximum(off, np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0))
+        return np.asarray((np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= CENTRAL))
+
+    def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:
+        """Return the values and the Cholesky roots of the bodies; infinite where they are outside."""
+        problem, n = self.problem, self.problem.inertial
+        bodies, drives = q[:, :n].reshape(len(q), -1, 10), q[:, n:] - problem.q0[n:]
+        roots = _roots(smat(bodies))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            value = (bodies @ problem.identity - 2.0 * np.log(np.diagonal(roots, axis1=2, axis2=3)).sum(axis=2)) @ self.weights
+            value += 0.5 * (DRIVE_RIDGE * np.sum(drives**2, axis=1) + np.sum(error**2, axis=1)) - self.barrier * np.log(slack).sum(axis=1)
+        return np.where(np.isfinite(value), value, np.inf), roots
+
+
+def _turned(matrices: Array) -> Array:
+    return matrices.swapaxes(-1, -2)
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
+
+
+def _diagonal(entries: Array) -> Array:
+    return np.asarray(entries[..., None] * np.eye(entries.shape[-1]))
+
+
+def _nearest_edge(change: Array, V: Array) -> Array:
+    """Return the steepest approach of any body of each problem to the edge, in bodies per step."""
+    root = np.sqrt(V)
+    steepest: Array = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(axis=(-1, -2))
+    return steepest
+
+
+def _roots(matrices: Array) -> Array:
+    """Return the Cholesky roots of (m, l, 4, 4) matrices; NaN where one is not positive definite."""
+    try:
+        return np.asarray(np.linalg.cholesky(matrices))
+    except np.linalg.LinAlgError:
+        inside = np.linalg.eigvalsh(matrices)[..., 0] > 0.0
+        roots = np.full(matrices.shape, np.nan)
+        roots[inside] = np.linalg.cholesky(matrices[inside])
+        return roots

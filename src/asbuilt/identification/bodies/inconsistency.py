@@ -1,0 +1,165 @@
+"""Why no robot has the base parameters that were found: a combination of few of them that real bodies and passive drives cannot have, and by how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import clarabel
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.bodies.cad_prior import CadPrior, smat
+from asbuilt.identification.bodies.cone_program import solve_cone_program
+from asbuilt.identification.bodies.conic_fit import near_one
+from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
+
+FEW = 3
+"""Parameters in a combination that is short enough."""
+ROUNDS = 6
+"""Tries at a shorter combination, each with a price on every parameter that grows as its part in the last one falls (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008),"""
+DEAREST = 100.0
+"""up to this; the price is in units of what its own standard error adds beside the combination's."""
+SOLVED = 1e-9
+"""Negative part of a coefficient that is rounding."""
+ROUNDING = 1e-4
+"""Part of a combination, in standard errors relative to its largest, that is left out."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Impossibility:
+    """Hold a proof that no robot has base parameters beta (p,), and how sure it is.
+
+    `y^T beta` is at least zero for all real bodies and passive drives: `K^T y` is non-negative on every pseudo-inertia and every drive parameter that must not be negative.
+    The beta found has `value = y^T beta < 0` with the standard error `std_error`; y is `coefficients` at the parameters `names` with the numbers `ids`, zero elsewhere.
+    `sigmas` is how many standard errors beta lies from the nearest that is possible, all parameters together: `min |L^-1 (beta - K chi)|`, `C = L L^T`.
+    """
+
+    names: tuple[str, ...]
+    ids: tuple[int, ...]
+    coefficients: Array
+    value: float
+    std_error: float
+    sigmas: float
+
+    @property
+    def sentence(self) -> str:
+        """Say what is impossible, and by how much."""
+        total = " ".join(
+            f"{'-' if c < 0 else '+'} {'' if (size := significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
+            for c, name in zip(self.coefficients.tolist(), self.names, strict=True)
+        )
+        alone = self.value / self.std_error if self.std_error > 0 else -np.inf
+        return (
+            f"{total.removeprefix('+ ')} is found to be {plus_minus(self.value, self.std_error)} (base parameter{'s' if len(self.ids) > 1 else ''} "
+            f"{', '.join(map(str, self.ids))}), {significant(-alone, 2)} standard errors below zero, and real bodies with passive drives have it at zero or above; "
+            f"all parameters together lie {significant(self.sigmas, 2)} standard errors from the nearest robot that can be"
+        )
+
+
+def why_impossible(base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike) -> Impossibility | None:
+    """Return the proof with few parameters that no real bodies and passive drives have beta, None where some have.
+
+    The cone of possible base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and only if some y is non-negative on all of it and negative at beta (Farkas'
+    lemma for cones: Boyd & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T beta|` is one over the distance
+    from beta to the cone in standard errors; `sum |y_j| sqrt(C_jj)` beside it keeps y short. Second-order and semidefinite programs, solved by Clarabel.
+    """
+    problem = _Separation(base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64))
+    with one_blas_thread():
+        surest = problem.solve(np.zeros(base.n_base))
+        if surest is None:
+            return None
+        said = problem.plainest()
+        if said is None:
+            said = problem.shortened(surest)
+    share = np.abs(said) * problem.size
+    order = np.argsort(-share, kind="stable")[: np.count_nonzero(said)]
+    y = said / np.abs(said[order[0]])
+    return Impossibility(
+        names=tuple(base.names[j] for j in order),
+        ids=tuple(int(base.ids[j]) for j in order),
+        coefficients=y[order],
+        value=float(y @ problem.beta),
+        std_error=problem.error(y),
+        sigmas=-float(surest @ problem.beta) / max(problem.error(surest), np.finfo(np.float64).tiny),
+    )
+
+
+class _Separation:
+    """The program for y, in units of the standard errors: `images` (n_standard, p) is what a unit of each parameter does to bodies near 1 and to drives."""
+
+    def __init__(self, base: BaseParameters, prior: CadPrior, beta: Array, covariance: Array) -> None:
+        self.beta = beta
+        size = np.sqrt(np.diag(covariance))
+        self.size = np.where(size > 0, size, size[size > 0].min(initial=1.0))
+        bodies, _ = near_one(prior)
+        self.images = (base.regrouping @ bodies).T / self.size
+        self.inertial = 10 * prior.n_links
+        drives = np.arange(self.inertial, len(prior.parameters))
+        self.passive = np.intersect1d(drives, prior.non_negative)
+        self.free = np.setdiff1d(drives, prior.non_negative)
+        eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(self.size, self.size))
+        self.root = vectors * np.sqrt(np.maximum(eigenvalues, 0.0))
+
+    def error(self, y: Array) -> float:
+        """Return the standard error of `y^T beta`."""
+        return float(np.linalg.norm(self.root.T @ (y * self.size)))
+
+    def plainest(self) -> Array | None:
+        """Return y (p,) with one parameter that is below zero beyond doubt though no robot has it there, the surest of all such; None where there is none."""
+        bodies = np.array([[smat(part) for part in column.reshape(-1, 10)] for column in self.images[: self.inertial].T])
+        size = np.abs(self.images).max(axis=0)
+        eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
+        drives = self.images[self.passive].min(axis=0, initial=0.0)
+        proof = (np.minimum(eigenvalues, drives) >= -SOLVED * size) & ~np.any(self.images[self.free], axis=0)
+        sigmas = np.where(proof, -self.beta / self.size, 0.0)
+        surest = int(np.argmax(sigmas))
+        return None if sigmas[surest] < SIGNIFICANT_SIGMAS else np.where(np.arange(len(self.beta)) == surest, 1.0, 0.0)
+
+    def shortened(self, surest: Array) -> Array:
+        """Return a proof with few parameters, found from the surest."""
+        said, prices = surest, np.ones(len(surest))
+        for _ in range(ROUNDS):
+            found = self.solve(prices)
+            if found is None:
+                break
+            said = found
+            if np.count_nonzero(said) <= FEW:
+                break
+            share = np.abs(said) * self.size
+            prices = np.minimum(DEAREST, share.max() / np.maximum(share, share.max() / DEAREST))
+        return said
+
+    def solve(self, prices: Array) -> Array | None:
+        """Return y (p,), or None where there is no proof.
+
+        With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta = -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
+        """
+        p = len(self.beta)
+        at = self.beta / self.size
+        length = float(np.linalg.norm(at))
+        if length == 0.0:
+            return None
+        identity = np.eye(p)
+
+        def alone(rows: Array) -> Array:
+            return np.hstack([rows, np.zeros((len(rows), p + 1))])
+
+        equal = alone(np.vstack([at / length, self.images[self.free]]))
+        bounded = np.hstack([np.vstack([identity, -identity]), np.vstack([-identity, -identity]), np.zeros((2 * p, 1))])
+        cone = np.vstack([np.append(np.zeros(2 * p), -1.0), alone(-self.root.T)])
+        constraints = np.vstack([equal, bounded, alone(-self.images[self.passive]), cone, alone(-self.images[: self.inertial])])
+        right = np.zeros(len(constraints))
+        right[0] = -1.0
+        cones = [clarabel.ZeroConeT(len(equal)), clarabel.NonnegativeConeT(2 * p + self.passive.size), clarabel.SecondOrderConeT(p + 1)]
+        cones += [clarabel.PSDTriangleConeT(4)] * (self.inertial // 10)
+        goal = np.concatenate([np.zeros(p), prices, [1.0]])
+        nothing = sparse.csc_matrix((len(goal), len(goal)))
+        solution = solve_cone_program(nothing, goal, sparse.csc_matrix(constraints), right, cones)
+        if not solution.is_solved:
+            return None
+        u = solution.x[:p]
+        return np.asarray(np.where(np.abs(u) > ROUNDING * np.abs(u).max(), u, 0.0) / self.size)

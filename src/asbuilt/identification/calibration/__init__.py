@@ -1,0 +1,1 @@
+"""Payload, torque gains, mounting and two torque channels."""

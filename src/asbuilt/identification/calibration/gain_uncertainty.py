@@ -1,0 +1,84 @@
+"""How well the torque per ampere of each joint is known, and what that leaves open of a payload."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.errors import UsageError
+from asbuilt.experiment.recording import TorqueSource
+from asbuilt.identification.result.result import IdentificationResult
+
+USUAL_UNCERTAINTY: dict[TorqueSource, float] = {"sensor": 0.0, "unknown": 0.0, "motor": 0.05, "current": 0.07}
+"""Standard deviation of a joint's gain, as a fraction, where nothing better is stated.
+
+Currents: data sheets of motors usually promise the torque constant to +-10 % (limits: 5.8 % as a standard deviation), and neodymium magnets lose about 0.1 % of
+their field per kelvin, 4 % over 40 K of warming; together 7 %. Torques that a controller works out from currents have been calibrated once, and warm up all the same: 5 %.
+Joint torque sensors are calibrated at the joint; their gain is not questioned. These are assumptions: the published gains of a UR10e turned out 3 to 11 % high."""
+COMMON = 1.0 / 3.0
+"""Share of the variance that all joints have in common: they warm up together and often have magnets of one make (4 of 7 %, squared)."""
+MOST = 0.5
+"""Largest fraction that is taken for an uncertainty."""
+RANK_TOLERANCE = 1e-10
+
+
+def relative_gain_errors(source: TorqueSource, n_joints: int, stated: ArrayLike | None = None) -> Array:
+    """Return the standard deviation of each joint's gain, (n,), as fractions: what is stated (one for all joints or one each), else what is usual for the source.
+
+    Raises UsageError for another number of values, and for values that are no fractions from 0 to 0.5.
+    """
+    if stated is None:
+        return np.full(n_joints, USUAL_UNCERTAINTY[source])
+    values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
+    if values.ndim != 1 or values.size not in (1, n_joints):
+        raise UsageError(f"the uncertainty of the gains takes one fraction or {n_joints}, one per joint, got {values.size}")
+    if not np.all((values >= 0.0) & (values <= MOST)):
+        raise UsageError(f"the uncertainty of the gains must be fractions from 0 to {MOST:g} (5% or 0.05), got {values.tolist()}")
+    return np.broadcast_to(values, (n_joints,)).copy()
+
+
+def gain_covariance(uncertainty: Array) -> Array:
+    """Return the covariance (n, n) of gains with these standard deviations (n,), as fractions; a third of the variance is common to all joints."""
+    n = len(uncertainty)
+    return np.asarray(np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON))
+
+
+def parse_gain_uncertainty(text: str | None) -> list[float] | None:
+    """Read `7%`, `0.07` or one of these per joint, separated by commas; None where there is no text. Raises UsageError on anything else."""
+    if text is None:
+        return None
+    try:
+        return [float(part.rstrip("%")) / (100.0 if part.endswith("%") else 1.0) for part in (each.strip() for each in text.split(","))]
+    except ValueError:
+        raise UsageError(
+            f"--gain-uncertainty takes a fraction for all joints or one for each, such as 7% or 0.05,0.03,..., got {text!r}"
+        ) from None
+
+
+def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weights: Array) -> Array:
+    """Return the arm's base parameters as a sum of what the torque of each joint gave to them, (p, n).
+
+    `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction larger, beta changes by that fraction of column k. W and tau are those the result
+    was identified from, where it kept its evidence (all of it: what was put aside to judge by is part of it where no other recording was at hand); else those of `stand_in`, weighted rows `[W_k | ...]` of other motion of the arm, with the torque that the result predicts.
+    Parameters that the result dropped stay zero.
+    """
+    p, beta = result.n_base, result.estimates
+    if result.evidence is not None:
+        evidence = result.evidence
+        places = np.append(evidence.places(result.base.names), -1)
+        parts = [evidence.whole(evidence.fitted)]
+        if evidence.n_fitted < result.n_samples:
+            parts.append(evidence.whole(evidence.judged))
+        factors = [weight * np.vstack(joint)[:, places] for weight, joint in zip(weights, zip(*parts, strict=True), strict=True)]
+    else:
+        factors = [np.column_stack([rows[:, :p], rows[:, :p] @ beta]) for rows in stand_in]
+    factors = [factor * np.append(~result.dropped, True) for factor in factors]
+    matrix = sum((factor[:, :-1].T @ factor[:, :-1] for factor in factors), start=np.zeros((p, p)))
+    sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
+    scale = np.sqrt(np.diag(matrix))
+    scale[scale == 0.0] = 1.0
+    shares = np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=RANK_TOLERANCE)[0]
+    return np.asarray(shares / scale[:, None])

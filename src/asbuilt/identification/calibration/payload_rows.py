@@ -1,0 +1,90 @@
+"""Recordings under load reduced to rows of arm, payload and torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.identification.information.square_root_information import (
+    SquareRootInformation,
+    accumulate_stream,
+)
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.torque_prediction import carrying
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PayloadRows:
+    """Hold weighted rows `[W | P | tau]` (m, p + 11) of arm, payload and torque, reduced: of each time block, all joints together, and of each joint, all blocks together.
+
+    Of the bare arm P is zero.
+    """
+
+    blocks: list[Array]
+    joints: list[Array]
+    n_samples: int
+
+    @classmethod
+    def of(
+        cls,
+        result: IdentificationResult,
+        loaded: Sequence[Samples],
+        unloaded: Sequence[Samples],
+        link: int,
+        shift: Array,
+        x: Array,
+        block_seconds: float | None,
+    ) -> PayloadRows:
+        """Reduce samples; `x` is arm and payload as known so far, whose load friction that depends on load is taken to feel.
+
+        The columns of parameters that the result dropped are zero: zero they stay.
+        """
+        p, weights = result.n_base, result.weights
+        link_columns = np.arange(10 * link, 10 * link + 10)
+        columns = np.union1d(result.base.columns, link_columns)
+        own, carried = np.searchsorted(columns, result.base.columns), np.searchsorted(columns, link_columns)
+        kept = ~result.dropped
+        arm_model = carrying(result.model, result.base, x[:p])
+        chi = arm_model.parameters.copy()
+        chi[link_columns] += shift @ x[p:]
+        under = accumulate_stream(
+            arm_model.with_parameters(chi), replace(result.base, columns=columns), loaded, block_seconds=block_seconds
+        )
+
+        def with_payload(factor: Array) -> Array:
+            return np.column_stack([factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]])
+
+        blocks = [with_payload(under.block_stacked(b, weights)) for b in range(under.n_blocks)]
+        joints = [with_payload(weight * factor) for weight, factor in zip(weights, _whole(under), strict=True)]
+        if unloaded:
+            bare = accumulate_stream(arm_model, result.base, unloaded, block_seconds=block_seconds)
+            blocks += [_widened(bare.block_stacked(b, weights), kept) for b in range(bare.n_blocks)]
+            joints = [
+                np.vstack([rows, _widened(weight * factor, kept)])
+                for rows, weight, factor in zip(joints, weights, _whole(bare), strict=True)
+            ]
+        return cls(blocks, joints, under.n_samples)
+
+
+def _whole(information: SquareRootInformation) -> list[Array]:
+    """Return the factor of each joint with a column for every base parameter and the torque last."""
+    whole = []
+    for support, factor in zip(information.support, information.joint_factors, strict=True):
+        wide = np.zeros((len(factor), information.base.n_base + 1))
+        wide[:, np.append(support, information.base.n_base)] = factor
+        whole.append(wide)
+    return whole
+
+
+def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:
+    """Return a factor of the bare arm with ten zero columns for the payload, columns of parameters that are not `kept` zero too."""
+    return np.concatenate([factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1)

@@ -1,0 +1,296 @@
+"""Torque per logged unit of every drive - newton metres per ampere - from recordings without and with a payload that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia, shift_matrix
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.experiment.recording import Recording
+from asbuilt.identification.calibration.payload import payload_frame
+from asbuilt.identification.information.rows import stretches
+from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+
+ITERATIONS = 60
+CONVERGENCE = 1e-9
+FAINT = 0.15
+"""Share of a joint's torque under load below which the payload hardly shows."""
+UNTOLD = 0.25
+"""Standard error of a gain, as a fraction of it, beyond which the recordings do not tell it."""
+RANK_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TorqueGains:
+    """Hold the torque (n,) that one logged unit of each joint stands for [N m per unit], with standard errors from one time block to another.
+
+    `in_use` (n,) are the gains that the torques had been multiplied by when these were found, ones where they were left as logged; `factors` says by how much
+    they were off. `known` says what of the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and found parts together, in the order
+    of `LinkInertia`. `determined` (n,) is False where these recordings do not tell the gain, and the gain NaN where they leave it wholly open; `payload_share` (n,) is how much
+    of the torque under load the payload makes up, RMS: where it is small the gain hangs on parameters shared with other joints, and errors of the friction
+    model move it.
+    """
+
+    joint_names: tuple[str, ...]
+    gains: Array
+    std_errors: Array
+    in_use: Array
+    determined: NDArray[np.bool_]
+    payload_share: Array
+    known: tuple[str, ...]
+    frame: str
+    payload: Array
+    sources: tuple[str, ...]
+
+    @property
+    def factors(self) -> Array:
+        """By how much the torques in use are to be multiplied, (n,); ones where the gains in use are right."""
+        return self.gains / self.in_use
+
+    @property
+    def factor_std_errors(self) -> Array:
+        """Standard errors of the factors, (n,)."""
+        return self.std_errors / np.abs(self.in_use)
+
+    @property
+    def to_use(self) -> Array:
+        """Gains (n,) that stand in place of those in use: the ones found, and where these recordings do not tell one, the one in use."""
+        return np.where(self.determined, self.gains, self.in_use)
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say what holds of the gains."""
+        said = [f"known of the payload: {', '.join(self.known)}; found beside the gains: {self._found()}"]
+        untold = self._named(~self.determined)
+        if untold:
+            said.append(
+                f"not told by these recordings: {untold}; the payload hardly loads these joints, or what it loads them with was left open. They keep the gain in use"
+            )
+        turned = self.determined & (self.factors < 0)
+        if turned.any():
+            said.append(
+                f"the torque in use has the opposite sign at {'every joint' if turned.all() else self._named(turned)}; the gains below turn it, so leave sign and "
+                "--flip-torque as they are"
+            )
+        faint = self._named(self.payload_share < FAINT)
+        if faint:
+            said.append(
+                f"the payload makes up less than {100 * FAINT:.0f} % of the torque of {faint}: these gains hang on parameters shared with other joints, and "
+                "on the friction model more than their standard errors say"
+            )
+        return tuple(said)
+
+    def _named(self, chosen: NDArray[np.bool_]) -> str:
+        return ", ".join(name for name, named in zip(self.joint_names, chosen, strict=True) if named)
+
+    def _found(self) -> str:
+        body = LinkInertia(self.payload)
+        centre = ", ".join(f"{value:.3g}" for value in self.payload[6:9] / self.payload[9])
+        return f"mass {body.mass:.4g} kg, centre ({centre}) m in {self.frame}"
+
+
+def gains_in_use(recordings: Sequence[Recording]) -> Array:
+    """Return the gains (n,) that all of these recordings were multiplied by when read, ones where they were left as logged; raises UsageError where they differ."""
+    each = [np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains) for recording in recordings]
+    for recording, gains in zip(recordings, each, strict=True):
+        if not np.array_equal(gains, each[0]):
+            listed = ", ".join(f"{gain:g}" for gain in each[0])
+            raise UsageError(
+                f"{recording.source} was multiplied by gains {', '.join(f'{gain:g}' for gain in gains)}, {recordings[0].source} by {listed}; give the same to all, "
+                "by --gain or in their sheets"
+            )
+    return each[0]
+
+
+def identify_gains(
+    model: RobotModel,
+    unloaded: Samples | Sequence[Samples],
+    loaded: Samples | Sequence[Samples],
+    *,
+    mass: float,
+    com: ArrayLike | None = None,
+    inertia_about_com: ArrayLike | None = None,
+    drive: DriveSet | None = None,
+    frame: str | None = None,
+    in_use: ArrayLike | None = None,
+) -> TorqueGains:
+    """Find gains g with `g_k i_k = Y_k beta` without and `g_k i_k = Y_k beta + P_k phi` with a payload, i being the torque as logged.
+
+    Where the samples' torques were multiplied by gains already, these are `in_use` (see `gains_in_use`): what is found stands in their place, not beside them.
+
+    beta, g and what is not known of phi are found together, with `i_k = (Y_k beta + P_k phi) / g_k` least wrong in the logged unit, where the noise is; solved for
+    columns `-i_k` instead, noise in i pulls every gain toward zero. The scale of everything comes from what is known of phi: the mass must be, and alone it is
+    enough where the payload's centre and inertia are told by their own torques. A gain is told as far as its joint carries the payload, or is tied by shared
+    parameters to joints that do: an axis through the payload's centre needs `com`, an axis that gravity never loads needs `inertia_about_com`.
+
+    Source: Gautier and Briot, J. Dynamic Systems, Measurement and Control 136, 2014: gains and parameters together from a known payload.
+
+    Raises
+    ------
+    UsageError
+        If the mass is not positive, the inertia is given without the centre of mass, recordings of either kind are missing, or gains in use are no gains.
+    IdentifiabilityError
+        If the recordings leave the scale open.
+    """
+    if not mass > 0:
+        raise UsageError(f"the mass of the payload must be known and positive to find gains, got {mass:g} kg")
+    if inertia_about_com is not None and com is None:
+        raise UsageError("inertia_about_com of the payload is given without com; give com too")
+    without, under = (list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded))
+    terms = drive if drive is not None else usual_drive(model, "current")
+    if not without or not under:
+        raise UsageError(
+            f"gains of {model.name} take recordings without and with the payload, got {len(without)} and {len(under)}; pass at least one of each"
+        )
+    if terms.needs_load:
+        raise UsageError(f"gains are found with friction that does not depend on load, got drive terms {terms}")
+    used = np.ones(model.n_joints) if in_use is None else np.atleast_1d(np.asarray(in_use, dtype=np.float64))
+    if used.shape not in ((1,), (model.n_joints,)) or not np.all(np.isfinite(used) & (used != 0.0)):
+        raise UsageError(f"gains in use are one number or {model.n_joints}, one per joint, none of them 0, got {used.tolist()}")
+    used = np.broadcast_to(used, (model.n_joints,)).copy()
+    name, link, placement = payload_frame(model, frame)
+    problem = _Problem(model, terms, without, under, link, shift_matrix(placement))
+    centre = np.zeros(3) if com is None else np.asarray(com, dtype=np.float64)
+    tensor = np.zeros((3, 3)) if inertia_about_com is None else np.asarray(inertia_about_com, dtype=np.float64)
+    given = LinkInertia.from_com(mass, centre, tensor).parameters
+    known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
+    with one_blas_thread():
+        gains, payload = problem.solve(np.where(known, given, 0.0), known)
+        scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
+    told = np.isfinite(scatter) & (scatter < UNTOLD * np.abs(gains))
+    open_ended = ~(scatter < np.abs(gains))
+    share = problem.payload_share(gains, payload)
+    gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
+    labels = ["mass", *(["centre of mass"] if com is not None else []), *(["inertia"] if inertia_about_com is not None else [])]
+    return TorqueGains(
+        joint_names=model.joint_names,
+        gains=used * gains,
+        std_errors=np.abs(used) * scatter,
+        in_use=used,
+        determined=told,
+        payload_share=share,
+        known=tuple(labels),
+        frame=name,
+        payload=payload,
+        sources=tuple(each.source for each in (*without, *under)),
+    )
+
+
+class _Problem:
+    """The rows `[W_k | P_k | i_k]` of every joint, reduced to triangles block by block."""
+
+    def __init__(
+        self, model: RobotModel, drive: DriveSet, unloaded: Sequence[Samples], loaded: Sequence[Samples], link: int, to_link: Array
+    ) -> None:
+        base = find_base_parameters(model, drive)
+        self._n, self._p = model.n_joints, base.n_base
+        carried = np.arange(10 * link, 10 * link + 10)
+        union = np.union1d(base.columns, carried)
+        where_base, where_payload = np.searchsorted(union, base.columns), np.searchsorted(union, carried)
+        plan = RegressorPlan.of(model, drive, union, spare_rows=1)
+        self.blocks: list[list[Array]] = []
+        loads: set[bool] = set()
+        for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
+            for stretch in stretches(model, [samples]):
+                growing = [GrowingFactor(len(support) + 1) for support in plan.support]
+                for piece in stretch.pieces(plan):
+                    for factor, rows in zip(growing, piece, strict=True):
+                        factor.append(rows)
+                block = []
+                for support, factor in zip(plan.support, growing, strict=True):
+                    r = factor.factor()
+                    every = np.zeros((len(r), len(union)))
+                    every[:, support] = r[:, :-1]
+                    payload = every[:, where_payload] @ to_link if under else np.zeros((len(r), 10))
+                    block.append(np.hstack([every[:, where_base], payload, r[:, -1:]]))
+                self.blocks.append(block)
+                loads.add(under)
+        if len(loads) < 2:
+            raise IdentifiabilityError(
+                f"no samples of {model.name} {'with' if False in loads else 'without'} the payload are left to find gains from: every contiguous stretch is "
+                "shorter than the filter needs; record longer, or raise the cutoff"
+            )
+
+    def solve(self, given: Array, known: NDArray[np.bool_], start: Array | None = None, skip: int | None = None) -> tuple[Array, Array]:
+        """Return gains (n,) and payload (10,), by Gauss-Newton on 1 / gain and the parameters, weights renewed as the errors settle."""
+        kept = [block for b, block in enumerate(self.blocks) if b != skip]
+        rows = [triangular_factor(np.vstack([block[k] for block in kept])) for k in range(self._n)]
+        p = self._p
+        free = np.concatenate([np.ones(p, dtype=bool), ~known])
+        theta = np.concatenate([np.zeros(p), given])
+        inverse = self._signs(rows, theta, free) if start is None else 1.0 / start
+        sigma = np.ones(self._n)
+        for iteration in range(ITERATIONS):
+            scaled = [r * [[*([g] * (p + 10)), 1.0]] / s for r, g, s in zip(rows, inverse, sigma, strict=True)]
+            matrix = np.vstack([r[:, :-1][:, free] for r in scaled])
+            target = np.concatenate([r[:, -1] - r[:, :-1][:, ~free] @ theta[~free] for r in scaled])
+            if iteration == 0 and start is None:
+                theta[free] = _least_squares(matrix, target)
+            errors = [r @ np.append(-theta, 1.0) for r in scaled]
+            slopes = np.zeros((len(target), self._n))
+            top = 0
+            for k, r in enumerate(scaled):
+                slopes[top : top + len(r), k] = r[:, :-1] @ theta / inverse[k]
+                top += len(r)
+            step = _least_squares(np.hstack([matrix, slopes]), np.concatenate(errors))
+            change = np.clip(step[-self._n :], -0.5 * np.abs(inverse), 0.5 * np.abs(inverse))
+            theta[free] += step[: -self._n]
+            inverse = inverse + change
+            left = [r @ np.append(-g * theta, 1.0) for r, g in zip(rows, inverse, strict=True)]
+            sigma = np.maximum([float(np.linalg.norm(e)) for e in left], 1e-12)
+            if np.all(np.abs(change) <= CONVERGENCE * np.abs(inverse)):
+                break
+        if not np.all(np.isfinite(inverse)):
+            raise IdentifiabilityError("the recordings leave the gains open; carry a heavier payload, and move the joints that carry it")
+        return 1.0 / inverse, theta[p:]
+
+    def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
+        """Return the sign of each gain (n,), from the fit linear in the gains, `-i_k g_k + Y_k beta + P_k phi = 0`, whose sizes noise pulls toward zero."""
+        matrix, target = [], []
+        for k, r in enumerate(rows):
+            own = np.zeros((len(r), self._n))
+            own[:, k] = -r[:, -1]
+            size = float(np.linalg.norm(r[:, -1])) or 1.0
+            matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
+            target.append(-r[:, :-1] @ theta / size)
+        return np.where(_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0, -1.0, 1.0)
+
+    def payload_share(self, gains: Array, payload: Array) -> Array:
+        """Return the RMS torque of the payload over the RMS torque of the loaded recordings, (n,)."""
+        shares = []
+        for k in range(self._n):
+            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [np.zeros((1, self._p + 11))]
+            rows = np.vstack(under)
+            total = float(np.linalg.norm(rows[:, -1] * gains[k]))
+            shares.append(float(np.linalg.norm(rows[:, self._p : -1] @ payload)) / total if total > 0.0 else 0.0)
+        return np.array(shares)
+
+    def jackknife(self, gains: Array, given: Array, known: NDArray[np.bool_]) -> Array:
+        """Return standard errors (n,) from leaving out one time block after another."""
+        left = np.array([self.solve(given, known, start=gains, skip=b)[0] for b in range(len(self.blocks))])
+        b = len(left)
+        return np.asarray(np.sqrt((b - 1) / b * np.sum((left - left.mean(axis=0)) ** 2, axis=0)))
+
+
+def _least_squares(matrix: Array, target: Array) -> Array:
+    """Return the shortest least-squares solution in columns scaled to unit length."""
+    sizes = np.linalg.norm(matrix, axis=0)
+    sizes[sizes == 0.0] = 1.0
+    solution: Array = np.linalg.lstsq(matrix / sizes, target, rcond=RANK_TOLERANCE)[0]
+    return np.asarray(solution / sizes)

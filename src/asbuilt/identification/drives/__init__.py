@@ -1,0 +1,1 @@
+"""Choice of drive terms and their nonlinear parameters."""

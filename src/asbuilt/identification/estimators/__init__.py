@@ -1,0 +1,1 @@
+"""Estimators, from square-root information to parameters."""

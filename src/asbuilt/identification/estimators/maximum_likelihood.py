@@ -1,0 +1,91 @@
+"""Maximum likelihood for torque noise that joints share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.estimators.least_squares import (
+    Estimate,
+    estimate_wls,
+    fit_least_squares,
+    noise_floor,
+    solve_factor,
+)
+from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.rows import RowBlock
+from asbuilt.identification.information.square_root_information import reduce_rows
+from asbuilt.identification.information.triangular import (
+    ROWS_AT_ONCE,
+    GrowingFactor,
+    triangular_factor,
+)
+
+CONVERGENCE = 1e-8
+MOST_ITERATIONS = 100
+
+
+def estimate_ml(evidence: Evidence) -> Estimate:
+    """Estimate beta and the covariance Omega (n, n) of the joints' noise together: `min N log det Omega + sum_t e_t^T Omega^-1 e_t`.
+
+    Noise is independent from sample to sample but not from joint to joint: generalised least squares with `Omega = E^T E / N` of the residuals E,
+    iterated until Omega rests. One pass reduces `[W_1 .. W_n | tau_1 .. tau_n]` to its triangle, from which every iteration is solved.
+    Source: Zellner, JASA 57, 1962 (seemingly unrelated regressions); Oberhofer & Kmenta, Econometrica 42, 1974 (iterated: maximum likelihood).
+    """
+    information, rows, base = evidence.information, evidence.rows, evidence.base
+    start = estimate_wls(evidence)
+    n, p, n_samples = information.n_joints, base.n_base, information.n_samples
+    floor = noise_floor(information)
+    every = np.arange(p)
+    with one_blas_thread():
+        growing = GrowingFactor(sum(len(support) + 1 for support in rows.support), ROWS_AT_ONCE)
+        for block in rows:
+            growing.append(np.vstack(block.rows))
+        factor, joints, first = growing.factor(), [], 0
+        for support in rows.support:
+            joint = np.zeros((len(factor), p + 1))
+            joint[:, np.append(support, p)] = factor[:, first : first + len(support) + 1]
+            joints.append(joint)
+            first += len(support) + 1
+        stack = np.array(joints)
+        beta, whitener, iterations, converged = start.beta, np.eye(n), 0, False
+        prior = None if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+        while not converged and iterations < MOST_ITERATIONS:
+            errors = stack @ np.append(-beta, 1.0)
+            covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
+            renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
+            converged = bool(np.max(np.abs(renewed - whitener)) <= CONVERGENCE * np.max(np.abs(renewed)))
+            whitener = renewed
+            whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
+            beta = solve_factor(triangular_factor(whitened), n_samples * n, prior if prior is not None else np.zeros(p)).x
+            iterations += 1
+
+        def mixed() -> Iterator[RowBlock]:
+            for block in rows:
+                own = np.zeros((n, p + 1, block.time.n_samples))
+                for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                    own[k, np.append(support, p)] = columns
+                yield RowBlock(tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds)
+
+        solved = reduce_rows(base, information.joint_names, [every] * n, mixed())
+    fitted = fit_least_squares(solved, weights=np.ones(n), prior=evidence.prior, unexcited=evidence.unexcited)
+    deviation = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviation, deviation) - np.eye(n)
+    i, j = divmod(int(np.argmax(np.abs(correlation))), n)
+    note = (
+        f"Residuals of the joints are correlated, most those of {information.joint_names[i]} and {information.joint_names[j]} "
+        f"({correlation[i, j]:+.2f}); the estimate allows for that."
+    )
+    return fitted.renewed(
+        "ml",
+        solved,
+        fitted.solution,
+        sigma=deviation,
+        iterations=iterations,
+        converged=converged,
+        own_information=solved,
+        notes=(note,) if n > 1 else (),
+    )

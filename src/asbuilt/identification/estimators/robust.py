@@ -1,0 +1,168 @@
+"""Estimators that a collision, a contact or a burst of bad samples does not carry away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.identification.estimators.least_squares import (
+    Estimate,
+    estimate_wls,
+    fit_least_squares,
+    noise_floor,
+)
+from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.rows import RowBlock, Rows
+from asbuilt.identification.information.square_root_information import reduce_rows
+
+MAD_TO_SIGMA = 1.4826022185056018
+"""Standard deviation of a normal distribution in medians of the absolute deviation."""
+HUBER = 1.345
+"""Residual, in robust standard deviations, up to which Huber's loss is that of least squares: 95 % efficient where noise is normal (Holland & Welsch, 1977)."""
+BISQUARE = 4.685
+"""And from which Tukey's bisquare gives no weight at all: 95 % efficient, too."""
+MOST_ITERATIONS = 60
+SCALE_ITERATIONS = 25
+"""Iterations after which the scales rest, so that the steps converge."""
+STEP = 1e-6
+"""Length of the last step, in standard errors of all parameters together."""
+TOLD = 1e-12
+"""Eigenvalue of the information, relative to the largest, below which a direction is not looked at."""
+LEAST_SLOPE = 0.1
+"""Mean of rho'', of a joint or along a direction, below which it is taken no smaller."""
+OUTLYING = 4.0
+"""Residual, in robust standard deviations, that is called an outlier in the notes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A loss rho(r) of standardised residuals r: `weight(r)` = rho'(r) / r and `slope(r)` = rho''(r)."""
+
+    weight: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+
+def huber_loss(threshold: float = HUBER) -> Loss:
+    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond (Huber, Ann. Math. Stat. 35, 1964)."""
+    return Loss(
+        lambda r: threshold / np.maximum(np.abs(r), threshold),
+        lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
+    )
+
+
+def bisquare_loss(threshold: float = BISQUARE) -> Loss:
+    """Return Tukey's bisquare, which gives residuals beyond the threshold no weight at all (Beaton & Tukey, Technometrics 16, 1974)."""
+
+    def share(r: Array) -> Array:
+        return np.asarray(np.maximum(1.0 - (r / threshold) ** 2, 0.0))
+
+    return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
+
+
+def estimate_huber(evidence: Evidence) -> Estimate:
+    """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss, by iteratively reweighted least squares.
+
+    sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least squares on pseudo-values
+    `W beta + sigma rho'(r) / s` with weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7, with s = mean(rho''); here s is
+    less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints turn back.
+    """
+    return _robust(evidence, "huber", huber_loss(), estimate_wls(evidence))
+
+
+def estimate_bisquare(evidence: Evidence) -> Estimate:
+    """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale: gross outliers count for nothing.
+
+    Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
+    """
+    start = estimate_huber(evidence)
+    return _robust(evidence, "bisquare", bisquare_loss(), start, scale=start.sigma)
+
+
+def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: Array | None = None) -> Estimate:
+    information, rows = evidence.information, evidence.rows
+    root, beta = start.solution.inverse_root / start.weights.max(), start.beta
+    floor = noise_floor(information)
+    sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
+    with one_blas_thread():
+        while not converged and iterations < MOST_ITERATIONS:
+            residuals = _residuals(rows, beta)
+            if scale is None and iterations < SCALE_ITERATIONS:
+                sigma = np.array([max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(e)))), floor) for e in residuals])
+            gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
+            for b, block in enumerate(rows):
+                for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+                    weight = loss.weight(residuals[k][b] / sigma[k]) / sigma[k] ** 2
+                    weighted = columns[:-1] * weight
+                    gram += root[support].T @ (weighted @ columns[:-1].T) @ root[support]
+                    score += root[support].T @ (weighted @ residuals[k][b])
+            step = np.linalg.lstsq(gram, score, rcond=None)[0]
+            beta = beta + root @ step
+            converged = bool(step @ gram @ step <= STEP**2)
+            iterations += 1
+        residuals = _residuals(rows, beta)
+        standard = [np.concatenate(e) / s for e, s in zip(residuals, sigma, strict=True)]
+        slope = np.array([max(float(np.mean(loss.slope(r))), LEAST_SLOPE) for r in standard])
+        slope = slope * _slope_where_it_counts(rows, residuals, sigma, slope, loss, root)
+
+        def pseudo() -> Iterator[RowBlock]:
+            for b, block in enumerate(rows):
+                made = []
+                for k, columns in enumerate(block.rows):
+                    e = residuals[k][b]
+                    made.append(np.vstack([columns[:-1], columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]]))
+                yield RowBlock(tuple(made), block.time, block.seconds)
+
+        solved = reduce_rows(evidence.base, information.joint_names, rows.support, pseudo())
+    fitted = fit_least_squares(solved, weights=np.sqrt(slope) / sigma, prior=evidence.prior, unexcited=evidence.unexcited)
+    outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
+    worst = int(np.argmax(outlying))
+    note = (
+        f"{100 * outlying.mean():.2g} % of the torques lie beyond {OUTLYING:g} robust standard deviations, most on joint "
+        f"{information.joint_names[worst]} ({100 * outlying[worst]:.2g} %), and count for less."
+        if outlying.any()
+        else f"No torque lies beyond {OUTLYING:g} robust standard deviations."
+    )
+    return fitted.renewed(
+        name, solved, fitted.solution, sigma=sigma, iterations=iterations, converged=converged, own_information=solved, notes=(note,)
+    )
+
+
+def _slope_where_it_counts(rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array) -> float:
+    """Return the part of the mean slopes (n,) that the information really has, 1 where outliers are strewn evenly over the motion.
+
+    The covariance of an M-estimate is `A^-1 B A^-1` with `A = sum rho''(r) w w^T`. Pseudo-values take `A0 = sum mean(rho'') w w^T` instead: the variance is then too small by the mean of
+    `m^-2` over the eigenvalues m of A in coordinates where A0 is 1, and one factor for all rows makes up for it.
+    """
+    p = root.shape[1]
+    assumed, found = np.zeros((p, p)), np.zeros((p, p))
+    for b, block in enumerate(rows):
+        for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
+            seen = root[support].T @ columns[:-1] / sigma[k]
+            assumed += slope[k] * seen @ seen.T
+            found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
+    eigenvalues, vectors = np.linalg.eigh(assumed)
+    told = eigenvalues > TOLD * eigenvalues.max(initial=0.0)
+    if not told.any():
+        return 1.0
+    turned = vectors[:, told] / np.sqrt(eigenvalues[told])
+    parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), LEAST_SLOPE)
+    return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
+
+
+def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
+    """Return the share of torques beyond 4 robust standard deviations, and the largest residual variance of a joint in robust variances."""
+    standard = [np.concatenate(e) / s for e, s in zip(_residuals(evidence.rows, robust.beta), robust.sigma, strict=True)]
+    share = float(np.mean([np.mean(np.abs(r) > OUTLYING) for r in standard]))
+    return share, max(float(np.mean(r**2)) for r in standard)
+
+
+def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:
+    """Residuals per joint and block."""
+    blocks = [
+        [columns[-1] - beta[support] @ columns[:-1] for columns, support in zip(block.rows, rows.support, strict=True)] for block in rows
+    ]
+    return [list(joint) for joint in zip(*blocks, strict=True)]

@@ -1,0 +1,65 @@
+"""Least squares where the regressor is in error too, not only the torque."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls, rank_tolerance
+from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.triangular import triangular_factor
+
+LARGEST_SHARE = 0.9
+"""Smallest singular value with the torque, in that without it, from which the solution is refused: 1 would be no solution at all."""
+EXACT_TERMS = ("Fo",)
+"""Letters of the drive terms whose columns are constants, known without error."""
+
+
+def estimate_total(evidence: Evidence) -> Estimate:
+    """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows weighted joint by joint, D the column lengths.
+
+    Errors of a column are taken as large relative to it as those of the torque relative to the torque; columns of offsets are exact. From the
+    triangular factor: exact columns first, the rest by its smallest singular value s, `(W^T W - s^2 D^2) beta = W^T tau`; what no sample tells is that of the prior.
+    Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns as in Van Huffel & Vandewalle, The Total Least Squares Problem, 1991,
+    section 3.5. Errors are first order. Raises `IdentifiabilityError` where torque errors are as large as what the weakest column combination adds.
+    """
+    information, base = evidence.information, evidence.base
+    start = estimate_wls(evidence)
+    prior = np.zeros(base.n_base) if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+    with one_blas_thread():
+        factor = information.stacked(start.weights)
+        length = np.linalg.norm(factor[:, :-1], axis=0)
+        scale = np.where(length > 0, length, 1.0)
+        exact = np.array([name.rstrip("0123456789") in EXACT_TERMS for name in base.names])
+        order = np.concatenate([np.flatnonzero(exact), np.flatnonzero(~exact)])
+        first = int(exact.sum())
+        size = float(np.linalg.norm(factor[:, -1])) or 1.0
+        toward = prior[order] * scale[order] / size
+        r = triangular_factor(np.column_stack([factor[:, order] / scale[order], factor[:, -1] / size]))
+        u, s, vt = np.linalg.svd(r[first:-1, first:-1])
+        kept = s > rank_tolerance(information.n_samples * information.n_joints, base.n_base) * max(s.max(initial=0.0), 1.0)
+        untold = vt[~kept].T
+        u, s, v = u[:, kept], s[kept], vt[kept].T
+        z = u.T @ r[first:-1, -1]
+        left = np.hypot(np.linalg.norm(r[first:-1, -1] - u @ z), r[-1, -1])
+        smallest = float(
+            np.linalg.svd(np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)]), compute_uv=False)[-1]
+        )
+        if len(s) and smallest > LARGEST_SHARE * s[-1]:
+            raise IdentifiabilityError(
+                f"total least squares has no trustworthy solution: the errors ({smallest:.3g} of the torque) are as large as what the weakest "
+                f"combination of parameters of {base.robot} adds ({s[-1]:.3g} of its columns); use wls, or a richer motion"
+            )
+        y = toward.copy()
+        y[first:] = v @ (s * z / (s**2 - smallest**2)) + untold @ (untold.T @ toward[first:])
+        known = r[:first, -1] - r[:first, first:-1] @ y[first:] - r[:first, :first] @ toward[:first]
+        y[:first] += np.linalg.lstsq(r[:first, :first], known, rcond=None)[0]
+        beta = np.zeros(base.n_base)
+        beta[order] = size * y / scale[order]
+        root = start.solution.inverse_root
+        noisy = root[~exact] * (smallest * scale[~exact])[:, None]
+        values, axes = np.linalg.eigh(np.eye(root.shape[1]) - noisy.T @ noisy)
+        root = root @ (axes / np.sqrt(np.maximum(values, 1e-6)))
+    note = f"Errors of regressor and torque taken as alike relative to their size: {smallest:.2g}. Standard errors are first order."
+    return start.renewed("total", information, start.solution, beta=beta, inverse_root=root, notes=(note,))

@@ -1,0 +1,1 @@
+"""Square-root information: what recordings say about the parameters, in triangular factors."""

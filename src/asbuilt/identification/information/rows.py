@@ -1,0 +1,151 @@
+"""The rows that identification solves: regressor columns and torque of each joint, filtered alike, one time block after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import IdentifiabilityError
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+
+SAMPLES_AT_ONCE = 2048
+"""Samples, before filtering, whose regressor is held at once."""
+LONGEST_BLOCK = 5.0
+"""Length of a time block [s] where nothing else is asked."""
+SHORTEST_BLOCK = 1.0
+USUAL_BLOCKS = 10
+"""A short recording is cut into about so many blocks, so that errors can be judged from block to block."""
+MOST_HELD = 200e6
+"""Memory [bytes] that rows may take to be kept between passes; more are made again on every pass."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeBlock:
+    """A stretch of a recording: where it comes from, first and last instant [s] and number of samples."""
+
+    source: str
+    start: float
+    stop: float
+    n_samples: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`, a time block of about `seconds` [s]."""
+
+    samples: Samples
+    start: int
+    stop: int
+    first: int
+    last: int
+    seconds: float
+
+    @property
+    def n_outputs(self) -> int:
+        """Number of filtered samples."""
+        return self.last - self.first
+
+    @property
+    def time(self) -> TimeBlock:
+        """When it was and how many samples it has."""
+        t, parallel = self.samples.t[self.start : self.stop], self.samples.parallel
+        t = parallel.times(t) if parallel else t
+        return TimeBlock(self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs)
+
+    def pieces(self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None) -> Iterator[tuple[Array, ...]]:
+        """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a time; good until the next.
+
+        `beside` returns further columns of a span of samples, each (L, n), that stand before the torque. `plan` has a spare row for each and one more.
+        """
+        samples, parallel = self.samples, self.samples.parallel
+        step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
+        at_once = min(self.n_outputs, max(1, (SAMPLES_AT_ONCE - width) // step + 1))
+        buffer = plan.buffer((at_once - 1) * step + width)
+        for first in range(self.first, self.last, at_once):
+            last = min(first + at_once, self.last)
+            span = slice(self.start + first * step, self.start + (last - 1) * step + width)
+            rows = plan.evaluate(samples.q[span], samples.qd[span], samples.qdd[span], buffer)
+            further = (*(beside(span) if beside else ()), samples.tau[span])
+            for k, columns in enumerate(rows):
+                for place, values in enumerate(further, start=-len(further)):
+                    columns[place] = values[:, k]
+            yield tuple(parallel.apply(columns) if parallel else columns for columns in rows)
+
+
+def stretches(model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None) -> Iterator[Stretch]:
+    """Yield the time blocks of samples, each within one contiguous run; raises `IdentifiabilityError` where the joints are others."""
+    for samples in stream:
+        if samples.joint_names != model.joint_names:
+            raise IdentifiabilityError(
+                f"samples of {samples.source} have joints {', '.join(samples.joint_names)}, {model.name} has {', '.join(model.joint_names)}; "
+                "read the recording with model=..., which matches joints by name"
+            )
+        rate = samples.parallel.output_rate if samples.parallel else samples.rate
+        runs = [
+            (start, stop, samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start)
+            for start, stop in samples.segments
+        ]
+        seconds = block_seconds
+        if seconds is None:
+            seconds = float(np.clip(sum(n for _, _, n in runs) / rate / USUAL_BLOCKS, SHORTEST_BLOCK, LONGEST_BLOCK))
+        for start, stop, n in runs:
+            if n < 1:
+                continue
+            edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
+            for first, last in pairwise(edges.tolist()):
+                yield Stretch(samples, start, stop, first, last, seconds)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowBlock:
+    """The rows of a time block: for each joint regressor columns and, last, the torque, (p_k + 1, N_b), samples innermost."""
+
+    rows: tuple[Array, ...]
+    time: TimeBlock
+    seconds: float
+
+
+class Rows:
+    """Give the rows of samples block by block, as often as they are asked for: `for block in rows`.
+
+    `support[k]` are the base parameters that joint k's columns stand for. Kept in memory between passes where they are not many. `every` n takes each
+    n-th block alone.
+    """
+
+    def __init__(
+        self, model: RobotModel, base: BaseParameters, samples: Iterable[Samples], block_seconds: float | None = None, every: int = 1
+    ) -> None:
+        self._plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
+        self._samples = samples
+        self._block_seconds = block_seconds
+        self._every = every
+        self._held: list[RowBlock] | None = None
+        self.support: tuple[Indices, ...] = self._plan.support
+
+    def __iter__(self) -> Iterator[RowBlock]:
+        if self._held is not None:
+            yield from self._held
+            return
+        kept: list[RowBlock] | None = []
+        size = 0
+        for stretch in islice(stretches(self._plan.model, self._samples, self._block_seconds), 0, None, self._every):
+            pieces = [tuple(rows.copy() for rows in piece) for piece in stretch.pieces(self._plan)]
+            block = RowBlock(tuple(np.hstack(parts) for parts in zip(*pieces, strict=True)), stretch.time, stretch.seconds)
+            if kept is not None:
+                size += sum(rows.nbytes for rows in block.rows)
+                kept.append(block)
+                if size > MOST_HELD:
+                    kept = None
+            yield block
+        self._held = kept

@@ -1,0 +1,322 @@
+"""All that a recording says about the parameters, in a few triangular matrices: one per joint and time block."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections import deque
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.batches import available_cores, chosen_threads
+from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.dynamics.regressor import RegressorPlan
+from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.identification.information.rows import RowBlock, Stretch, TimeBlock, stretches
+from asbuilt.identification.information.triangular import (
+    ROWS_AT_ONCE,
+    GrowingFactor,
+    triangular_factor,
+)
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+
+MOST_BLOCKS = 128
+"""Beyond twice as many, neighbours are merged, so that memory does not grow with the recording."""
+ROUNDED_LENGTH = 1.2
+"""Neighbours that together are this much longer than a block still make one: runs are cut into equal parts, whose length is seldom that asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class SquareRootInformation:
+    """Hold the triangular factors `R` of `[W_k | tau_k]` for every joint k and time block b: `R^T R = [W_k | tau_k]^T [W_k | tau_k]`.
+
+    Joint k sees only the base parameters `support[k]` (p_k positions among the p of `base`): links it carries and its own drive.
+    `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper triangular; `torque_sum` (n_blocks, n) is the sum of tau. For any beta,
+    `|tau_k - W_k beta|^2 = sum_b |R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing else.
+
+    Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is built block by block (Golub & Van Loan,
+    Matrix Computations, 2013, section 5.2; Demmel et al., SIAM J. Sci. Comput. 34, 2012).
+    """
+
+    base: BaseParameters
+    joint_names: tuple[str, ...]
+    support: tuple[Indices, ...]
+    factors: tuple[Array, ...]
+    torque_sum: Array
+    blocks: tuple[TimeBlock, ...]
+
+    def __post_init__(self) -> None:
+        for support, factor in zip(self.support, self.factors, strict=True):
+            q = len(support) + 1
+            if factor.shape != (len(self.blocks), q, q):
+                raise ResultError(f"factors of a joint with {q - 1} columns and {len(self.blocks)} blocks have shape {factor.shape}")
+            if not np.all(np.isfinite(factor)):
+                raise IdentifiabilityError(
+                    "samples hold NaN or infinite values; clean the recording first (asbuilt check says where they are)"
+                )
+            factor.setflags(write=False)
+        self.torque_sum.setflags(write=False)
+
+    @property
+    def n_joints(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of time blocks."""
+        return len(self.blocks)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples in all blocks; each gave one torque per joint."""
+        return sum(block.n_samples for block in self.blocks)
+
+    @property
+    def duration(self) -> float:
+        """Time that the blocks cover [s]."""
+        return sum(block.stop - block.start for block in self.blocks)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The recordings, each once, in order."""
+        return tuple(dict.fromkeys(block.source for block in self.blocks))
+
+    @cached_property
+    def joint_factors(self) -> tuple[Array, ...]:
+        """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1)."""
+        return tuple(triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors)
+
+    @property
+    def torque_energy(self) -> Array:
+        """Sum of tau^2 over all samples, shape (n,)."""
+        return np.array([float(factor[:, -1] @ factor[:, -1]) for factor in self.joint_factors])
+
+    def select(self, blocks: Sequence[int] | Array | Indices) -> SquareRootInformation:
+        """Return the information of these blocks only; an index that comes twice counts twice; raises `IdentifiabilityError` without any."""
+        chosen = np.arange(self.n_blocks)[np.asarray(blocks)]
+        if chosen.size == 0:
+            raise IdentifiabilityError(f"no block is selected; there are {self.n_blocks}")
+        return SquareRootInformation(
+            self.base,
+            self.joint_names,
+            self.support,
+            tuple(factors[chosen] for factors in self.factors),
+            self.torque_sum[chosen],
+            tuple(self.blocks[b] for b in chosen),
+        )
+
+    def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
+        """Return the information of this and other recordings of the same robot with the same base parameters, blocks one after another.
+
+        Raises `IdentifiabilityError` where joints or base parameters are others.
+        """
+        for other in others:
+            if other.base.names != self.base.names or other.joint_names != self.joint_names:
+                raise IdentifiabilityError(
+                    f"information of {other.base.robot} with drive terms {other.base.drive} ({other.base.n_base} parameters) cannot be merged "
+                    f"with that of {self.base.robot} with drive terms {self.base.drive} ({self.base.n_base} parameters)"
+                )
+        parts = (self, *others)
+        return SquareRootInformation(
+            self.base,
+            self.joint_names,
+            self.support,
+            tuple(np.concatenate([part.factors[k] for part in parts]) for k in range(self.n_joints)),
+            np.concatenate([part.torque_sum for part in parts]),
+            tuple(block for part in parts for block in part.blocks),
+        )
+
+    def stacked(self, weights: ArrayLike | None = None) -> Array:
+        """Return the factor (p + 1, p + 1) of all joints' rows, joint k multiplied by `weights[k]` (1 where none are given)."""
+        return self._stacked(self.joint_factors, weights)
+
+    def block_stacked(self, block: int, weights: ArrayLike | None = None) -> Array:
+        """Return the factor (p + 1, p + 1) of one time block."""
+        return self._stacked([factors[block] for factors in self.factors], weights)
+
+    def _stacked(self, factors: Sequence[Array], weights: ArrayLike | None) -> Array:
+        w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
+        p = self.base.n_base
+        rows = np.zeros((sum(len(factor) for factor in factors), p + 1))
+        top = 0
+        for support, factor, weight in zip(self.support, factors, w, strict=True):
+            rows[top : top + len(factor), np.append(support, p)] = weight * factor
+            top += len(factor)
+        return triangular_factor(rows)
+
+    def residual_energy(self, beta: ArrayLike) -> Array:
+        """Return `|tau_k - W_k beta|^2` for every joint, shape (n,); raises `IdentifiabilityError` for a beta of another shape than (p,)."""
+        values = np.asarray(beta, dtype=np.float64)
+        if values.shape != (self.base.n_base,):
+            raise IdentifiabilityError(f"{self.base.robot} has {self.base.n_base} base parameters, got shape {values.shape}")
+        errors = [factor @ np.append(-values[s], 1.0) for s, factor in zip(self.support, self.joint_factors, strict=True)]
+        return np.array([float(error @ error) for error in errors])
+
+    def to_bytes(self) -> bytes:
+        """Return the content of an NPZ file (upper triangles only, no pickle) that `from_bytes` reads."""
+        header = {
+            "robot": self.base.robot,
+            "drive": str(self.base.drive),
+            "parameters": list(self.base.names),
+            "joints": list(self.joint_names),
+        }
+        arrays = {
+            "torque_sum": self.torque_sum,
+            "header": np.array(json.dumps(header | {"blocks": [asdict(block) for block in self.blocks]})),
+        }
+        for k, (support, factors) in enumerate(zip(self.support, self.factors, strict=True)):
+            arrays[f"support_{k}"] = support
+            arrays[f"factors_{k}"] = factors[(slice(None), *np.triu_indices(factors.shape[-1]))]
+        stream = io.BytesIO()
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
+        return stream.getvalue()
+
+    @classmethod
+    def from_bytes(cls, base: BaseParameters, content: bytes) -> SquareRootInformation:
+        """Rebuild what `to_bytes` wrote for a robot with these base parameters; raises `ResultError` where they are others or it is not readable."""
+        try:
+            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+                header = json.loads(str(arrays["header"]))
+                supports, every = [], []
+                for k in range(len(header["joints"])):
+                    supports.append(arrays[f"support_{k}"].astype(np.int64))
+                    q = len(supports[-1]) + 1
+                    packed = arrays[f"factors_{k}"]
+                    factors = np.zeros((len(packed), q, q))
+                    factors[(slice(None), *np.triu_indices(q))] = packed
+                    every.append(factors)
+                torque_sum = arrays["torque_sum"].astype(np.float64)
+            blocks = tuple(TimeBlock(**block) for block in header["blocks"])
+            names, joints = tuple(header["parameters"]), tuple(header["joints"])
+        except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as problem:
+            raise ResultError(
+                f"square-root information cannot be read: {type(problem).__name__} {problem}; expected what `to_bytes` wrote"
+            ) from problem
+        if names != base.names:
+            raise ResultError(
+                f"the information belongs to {header['robot']} with drive terms {header['drive']} ({len(names)} parameters), "
+                f"not to {base.robot} with drive terms {base.drive} ({base.n_base} parameters)"
+            )
+        return cls(base, joints, tuple(supports), tuple(every), torque_sum, blocks)
+
+
+def accumulate(
+    model: RobotModel, base: BaseParameters, samples: Samples, *, block_seconds: float | None = None, threads: int | None = None
+) -> SquareRootInformation:
+    """Reduce samples to their square-root information in one pass.
+
+    Where `samples.parallel` is set, every regressor column and the torque go through it alike, segment by segment. `block_seconds` is the length
+    of a time block, by default 5 s, less for short recordings. `threads` share the blocks, by default one per core; the result does not depend on it.
+    """
+    return accumulate_stream(model, base, (samples,), block_seconds=block_seconds, threads=threads)
+
+
+def accumulate_stream(
+    model: RobotModel, base: BaseParameters, stream: Iterable[Samples], *, block_seconds: float | None = None, threads: int | None = None
+) -> SquareRootInformation:
+    """Reduce any number of samples, recordings or pieces of one, while they are being read; memory does not grow with their number.
+
+    A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each piece. Beyond 256 blocks, neighbours are merged.
+    Raises `IdentifiabilityError` where nothing is left after filtering, or the joints are others.
+    """
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
+    gathered = _Gathering()
+    pending: deque[Future[_Reduced]] = deque()
+    workers = chosen_threads(threads, available_cores())
+    with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
+        for stretch in stretches(model, stream, block_seconds):
+            pending.append(pool.submit(_reduced, plan, stretch))
+            gathered.seconds = max(gathered.seconds, stretch.seconds)
+            if len(pending) > 2 * workers:
+                gathered.add(pending.popleft().result())
+        while pending:
+            gathered.add(pending.popleft().result())
+    if not gathered.blocks:
+        raise IdentifiabilityError(
+            f"no samples of {model.name} are left to identify from: every contiguous stretch is shorter than the filter needs; "
+            "record longer, raise the cutoff, or filter less"
+        )
+    return gathered.information(base, model.joint_names, plan.support)
+
+
+def reduce_rows(
+    base: BaseParameters, joint_names: tuple[str, ...], support: Sequence[Indices], blocks: Iterable[RowBlock]
+) -> SquareRootInformation:
+    """Reduce rows that an estimator has made of those of the samples, such as weighted ones; `support[k]` are the columns of joint k's rows."""
+    gathered = _Gathering()
+    with one_blas_thread():
+        for block in blocks:
+            gathered.seconds = max(gathered.seconds, block.seconds)
+            factors = []
+            for rows in block.rows:
+                growing = GrowingFactor(len(rows), min(ROWS_AT_ONCE, rows.shape[1]))
+                growing.append(rows)
+                factors.append(growing.factor())
+            gathered.add(_Reduced(tuple(factors), np.array([rows[-1].sum() for rows in block.rows]), block.time))
+    return gathered.information(base, joint_names, tuple(support))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    factors: tuple[Array, ...]
+    torque_sum: Array
+    time: TimeBlock
+
+
+def _reduced(plan: RegressorPlan, stretch: Stretch) -> _Reduced:
+    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, stretch.n_outputs)) for columns in plan.support]
+    torque_sum = np.zeros(plan.model.n_joints)
+    for piece in stretch.pieces(plan):
+        for k, rows in enumerate(piece):
+            torque_sum[k] += rows[-1].sum()
+            growing[k].append(rows)
+    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, stretch.time)
+
+
+class _Gathering:
+    """Keep the blocks in order, merging neighbours into longer ones where there are too many."""
+
+    def __init__(self) -> None:
+        self.blocks: list[_Reduced] = []
+        self.seconds = 0.0
+
+    def add(self, block: _Reduced) -> None:
+        if self.blocks and _near(self.blocks[-1].time, block.time, self.seconds):
+            self.blocks[-1] = _merged(self.blocks[-1], block)
+        else:
+            self.blocks.append(block)
+        if len(self.blocks) > 2 * MOST_BLOCKS:
+            self.seconds *= 2.0
+            blocks, self.blocks = self.blocks, []
+            for each in blocks:
+                self.add(each)
+
+    def information(self, base: BaseParameters, joint_names: tuple[str, ...], support: tuple[Indices, ...]) -> SquareRootInformation:
+        """Return all blocks as one."""
+        factors = tuple(np.array([block.factors[k] for block in self.blocks]) for k in range(len(joint_names)))
+        torque_sum = np.array([block.torque_sum for block in self.blocks])
+        return SquareRootInformation(base, joint_names, support, factors, torque_sum, tuple(block.time for block in self.blocks))
+
+
+def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
+    return earlier.source == later.source and 0.0 < later.stop - earlier.start <= ROUNDED_LENGTH * seconds
+
+
+def _merged(earlier: _Reduced, later: _Reduced) -> _Reduced:
+    factors = tuple(triangular_factor(np.vstack(pair)) for pair in zip(earlier.factors, later.factors, strict=True))
+    time = TimeBlock(earlier.time.source, earlier.time.start, later.time.stop, earlier.time.n_samples + later.time.n_samples)
+    return _Reduced(factors, earlier.torque_sum + later.torque_sum, time)

@@ -1,0 +1,65 @@
+"""Rows of any number reduced to a triangle by Householder QR, a cache full at a time."""
+
+from __future__ import annotations
+
+import base64
+
+import numpy as np
+from scipy.linalg import lapack
+
+from asbuilt.arrays import Array
+
+ROWS_AT_ONCE = 1024
+"""Rows reduced by one QR: with some 50 columns they fit the cache."""
+
+
+def triangular_factor(rows: Array) -> Array:
+    """Return the upper triangular R (p, p) with `R^T R = rows^T rows` and a non-negative diagonal, of rows (m, p), by Householder QR."""
+    growing = GrowingFactor(rows.shape[1], len(rows))
+    growing.append(np.ascontiguousarray(rows.T))
+    return growing.factor()
+
+
+def packed_triangle(matrix: Array) -> str:
+    """Return the upper triangle of a matrix (p, p), row by row, as base64 of little-endian doubles."""
+    return base64.b64encode(matrix[np.triu_indices(len(matrix))].astype("<f8").tobytes()).decode("ascii")
+
+
+def unpacked_triangle(text: str, p: int) -> Array:
+    """Return the upper triangular matrix (p, p) of `packed_triangle`; raises ValueError where the text holds another number of entries."""
+    triangle = np.zeros((p, p))
+    triangle[np.triu_indices(p)] = np.frombuffer(base64.b64decode(text), dtype="<f8")
+    return triangle
+
+
+class GrowingFactor:
+    """Reduce ever more rows with p columns to their triangular factor: R of [R; new rows], `capacity` rows at a time."""
+
+    def __init__(self, p: int, capacity: int = ROWS_AT_ONCE) -> None:
+        self._p = p
+        self._rows = np.zeros((p, p + max(capacity, 1)))
+        self._filled = p
+
+    def append(self, columns: Array) -> None:
+        """Add rows given as columns (p, m): samples innermost."""
+        start = 0
+        while start < columns.shape[1]:
+            if self._filled == self._rows.shape[1]:
+                self._reduce()
+            taken = min(columns.shape[1] - start, self._rows.shape[1] - self._filled)
+            self._rows[:, self._filled : self._filled + taken] = columns[:, start : start + taken]
+            self._filled += taken
+            start += taken
+
+    def factor(self) -> Array:
+        """Return R (p, p) of everything added so far."""
+        self._reduce()
+        r = self._rows[:, : self._p].T.copy()
+        return np.asarray(r * np.where(np.diag(r) < 0, -1.0, 1.0)[:, None])
+
+    def _reduce(self) -> None:
+        if self._filled > self._p:
+            self._rows[:, self._filled :] = 0.0
+            lapack.dgeqrf(self._rows.T, overwrite_a=True)
+            self._rows[:, : self._p] = np.tril(self._rows[:, : self._p])
+            self._filled = self._p

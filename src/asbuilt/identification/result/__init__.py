@@ -1,0 +1,1 @@
+"""The result of an identification, its metrics and its summary."""

@@ -1,0 +1,1 @@
+"""Causes that explain the torque error of CAD."""

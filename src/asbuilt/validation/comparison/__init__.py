@@ -1,0 +1,1 @@
+"""CAD against as built, and results against each other."""

@@ -1,0 +1,297 @@
+"""The model as designed beside the model as built, parameter by parameter and torque by torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.identification.information.cause_data import CauseEvidence
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.tables import Cell, Column, Shown, Table, share, significant, stacked
+from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
+from asbuilt.validation.comparison.compared_parameter import ComparedParameter, parameter_table
+from asbuilt.validation.comparison.parameter_text import in_words
+from asbuilt.validation.comparison.significance import (
+    ChiSquare,
+    benjamini_hochberg,
+    chi_square,
+    holm,
+    probability_text,
+    two_sided_probability,
+)
+from asbuilt.validation.comparison.torque_cost import torque_cost
+from asbuilt.validation.prediction import Validation, design_values, torque_units
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+
+FALSE_DISCOVERY_RATE = 0.05
+"""Share of the parameters said to differ that may do so by chance."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Hold CAD against as built: parameters as in Table 2 of the 2015 paper, torque errors as in its Table 3.
+
+    `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by. `chi_square` tests all parameters with a CAD value at
+    once, `chi_square_tolerance` the same with the `tolerance` that CAD claims, which would have to be `tolerance_needed` times as wide to hold what was found (None where it is
+    wide enough), and which the parameters named in `beyond_tolerance` exceed. `errors` says how standard errors were judged. `level` is the false discovery rate at which a parameter differs.
+    """
+
+    robot: str
+    cad_source: str
+    joint_names: tuple[str, ...]
+    units: tuple[str, ...]
+    parameters: tuple[ComparedParameter, ...]
+    torque: tuple[tuple[TorqueMetrics | None, TorqueMetrics], ...]
+    level: float = FALSE_DISCOVERY_RATE
+    chi_square: ChiSquare | None = None
+    chi_square_tolerance: ChiSquare | None = None
+    tolerance: CadTolerance | None = None
+    tolerance_needed: float | None = None
+    beyond_tolerance: tuple[str, ...] = ()
+    judged_by: str = ""
+    errors: str = ""
+
+    @property
+    def n_differing(self) -> int:
+        """Number of parameters that differ beyond doubt."""
+        return sum(parameter.verdict == "differs" for parameter in self.parameters)
+
+    @property
+    def n_compared(self) -> int:
+        """Number of parameters with a CAD value and a standard error."""
+        return sum(parameter.verdict in ("differs", "agrees") for parameter in self.parameters)
+
+    @property
+    def n_mattering(self) -> int | None:
+        """Number of parameters that differ and matter; None where the torque is unknown."""
+        known = [parameter for parameter in self.parameters if parameter.matters is not None]
+        return sum(bool(parameter.matters) and parameter.verdict == "differs" for parameter in known) if known else None
+
+    @property
+    def ranked(self) -> tuple[ComparedParameter, ...]:
+        """The parameters, those that cost the most torque first; by id where that is unknown."""
+        if all(parameter.torque_total is None for parameter in self.parameters):
+            return self.parameters
+        return tuple(sorted(self.parameters, key=lambda parameter: (-(parameter.torque_total or 0.0), parameter.id)))
+
+    def verdict(self) -> str:
+        """Return the outcome in a sentence or two."""
+        text = f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ ({self.rule()})."
+        if self.n_mattering is not None:
+            text = f"{text[:-1]}; {self.n_mattering} of them matter{'s' if self.n_mattering == 1 else ''} to the torque."
+        if not self.torque:
+            return text
+        cad, built = self.torque[0]
+        if cad is None:
+            return f"{text} Torque error as built {share(built.relative_error)} on {recording_name(built.source)}."
+        return f"{text} Torque error on {recording_name(built.source)}: CAD {share(cad.relative_error)}, as built {share(built.relative_error)}."
+
+    def rule(self) -> str:
+        """Return the rule by which parameters are said to differ."""
+        return f"false discovery rate {share(self.level, 0)}"
+
+    def tests(self) -> tuple[str, ...]:
+        """Return the tests of all parameters at once, in sentences."""
+        found = []
+        if self.chi_square is not None and self.chi_square.degrees:
+            found.append(f"CAD as a whole against the data: {_chi_square(self.chi_square)}.")
+        if self.chi_square_tolerance is not None and self.tolerance is not None:
+            claimed = f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of the centre, {share(self.tolerance.inertia, 0)} of inertia"
+            outcome = (
+                "CAD is within its tolerances" if self.chi_square_tolerance.probability > self.level else "CAD is beyond its tolerances"
+            )
+            found.append(f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)}; {outcome}.")
+            if self.tolerance_needed is not None:
+                found.append(f"They would have to be {significant(self.tolerance_needed, 2)} times as wide to hold what was found.")
+            if self.beyond_tolerance:
+                found.append(f"Beyond their tolerances one by one ({self.rule()}): {', '.join(self.beyond_tolerance)}.")
+        return tuple(found)
+
+    def parameter_table(self) -> Table:
+        """Return Table 2, what matters first: id, expression, CAD, as built, standard error, difference in standard errors, torque."""
+        return parameter_table(self.ranked, level=self.level, errors=self.errors, units=self.units)
+
+    def torque_table(self) -> Table:
+        """Return Table 3: RMS torque error of each joint, CAD and as built, for each recording."""
+        heads = [Column("recording", width=40), Column("parameters")]
+        heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)]
+        heads.append(Column("relative error", align="decimal"))
+        rows: list[tuple[Cell, ...]] = []
+        for cad, built in self.torque:
+            for what, metrics in (("CAD", cad), ("as built", built)):
+                if metrics is not None:
+                    rms = [Shown(float(value), significant(float(value))) for value in metrics.rms]
+                    rows.append((recording_name(metrics.source), what, *rms, Shown(metrics.relative_error, share(metrics.relative_error))))
+        return Table(tuple(heads), tuple(rows), title="RMS torque error")
+
+    def as_text(self) -> str:
+        """Return verdict and both tables for a terminal."""
+        return self.heading() + "\n" + stacked([*([self.torque_table()] if self.torque else []), self.parameter_table()])
+
+    def heading(self) -> str:
+        """Return the verdict and the tests of all parameters, line by line."""
+        return "\n".join([f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]) + "\n"
+
+    def as_csv(self) -> str:
+        """Return the parameter table as CSV."""
+        return self.parameter_table().as_csv()
+
+    def as_document(self) -> dict[str, Any]:
+        """Return plain numbers, lists and None, ready for JSON."""
+        return {
+            "robot": self.robot,
+            "cad": self.cad_source,
+            "joints": list(self.joint_names),
+            "false_discovery_rate": self.level,
+            "n_compared": self.n_compared,
+            "n_differing": self.n_differing,
+            "n_mattering": self.n_mattering,
+            "verdict": self.verdict(),
+            "judged_by": self.judged_by,
+            "errors": self.errors,
+            "chi_square": None if self.chi_square is None else asdict(self.chi_square),
+            "chi_square_tolerance": None if self.chi_square_tolerance is None else asdict(self.chi_square_tolerance),
+            "tolerance": None if self.tolerance is None else asdict(self.tolerance),
+            "tolerance_needed": self.tolerance_needed,
+            "beyond_tolerance": list(self.beyond_tolerance),
+            "parameters": [parameter.as_dict() for parameter in self.ranked],
+            "torque": [{"cad": None if cad is None else cad.as_dict(), "as_built": built.as_dict()} for cad, built in self.torque],
+        }
+
+
+def compare(
+    result: IdentificationResult,
+    cad: RobotModel | None = None,
+    validation: Validation | Sequence[Validation] | None = None,
+    *,
+    level: float = FALSE_DISCOVERY_RATE,
+    tolerance: CadTolerance | None = None,
+) -> Comparison:
+    """Compare a result with the description it started from, or with `cad`, another description of the same geometry.
+
+    `validation` gives the torque errors to put side by side (made with the same `cad`); without it the result's own metrics serve, or for another
+    `cad` those of the evidence that the result carries. A parameter differs where its false discovery rate is at most `level`. `tolerance` is what CAD is
+    believed to know.
+    """
+    values = result.cad_values if cad is None else design_values(result, cad)
+    determined = np.array([p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters])
+    tested = determined & np.isfinite(values)
+    difference = np.where(tested, result.estimates - values, np.nan)
+    sigmas = difference[tested] / result.std_errors[tested]
+    p_values = two_sided_probability(sigmas)
+    discovery, strict = benjamini_hochberg(p_values), holm(p_values)
+    cost = None if result.evidence is None else torque_cost(result.evidence, result.base, result.estimates - values)
+    left = None if result.evidence is None else result.evidence.error_of(result.base.names, result.estimates)
+    words = in_words(result.base)
+    compared, place = [], 0
+    for j, (parameter, by_design) in enumerate(zip(result.parameters, values.tolist(), strict=True)):
+        known = by_design if np.isfinite(by_design) else None
+        found = ComparedParameter(
+            id=parameter.id,
+            name=parameter.name,
+            expression=parameter.expression,
+            unit=parameter.unit,
+            cad=known,
+            estimate=parameter.estimate,
+            std_error=parameter.std_error if np.isfinite(parameter.std_error) and parameter.std_error > 0 else None,
+            sigmas=None,
+            verdict="dropped" if parameter.dropped else "no CAD value" if determined[j] else "not determined",
+            words=words[j],
+        )
+        if tested[j]:
+            found = replace(
+                found,
+                sigmas=float(sigmas[place]),
+                verdict="differs" if discovery[place] <= level else "agrees",
+                p_value=float(p_values[place]),
+                false_discovery=float(discovery[place]),
+                holm=float(strict[place]),
+            )
+            place += 1
+        if cost is not None and left is not None and known is not None:
+            found = replace(
+                found,
+                torque=tuple(cost.torque[j].tolist()),
+                torque_total=float(cost.total[j]),
+                torque_own=float(cost.own[j]),
+                matters=bool(cost.noticed(left, alone=True)[j]),
+                shared_with=cost.shared_with(j, left, result.base.names),
+            )
+        compared.append(found)
+    held = (
+        None
+        if tolerance is None
+        else check_tolerance(tolerance, cad or result.model, result.base, difference, result.covariance, tested, level=level)
+    )
+    return Comparison(
+        robot=result.robot,
+        cad_source="CAD" if cad is None else cad.name,
+        joint_names=tuple(result.joint_names),
+        units=torque_units(result.model),
+        parameters=tuple(compared),
+        torque=_paired(result, cad, values, validation),
+        level=level,
+        chi_square=chi_square(difference[tested], result.covariance[np.ix_(tested, tested)]) if tested.any() else None,
+        chi_square_tolerance=None if held is None else held.chi_square,
+        tolerance=tolerance,
+        tolerance_needed=None if held is None else held.needed,
+        beyond_tolerance=() if held is None else held.beyond,
+        errors=result.errors_sentence,
+        judged_by="" if result.evidence is None else recording_name(result.evidence.judged_by),
+    )
+
+
+def _chi_square(test: ChiSquare) -> str:
+    return f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p {probability_text(test.probability)}"
+
+
+def recording_name(source: str) -> str:
+    """Return the source of a recording without the folders of its files.
+
+    >>> recording_name("data/a.csv, data/b.csv")
+    'a.csv, b.csv'
+    """
+    return ", ".join(PurePath(part).name or part for part in source.split(", "))
+
+
+def _paired(
+    result: IdentificationResult, cad: RobotModel | None, values: Array, validation: Validation | Sequence[Validation] | None
+) -> tuple[tuple[TorqueMetrics | None, TorqueMetrics], ...]:
+    if validation is not None:
+        several = [validation] if isinstance(validation, Validation) else list(validation)
+        return tuple((item.metrics_cad, item.metrics_as_built) for item in several)
+    measured = result.validation or (result.train,)
+    if cad is None:
+        return tuple((result.cad if metrics.source == result.cad.source else None, metrics) for metrics in measured)
+    if result.evidence is None or not result.validation:
+        return tuple((None, metrics) for metrics in measured)
+    return (
+        (_evident_metrics(result, result.evidence, np.nan_to_num(values, nan=0.0), measured[0]), measured[0]),
+        *((None, m) for m in measured[1:]),
+    )
+
+
+def _evident_metrics(result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics) -> TorqueMetrics:
+    """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell them."""
+    rms = evidence.error_of(result.base.names, beta)
+    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(evidence.n_judged)
+    unknown = np.full(len(rms), np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return TorqueMetrics(
+            source=like.source,
+            joint_names=like.joint_names,
+            n_samples=evidence.n_judged,
+            rms=rms,
+            max_abs=unknown,
+            r_squared=unknown,
+            relative_error=float(np.linalg.norm(rms) / np.linalg.norm(torque)),
+            relative_error_per_joint=rms / torque,
+        )

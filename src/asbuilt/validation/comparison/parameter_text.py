@@ -1,0 +1,89 @@
+"""Base parameters in plain words: what of which link, with what it carries, or what of which drive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from asbuilt.description.inertia import PARAMETER_NAMES
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.term import DriveTerm
+
+DRIVE_WORDS = {"armature": "armature", "viscous": "viscous friction", "coulomb": "Coulomb friction", "offset": "torque offset"}
+"""Drive terms whose key is not their name; the others are called by their key."""
+
+
+def in_words(base: BaseParameters) -> tuple[str, ...]:
+    """Return what each base parameter is, in words: `first moment along z, links 4 to 7`.
+
+    A base parameter is called after the kept column and the last link that enters it.
+
+    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.dynamics.base.base_parameters import find_base_parameters
+    >>> from asbuilt.dynamics.drives.selection import DriveSet
+    >>> base = find_base_parameters(bundled_robot("kuka-iiwa7-r800"), DriveSet.parse("coulomb"))
+    >>> dict(zip(base.names, in_words(base)))["mz4"]
+    'first moment along z, links 4 to 7'
+    >>> in_words(base)[-1]
+    'Coulomb friction, joint 7'
+    """
+    inertial = len(PARAMETER_NAMES) * (base.n_standard // (len(PARAMETER_NAMES) + base.drive.columns_per_joint))
+    return tuple(
+        _of_link(base, row, int(column), inertial) if column < inertial else _of_drive(base, int(column) - inertial)
+        for row, column in enumerate(base.columns)
+    )
+
+
+def drive_in_words(drive: DriveSet) -> str:
+    """Return the terms of a set for a reader: at which joints, with which shapes there.
+
+    >>> drive_in_words(DriveSet.parse("viscous:joints=2/3,offset,power:joints=1/3:exponent=0.7/0.5/0.6,stribeck:velocity=0.1"))
+    'viscous friction (joints 2, 3); stribeck (velocity 0.1); power (joint 1: exponent 0.7; joint 3: exponent 0.6); torque offset'
+    """
+    return "; ".join(_term_in_words(term) for term in drive.terms) or "none"
+
+
+def _term_in_words(term: DriveTerm) -> str:
+    stated = {shape.name: getattr(term, shape.name) for shape in term.shapes if getattr(term, shape.name) is not None}
+    several = [len(values) for values in stated.values() if isinstance(values, tuple)]
+    if several:
+        inside = "; ".join(f"joint {number}: {_shapes(term.at(number - 1), stated)}" for number in term.joints or range(1, several[0] + 1))
+    else:
+        where = [] if term.joints is None else [f"joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))}"]
+        inside = "; ".join([*where, *([_shapes(term, stated)] if stated else [])])
+    return _term_name(term) + (f" ({inside})" if inside else "")
+
+
+def _shapes(term: DriveTerm, names: Iterable[str]) -> str:
+    return ", ".join(f"{name} {term.value(name):.3g}" for name in names)
+
+
+def _term_name(term: DriveTerm) -> str:
+    return DRIVE_WORDS.get(term.key, term.key.replace("_", " "))
+
+
+def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
+    per_link = len(PARAMETER_NAMES)
+    link, name = column // per_link, PARAMETER_NAMES[column % per_link]
+    entries = np.flatnonzero(base.regrouping[row])
+    own = {PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial}
+    last = max(int(j) // per_link for j in entries if j < inertial)
+    said = "mass" if name == "m" else f"first moment along {name[1]}" if name[0] == "m" else _moment(name, own)
+    where = f"link {link + 1}" if last == link else f"links {link + 1} to {last + 1}"
+    return f"{said}, {where}{' with rotors' if entries[-1] >= inertial else ''}"
+
+
+def _moment(name: str, own: set[str]) -> str:
+    if name[1] != name[2]:
+        return f"product of inertia {name[1:]}"
+    less = sorted(other for other in own if other != name and other[0] == "I" and other[1] == other[2])
+    return f"inertia about {name[1]}" + "".join(f" less {other[1]}" for other in less)
+
+
+def _of_drive(base: BaseParameters, place: int) -> str:
+    joint, column = divmod(place, base.drive.columns_per_joint)
+    term = [term for term in base.drive.terms for _ in term.letters][column]
+    letter = f" {base.drive.letters[column]}" if len(term.letters) > 1 else ""
+    return f"{_term_name(term)}{letter}, joint {joint + 1}"

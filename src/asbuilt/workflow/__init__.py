@@ -1,0 +1,1 @@
+"""Whole studies: prepare recordings, identify, validate, compare."""

@@ -1,0 +1,186 @@
+"""Which low-pass cutoff the held-out torque asks for: the whole chain run at several, judged where no filter can flatter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import AsbuiltError, RecordingError
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.hold_out import hold_out, parse_rule
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.identify import identify
+from asbuilt.tables import MISSING, Column, Table, significant
+from asbuilt.validation.prediction import Validation, validate
+from asbuilt.validation.residuals import whiteness_in_band
+
+Array = NDArray[np.float64]
+
+MULTIPLES = (0.2, 0.3, 0.45, 0.65, 1.0, 1.5, 2.2, 3.2, 4.8, 7.0)
+"""Cutoffs that are tried, in multiples of the one that the chain would choose."""
+HIGHEST_SHARE = 0.2
+"""No cutoff above this share of the sampling rate,"""
+APART = 1.2
+"""nor one between that and a fraction of it so small that the two would be one."""
+HOLDOUT = "blocks:2s:3"
+"""What is held out to choose by where the user holds nothing out."""
+AS_GOOD = 1.02
+"""Held-out error, in multiples of the smallest, that counts as equally good; of these the lowest cutoff is taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutoffTrial:
+    """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean squared error relative to the joint's noise.
+
+    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever the cutoff, NaN where all runs are shorter than half its period; `effective_share` how many samples it is worth of
+    the 2 cutoff a second that it then would be.
+    """
+
+    cutoff: float
+    rms_recorded: Array
+    rms: Array
+    durbin_watson: float
+    effective_share: float
+    score: float
+    in_band: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CutoffSweep:
+    """Hold the trials in rising order, the cutoff that was chosen, why in a sentence, and the rule by which recordings were held out to judge by."""
+
+    joint_names: tuple[str, ...]
+    trials: tuple[CutoffTrial, ...]
+    chosen: float
+    why: str
+    holdout: str = HOLDOUT
+
+    def table(self) -> Table:
+        """Return the trials as a table."""
+        rows = tuple(
+            (
+                significant(trial.cutoff),
+                "<- chosen" if trial.cutoff == self.chosen else "",
+                f"{trial.score:.3f}",
+                f"{trial.in_band:.3f}",
+                *(significant(float(x)) for x in trial.rms_recorded),
+                f"{trial.durbin_watson:.2f}" if np.isfinite(trial.durbin_watson) else MISSING,
+                f"{100 * trial.effective_share:.0f}",
+            )
+            for trial in self.trials
+        )
+        columns = (
+            Column("cutoff", "Hz", "decimal"),
+            Column(""),
+            Column("held out", "relative", "decimal"),
+            Column("in band", "relative", "decimal"),
+            *(Column(name, align="decimal", width=14) for name in self.joint_names),
+            Column("Durbin-Watson", align="decimal"),
+            Column("white", "%", "decimal"),
+        )
+        notes = (
+            f"Errors are RMS of torque as recorded, which filtering cannot make smaller, on {self.holdout} of the recordings identified from, held out; "
+            "'held out' is their joint mean relative to the best.",
+            "'in band' is the same against the filtered torque, of which a lower cutoff leaves less whatever the model is worth; it chooses nothing.",
+            "Durbin-Watson, at half periods of the cutoff, is 2 for a residual white up to the cutoff, near 0 for a slow one; white: how many independent "
+            "samples it is worth, of those that a white one would be.",
+            self.why,
+        )
+        return Table(columns, rows, title="Cutoff of the low-pass", notes=notes)
+
+    def as_document(self) -> dict[str, Any]:
+        """Return the sweep as numbers."""
+        return {
+            "chosen": self.chosen,
+            "why": self.why,
+            "holdout": self.holdout,
+            "trials": [
+                {
+                    "cutoff": trial.cutoff,
+                    "score": trial.score,
+                    "in_band": trial.in_band,
+                    "rms_recorded": trial.rms_recorded.tolist(),
+                    "rms": trial.rms.tolist(),
+                    "durbin_watson": trial.durbin_watson if np.isfinite(trial.durbin_watson) else None,
+                    "effective_share": trial.effective_share,
+                }
+                for trial in self.trials
+            ],
+        }
+
+
+def sweep_cutoffs(
+    model: RobotModel,
+    recordings: Sequence[Recording],
+    *,
+    drive: DriveSet,
+    chain: SignalChain | None = None,
+    holdout: str | None = None,
+    cutoffs: Sequence[float] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> CutoffSweep:
+    """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as recorded, is within 2 % of the smallest.
+
+    Weighted least squares each time. The error in the filter's band falls with the cutoff whatever the model is worth and must not choose it. Raises RecordingError where
+    no cutoff leaves enough samples, UsageError where the rule cannot be read.
+    """
+    start = (chain or SignalChain()).resolved(*recordings)
+    assert start.cutoff is not None
+    rates = [recording.rate for recording in recordings]
+    tried = sorted(map(float, cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates))))
+    rule = holdout or HOLDOUT
+    parse_rule(rule)
+    base = find_base_parameters(model, drive)
+    found: list[tuple[float, Array, Array, float, float]] = []
+    last: AsbuiltError | None = None
+    for k, cutoff in enumerate(tried):
+        if progress is not None:
+            progress("cutoff", k / len(tried))
+        at = replace(start, cutoff=cutoff, parallel_cutoff=None)
+        try:
+            parts = [hold_out(prepare_samples(recording, at), rule) for recording in recordings]
+            result = identify(model, [train for train, _ in parts], base=base)
+            judged = [validate(result, held) for _, held in parts]
+        except AsbuiltError as problem:
+            last = problem
+            continue
+        recorded, band = (
+            np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0)) for name in ("rms_recorded", "rms")
+        )
+        whiteness, share = np.mean([_whiteness(item, cutoff) for item in judged], axis=(0, 2))
+        found.append((cutoff, recorded, band, float(whiteness), float(share)))
+    if not found:
+        raise RecordingError(
+            f"no cutoff leaves enough samples to learn from and to judge by; record longer (at {tried[-1]:.3g} Hz: {last})"
+        )
+    best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)
+    scores = np.array([np.sqrt(np.mean((recorded / best) ** 2)) for _, recorded, _, _, _ in found])
+    bands = np.array([np.sqrt(np.mean((band / best) ** 2)) for _, _, band, _, _ in found]) / scores.min()
+    scores /= scores.min()
+    trials = tuple(CutoffTrial(*trial, float(score), float(band)) for trial, score, band in zip(found, scores, bands, strict=True))
+    good = [trial for trial in trials if trial.score <= AS_GOOD]
+    chosen = good[0]
+    worst = max(trials, key=lambda trial: trial.score)
+    why = (
+        f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within {100 * (AS_GOOD - 1):.0f} % of the smallest; "
+        f"{significant(worst.cutoff)} Hz would cost {100 * (worst.score - 1):.0f} % more."
+    )
+    if chosen in (trials[0], trials[-1]) and len(trials) > 1:
+        why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."
+    return CutoffSweep(model.joint_names, trials, chosen.cutoff, why, rule)
+
+
+def _whiteness(judged: Validation, cutoff: float) -> tuple[Array, Array]:
+    return whiteness_in_band(judged.t, judged.error, cutoff)
+
+
+def _worth_trying(usual: float, highest: float) -> list[float]:
+    below = [multiple * usual for multiple in MULTIPLES if multiple * usual * APART <= highest]
+    return [*below, min(MULTIPLES[-1] * usual, highest)] if len(below) < len(MULTIPLES) else below

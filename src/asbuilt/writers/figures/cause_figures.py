@@ -1,0 +1,140 @@
+"""Figures of what CAD left out, drawn with matplotlib's objects."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from asbuilt.tables import significant
+from asbuilt.validation.attribution.attribution import Attribution
+from asbuilt.validation.attribution.causes import CAUSES
+from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.writers.figures.figure_style import (
+    AS_BUILT,
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    QUIET,
+    blank_figure,
+    broken,
+    headline,
+    styled,
+)
+
+CAUSE_COLOURS: dict[str, str] = {
+    "offset": "#F0E442",
+    "friction": BLUE,
+    "richer friction": "#56B4E9",
+    "armature": "#CC79A7",
+    "payload": AS_BUILT,
+    "mounting": GREEN,
+    "gain": ORANGE,
+    "links": "#7A6A53",
+}
+"""One colour per cause, after Okabe and Ito (2008)."""
+UNEXPLAINED = "#D5D9DE"
+LABELLED = 0.09
+"""Share from which there is room for its number."""
+
+
+def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
+    """Draw, joint by joint, what the squared error of CAD is made of: stacked shares, negative ones below zero, what is left in grey."""
+    n = len(attribution.joint_names)
+    with styled():
+        figure = blank_figure(1.05 * n + 3.2, 4.2)
+        axis = figure.subplots()
+        place = np.arange(n)
+        above, below = np.zeros(n), np.zeros(n)
+        for each in attribution.shares:
+            up, down = np.maximum(each.share, 0.0), np.minimum(each.share, 0.0)
+            axis.bar(
+                place,
+                100 * up,
+                bottom=100 * above,
+                width=0.68,
+                color=CAUSE_COLOURS[each.cause],
+                edgecolor="white",
+                linewidth=0.6,
+                label=CAUSES[each.cause],
+            )
+            axis.bar(place, 100 * down, bottom=100 * below, width=0.68, color=CAUSE_COLOURS[each.cause], edgecolor="white", linewidth=0.6)
+            dark = each.cause in ("friction", "payload", "links", "mounting")
+            for k, part in enumerate(each.share):
+                if abs(part) >= LABELLED:
+                    middle = (above[k] if part > 0 else below[k]) + part / 2
+                    axis.text(k, 100 * middle, f"{100 * part:.0f}", ha="center", va="center", fontsize=7.5, color="white" if dark else INK)
+            above, below = above + up, below + down
+        axis.bar(
+            place,
+            100 * attribution.unexplained,
+            bottom=100 * above,
+            width=0.68,
+            color=UNEXPLAINED,
+            edgecolor="white",
+            linewidth=0.6,
+            label="unexplained",
+        )
+        top = float(np.max(above + attribution.unexplained)) * 100
+        for k in range(n):
+            axis.text(
+                k,
+                100 * (above[k] + attribution.unexplained[k]) + 0.015 * top,
+                f"{significant(float(attribution.rms_cad[k]))} {attribution.units[k]}",
+                ha="center",
+                va="bottom",
+                fontsize=7.5,
+            )
+        if below.min() < -0.02:
+            axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
+            figure.supxlabel(
+                "A cause below 0 works against the others at that joint; the shares of a joint add up to 100 %.", fontsize=7.5, color=QUIET
+            )
+        axis.axhline(0.0, color=INK, linewidth=0.6)
+        axis.set_xticks(place, [broken(name, 14) for name in attribution.joint_names], rotation=0 if n <= 8 else 30)
+        axis.set_ylim(min(0.0, 115 * float(below.min())), 1.1 * top)
+        axis.set_ylabel("share of the squared CAD error [%]")
+        axis.grid(axis="x", visible=False)
+        figure.legend(loc="outside right upper", reverse=True)
+        headline(figure, title or f"{attribution.robot}: what the torque error of CAD is made of (RMS on top)")
+    return figure
+
+
+def difference_figure(comparison: Comparison, *, most: int = 20, title: str = "") -> Figure:
+    """Draw the parameters whose difference costs the most torque: the torque, the part that is each one's own, and whether they differ.
+
+    Those below a fiftieth of the largest are left out.
+    """
+    largest = max((each.torque_total or 0.0 for each in comparison.parameters), default=0.0)
+    shown = [each for each in comparison.ranked if each.torque_total and each.torque_total >= 0.02 * largest][:most]
+    with styled():
+        figure = blank_figure(7.6, 0.24 * max(len(shown), 1) + 1.2)
+        axis = figure.subplots()
+        place = np.arange(len(shown))
+        total = np.array([each.torque_total or 0.0 for each in shown])
+        own = np.array([each.torque_own or 0.0 for each in shown])
+        differs = [each.verdict == "differs" for each in shown]
+        axis.barh(place, total, height=0.7, color=[AS_BUILT if each else GREY for each in differs], alpha=0.35)
+        axis.barh(place, own, height=0.7, color=[AS_BUILT if each else GREY for each in differs])
+        for k, each in enumerate(shown):
+            felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
+            remark = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else "" if each.matters else ", matters little"
+            axis.text(
+                total[k] + 0.01 * total.max(),
+                k,
+                f"{felt}{remark}",
+                va="center",
+                fontsize=7,
+                color=QUIET,
+            )
+        axis.set_yticks(place, [f"{each.name}  ({each.words})" for each in shown], fontsize=7)
+        axis.set_ylim(len(shown) - 0.4, -0.6)
+        axis.set_xlim(0, 1.22 * float(total.max(initial=1e-12)))
+        axis.set_xlabel("torque of the difference, RMS over all joints [N m]")
+        axis.grid(axis="y", visible=False)
+        for colour, label in ((AS_BUILT, "differs"), (GREY, "within errors")):
+            axis.bar([0], [0], color=colour, label=label)
+        axis.legend(loc="lower right", title="pale: what others could make up for", title_fontsize=8)
+        headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
+    return figure

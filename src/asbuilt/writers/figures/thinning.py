@@ -1,0 +1,46 @@
+"""Draw a long recording with few points and without losing a peak."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.validation.residuals import contiguous_runs
+
+
+def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
+    """Return `t` (M,) and each curve (M,) thinned to about `points`, NaN between contiguous runs so that no line bridges a gap.
+
+    Time is cut into buckets; every bucket keeps the samples where any curve is smallest and largest, and each run its first and last sample,
+    so all curves keep the same instants, their extremes and their steps.
+    """
+    t_out: list[Array] = []
+    kept: list[list[Array]] = [[] for _ in curves]
+    share = points / max(len(t), 1)
+    gap = np.array([np.nan])
+    for start, stop in contiguous_runs(t):
+        index = start + _extremes([curve[start:stop] for curve in curves], max(2, int(share * (stop - start))))
+        t_out += [t[index], gap]
+        for curve, parts in zip(curves, kept, strict=True):
+            parts += [curve[index], gap]
+    if not t_out:
+        return t, *curves
+    return np.concatenate(t_out[:-1]), *(np.concatenate(parts[:-1]) for parts in kept)
+
+
+def _extremes(curves: list[Array], points: int) -> NDArray[np.int64]:
+    """Return the sorted indices of the bucket-wise minima and maxima of every curve, with the first and last sample."""
+    n = len(curves[0])
+    if n <= points:
+        return np.arange(n)
+    width = max(1, -(-2 * len(curves) * n // points))
+    whole = n // width * width
+    chosen: list[NDArray[np.int64]] = [np.array([0, n - 1])]
+    offsets = np.arange(0, whole, width)
+    for curve in curves:
+        buckets = curve[:whole].reshape(-1, width)
+        chosen += [offsets + buckets.argmin(axis=1), offsets + buckets.argmax(axis=1)]
+        if whole < n:
+            chosen.append(whole + np.array([curve[whole:].argmin(), curve[whole:].argmax()]))
+    return np.unique(np.concatenate(chosen))

@@ -1,0 +1,1 @@
+"""Robot descriptions and code for other software."""

@@ -1,0 +1,142 @@
+"""The robot as built: a result made into a whole robot, bodies and drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet, available_terms
+from asbuilt.dynamics.drives.torque import drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.identification.bodies.cad_prior import non_negative_columns
+from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
+from asbuilt.identification.bodies.standard_parameters import (
+    StandardParameters,
+    standard_parameters,
+)
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.writers.models.sample_states import sample_states
+
+QUIETEST = 1e-6
+"""Noise of a joint, as a part of the largest, below which its weight grows no further: simulations have none."""
+INFORMATION_TOLERANCE = 1e-13
+"""Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
+CHECKED_STATES = 100
+"""Random motions on which torques are compared."""
+SAME_TORQUE = 1e-9
+"""Torques [N m or N] that differ by less are the same."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AsBuilt:
+    """Hold the standard parameters found for a result, drives included, and the robot that has them: all identified drive terms and no others."""
+
+    parameters: StandardParameters
+    model: RobotModel
+
+
+def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
+    """Return the robot as built: real bodies closest to CAD that give the identified torques exactly.
+
+    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose torque on the data used differs least, joints weighted by their noise.
+    """
+    found = standard_parameters(result.model, result.base, result.estimates, nearest=nearest, information=_torque_information(result))
+    robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
+    sources = ", ".join(result.sources)
+    note = f"identified ({result.method}) from {sources}; {found.verdict}"
+    return AsBuilt(found, replace(robot, notes=(*result.model.notes, note), source=f"identified from {sources}"))
+
+
+def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
+    """Return the robot of `as_built`; without `nearest` its torques are those of the result."""
+    return as_built(result, nearest=nearest).model
+
+
+def _torque_information(result: IdentificationResult) -> Array:
+    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used: from the evidence, or else the inverse of the textbook covariance."""
+    if result.evidence is not None:
+        places = result.evidence.places(result.base.names)
+        quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
+        rows = [
+            factor[:, places] / max(float(sigma), quietest)
+            for factor, sigma in zip(result.evidence.whole(result.evidence.fitted), result.sigma, strict=True)
+        ]
+        return np.asarray(sum(R.T @ R for R in rows))
+    covariance = np.array(result.textbook_covariance)
+    size = np.sqrt(np.diag(covariance))
+    size[size == 0.0] = 1.0
+    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True) / np.outer(size, size))
+
+
+def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
+    """Return a robot with other standard parameters (n_standard,), and these drive terms with their values and shapes in place of its own; friction that is below zero by rounding is zero."""
+    rigid = 10 * model.n_joints
+    robot = model.with_parameters(parameters[:rigid])
+    drives = np.array(parameters[rigid:])
+    bounded = non_negative_columns(model.n_joints, drive) - rigid
+    drives[bounded] = np.where(drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded])
+    values = drives.reshape(model.n_joints, -1)
+    turned = np.any(model.motor_shares, axis=1)
+    joints = []
+    for k, joint in enumerate(robot.joints):
+        left = values[k].tolist()
+        plain: dict[str, float] = {}
+        terms: dict[str, dict[str, float]] = {}
+        for term in drive.at(k).terms:
+            own, left = left[: len(term.letters)], left[len(term.letters) :]
+            if term.key in PLAIN_TERMS and term.is_at(k):
+                plain[term.key] = own[0]
+            elif term.is_at(k) and (turned[k] or not term.of_motor):
+                terms[term.key] = dict(zip(term.letters, own, strict=True)) | {shape.name: term.value(shape.name) for shape in term.shapes}
+        joints.append(replace(joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=terms)))
+    return replace(robot, joints=tuple(joints), drives_by_design=True)
+
+
+def keeping_described_drives(robot: RobotModel, described: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
+    """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants, and what is to be said of them.
+
+    Where a richer term was identified in the place of a plain one (`power` in that of `viscous`), the described value would count the same friction twice: it is zero there.
+    """
+    joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()
+    for joint, before in zip(robot.joints, described.joints, strict=True):
+        richer = {stood_for: key for key in joint.drive.terms if (stood_for := available_terms()[key].stands_for) is not None}
+        kept = {key: value for key in PLAIN_TERMS if getattr(joint.drive, key) is None and (value := getattr(before.drive, key))}
+        for key in kept:
+            if key in richer:
+                kept[key] = 0.0
+                replaced.setdefault((key, richer[key]), []).append(joint.name)
+            else:
+                as_described.add(key)
+        joints.append(replace(joint, drive=replace(joint.drive, **kept)))
+    notes = (
+        [f"not identified, and as described: {', '.join(key for key in PLAIN_TERMS if key in as_described)} of the drives"]
+        if as_described
+        else []
+    )
+    for (key, richer_key), names in replaced.items():
+        at = "" if len(names) == robot.n_joints else f" at {', '.join(names)}"
+        notes.append(f"{key} of the description is left out{at}: {richer_key} was identified in its place")
+    return replace(robot, joints=tuple(joints)), tuple(notes)
+
+
+def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
+    """Return the largest torque difference [N m or N] to the result over random states that friction depending on load makes, zero without such friction.
+
+    The base parameters of a result count among the load what they cannot tell from a link, such as the armature of the first joint; the robot as built has it apart.
+    """
+    drive = result.base.drive
+    if not drive.needs_load:
+        return 0.0
+    q, qd, qdd = sample_states(built.model, CHECKED_STATES)
+    rigid, shares = len(built.model.parameters), built.model.motor_shares
+    together = np.zeros(result.n_standard)
+    together[result.base.columns] = built.parameters.beta
+    torques = []
+    for chi in (together, built.parameters.parameters):
+        load = inverse_dynamics(built.model, q, qd, qdd, parameters=chi[:rigid])
+        torques.append(load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares))
+    apart = float(np.abs(torques[1] - torques[0]).max())
+    return apart if apart > SAME_TORQUE else 0.0

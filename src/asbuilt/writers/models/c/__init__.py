@@ -1,0 +1,1 @@
+"""C code of a robot's dynamics."""

@@ -1,0 +1,289 @@
+"""A robot's inverse dynamics, gravity torque and regressor as plain C99 with its numbers in: no allocation, of libm sin and cos and what drive terms need."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.errors import UsageError
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.models.c.c_drives import drive_entries
+from asbuilt.writers.models.c.c_dynamics import Mechanism
+from asbuilt.writers.models.c.c_expressions import StraightLine, Term
+from asbuilt.writers.models.sample_states import sample_states
+
+CHECKED_STATES = 3
+"""Motions in the self-test of the C file."""
+SAME_TORQUE = 1e-12
+"""Torques that differ by less than this part of the largest differ by rounding."""
+LONGEST_TEXT = 2000
+"""Characters of a string in C; compilers must take 4095."""
+
+
+@dataclass(frozen=True, slots=True)
+class CCode:
+    """Hold the two files: `header` and `source`, which includes `<stem>.h`; all names begin with `prefix`."""
+
+    prefix: str
+    header: str
+    source: str
+
+
+def c_code(
+    model: RobotModel,
+    *,
+    drive: DriveSet | None = None,
+    drive_values: ArrayLike | None = None,
+    stem: str = "robot",
+    prefix: str | None = None,
+) -> CCode:
+    """Write a robot as C99.
+
+    `PREFIX_inverse_dynamics(q, qd, qdd, tau)` and `PREFIX_gravity_torque(q, tau)` run straight through with the numbers folded in. They use base
+    parameters in place of standard ones, which gives the same torques with fewer operations. `PREFIX_regressor(q, qd, qdd, Y)` fills the
+    (n, p) regressor of the base parameters row by row, `PREFIX_base_values` and `PREFIX_base_parameters` hold their values, names and units:
+    `tau = Y beta`. Drive terms add to inverse dynamics and regressor; `drive` and `drive_values` (joint by joint) default to those of the model.
+
+    Raises
+    ------
+    UsageError
+        For drive terms that C code does not have.
+    """
+    described, described_values = described_drive(model)
+    terms = described if drive is None else drive
+    values = np.asarray(described_values if drive_values is None else drive_values, dtype=np.float64)
+    if drive is not None and drive_values is None:
+        values = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
+    base = find_base_parameters(model, terms)
+    beta = base.values(np.concatenate([model.parameters, values]))
+    name = prefix or _identifier(model.name)
+    n = model.n_joints
+    forward, still, linear = Mechanism(model), Mechanism(model, at_rest=True), Mechanism(model)
+    chi = _fewest_parameters(model)
+    torques = forward.torques(chi)
+    for entry, value in zip(drive_entries(forward, terms, chi), values, strict=True):
+        for j, column in entry.items():
+            torques[j] = forward.code.total((torques[j],), (Term(float(value)), column))
+    motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
+    functions = [
+        _function(f"void {name}_inverse_dynamics({motion}, double tau[{n}])", ("q", "qd", "qdd"), forward.code, _assigned("tau", torques)),
+        _function(
+            f"void {name}_gravity_torque(const double q[{n}], double tau[{n}])", ("q",), still.code, _assigned("tau", still.torques(chi))
+        ),
+        _function(
+            f"void {name}_regressor({motion}, double Y[{n * base.n_base}])",
+            ("q", "qd", "qdd"),
+            linear.code,
+            {f"Y[{j * base.n_base + k}]": entry for (j, k), entry in sorted(_regressor(linear, base, terms, chi).items())},
+            opening=(f"for (int k = 0; k < {n * base.n_base}; k++) Y[k] = 0.0;",),
+        ),
+    ]
+    header = _header(model, base, terms, name, stem)
+    source = "\n\n".join(
+        [
+            _comment(f"{model.name}: inverse dynamics, gravity torque and regressor; see {stem}.h for units and conventions."),
+            f'#include "{stem}.h"\n\n#include <math.h>',
+            _tables(base, beta, name),
+            *functions,
+            _self_test(model, terms, values, base, name),
+        ]
+    )
+    return CCode(name, header, source + "\n")
+
+
+def write_c(
+    path: str | os.PathLike[str], model: RobotModel, *, drive: DriveSet | None = None, drive_values: ArrayLike | None = None
+) -> tuple[Path, Path]:
+    """Write `NAME.c` and `NAME.h` beside it, with the functions of `c_code`; returns both paths."""
+    target = Path(path)
+    if target.suffix != ".c":
+        raise UsageError(f"C code is written to a file NAME.c and its header NAME.h, got {target.name!r}")
+    stem = re.sub(r"[^A-Za-z0-9_.+-]", "_", target.stem)
+    if stem != target.stem:
+        raise UsageError(f"the name of a C file that is included must be plain, got {target.name!r}; try {stem}.c")
+    code = c_code(model, drive=drive, drive_values=drive_values, stem=stem)
+    return atomic_write(target, code.source), atomic_write(target.with_suffix(".h"), code.header)
+
+
+def _fewest_parameters(model: RobotModel) -> Array:
+    """Return standard parameters with the model's torques of which only those that lead a base parameter are not zero.
+
+    The model's own where they are not the same to rounding: in descriptions with lengths that are almost, but not exactly, zero.
+    """
+    rigid = find_base_parameters(model)
+    chi = np.zeros(10 * model.n_joints)
+    chi[rigid.columns] = rigid.values(model.parameters)
+    states = sample_states(model, 100)
+    torques = inverse_dynamics(model, *states)
+    apart = np.abs(inverse_dynamics(model, *states, parameters=chi) - torques).max()
+    return chi if apart <= SAME_TORQUE * np.abs(torques).max() else model.parameters
+
+
+def _regressor(mechanism: Mechanism, base: BaseParameters, terms: DriveSet, parameters: Array) -> dict[tuple[int, int], Term]:
+    inertial = 10 * mechanism.model.n_joints
+    columns = [int(column) for column in base.columns if column < inertial]
+    entries = mechanism.regressor(columns)
+    drives = drive_entries(mechanism, terms, parameters)
+    for position, column in enumerate(base.columns[len(columns) :], start=len(columns)):
+        entries |= {(j, position): entry for j, entry in drives[int(column) - inertial].items()}
+    return entries
+
+
+def _assigned(array: str, values: Sequence[Term]) -> dict[str, Term]:
+    return {f"{array}[{j}]": value for j, value in enumerate(values)}
+
+
+def _function(head: str, arguments: Sequence[str], code: StraightLine, answers: dict[str, Term], *, opening: Sequence[str] = ()) -> str:
+    lines = [*code.used(list(answers.values())), *opening, *[f"{place} = {answer.written()};" for place, answer in answers.items()]]
+    body = "\n".join(lines)
+    unused = [f"(void){name};" for name in arguments if not re.search(rf"\b{name}\[", body)]
+    return "\n".join([head, "{", *[f"    {line}" for line in [*unused, *lines]], "}"])
+
+
+def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str, stem: str) -> str:
+    n, p, capital = model.n_joints, base.n_base, name.upper()
+    joints = [f"  {k}  {joint.name} ({'rad, N m' if joint.is_revolute else 'm, N'})" for k, joint in enumerate(model.joints)]
+    about = "\n".join(
+        [
+            f"{model.name}: dynamics of {n} joints, written by asbuilt.",
+            *[f"Note: {note}" for note in model.notes],
+            "",
+            "Joints, in the order of all arrays:",
+            *joints,
+            "",
+            "Units are SI: q [rad or m], qd, qdd per second, tau [N m or N]. tau is the torque that the drives exert on the links:",
+            f"tau = rigid bodies + drive terms ({terms}). Coulomb friction is 0 at standstill.",
+            f"Gravity in the root frame: {model.gravity.tolist()} m/s^2.",
+            f"Base parameters: {p}, names with the number of the link or joint, from 1; inertias about link origins in link axes.",
+            f"Compile {stem}.c as C99 and link with -lm. With -D{capital}_SELF_TEST it is a program that checks itself.",
+            "All functions are pure: no allocation, no state, safe to call from any thread.",
+        ]
+    )
+    return f"""{_comment(about)}
+#ifndef {capital}_H
+#define {capital}_H
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+#define {capital}_JOINTS {n}
+#define {capital}_BASE_PARAMETERS {p}
+
+typedef struct {{
+    int id;
+    const char *name;
+    const char *expression;
+    const char *unit;
+}} {name}_parameter;
+
+/* What each base parameter is. */
+extern const {name}_parameter {name}_base_parameters[{p}];
+
+/* Values of the base parameters: tau = Y beta. */
+extern const double {name}_base_values[{p}];
+
+/* tau of a motion, drive terms included. */
+void {name}_inverse_dynamics(const double q[{n}], const double qd[{n}], const double qdd[{n}], double tau[{n}]);
+
+/* tau that holds the links at rest, without drive terms. */
+void {name}_gravity_torque(const double q[{n}], double tau[{n}]);
+
+/* Regressor of the base parameters, row by row: Y[joint*{p} + parameter]. */
+void {name}_regressor(const double q[{n}], const double qd[{n}], const double qdd[{n}], double Y[{n * p}]);
+
+#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
+
+
+def _tables(base: BaseParameters, beta: Array, name: str) -> str:
+    entries = zip(base.ids, base.names, base.expressions, base.units, strict=True)
+    table = [f"    {{{number}, {_string(called)}, {_string(said)}, {_string(unit)}}}" for number, called, said, unit in entries]
+    rows = ",\n".join(table)
+    numbers = ",\n".join(f"    {_number(value)}" for value in beta)
+    p = base.n_base
+    return (
+        f"const {name}_parameter {name}_base_parameters[{p}] = {{\n{rows}\n}};\n\nconst double {name}_base_values[{p}] = {{\n{numbers}\n}};"
+    )
+
+
+def _self_test(model: RobotModel, terms: DriveSet, values: Array, base: BaseParameters, name: str) -> str:
+    q, qd, qdd = sample_states(model, CHECKED_STATES)
+    rigid = inverse_dynamics(model, q, qd, qdd)
+    tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
+    arrays = {"q": q, "qd": qd, "qdd": qdd, "tau": tau, "gravity": gravity_torque(model, q)}
+    n, p, S = model.n_joints, base.n_base, CHECKED_STATES
+    rounding = max(1e-9, 1e-12 * float(np.abs(tau).max()))
+    known = "\n".join(
+        f"static const double expected_{key}[{S}][{n}] = {{\n"
+        + ",\n".join(f"    {{{', '.join(map(_number, row))}}}" for row in rows)
+        + "\n};"
+        for key, rows in arrays.items()
+    )
+    return f"""#ifdef {name.upper()}_SELF_TEST
+
+#include <stdio.h>
+
+{known}
+
+static double apart(double a, double b)
+{{
+    return a > b ? a - b : b - a;
+}}
+
+int main(void)
+{{
+    double worst = 0.0;
+    for (int s = 0; s < {S}; s++) {{
+        double tau[{n}], g[{n}], Y[{n * p}];
+        {name}_inverse_dynamics(expected_q[s], expected_qd[s], expected_qdd[s], tau);
+        {name}_gravity_torque(expected_q[s], g);
+        {name}_regressor(expected_q[s], expected_qd[s], expected_qdd[s], Y);
+        for (int j = 0; j < {n}; j++) {{
+            double linear = 0.0;
+            for (int k = 0; k < {p}; k++) linear += Y[j*{p} + k]*{name}_base_values[k];
+            double errors[3] = {{apart(tau[j], expected_tau[s][j]), apart(g[j], expected_gravity[s][j]), apart(linear, expected_tau[s][j])}};
+            for (int e = 0; e < 3; e++) if (!(errors[e] <= worst)) worst = errors[e];
+        }}
+    }}
+    printf("largest torque error %.3g\\n", worst);
+    return worst <= {rounding!r} ? 0 : 1;
+}}
+
+#endif"""
+
+
+def _comment(text: str) -> str:
+    lines = [re.sub(r"[^ -~]|\*(?=/)|/(?=\*)|\\$|\?(?=\?)", "_", line) for line in text.splitlines()]
+    return "\n".join(["/*", *[f" * {line}".rstrip() for line in lines], " */"])
+
+
+def _string(text: str) -> str:
+    plain = re.sub(r"[^ -~]", "_", text)[:LONGEST_TEXT]
+    return '"' + plain.replace("\\", "\\\\").replace('"', '\\"').replace("?", "\\?") + '"'
+
+
+def _identifier(name: str) -> str:
+    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    return plain if plain and not plain[0].isdigit() else f"robot_{plain}".rstrip("_")
+
+
+def _number(value: float) -> str:
+    return repr(float(value) + 0.0)

@@ -1,0 +1,211 @@
+"""The equations of motion of one robot as straight-line arithmetic, by Newton and Euler with its numbers folded in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import ROOT, Joint, RobotModel
+from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term, Vector
+
+Matrix = tuple[Vector, Vector, Vector]
+NOTHING: Vector = (ZERO, ZERO, ZERO)
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Angular velocity `w`, angular acceleration `dw`, acceleration `a` of the origin less gravity, in the axes of a frame."""
+
+    w: Vector
+    dw: Vector
+    a: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Screw:
+    """What a unit rate of a joint does to a frame: angular velocity `z` and velocity `m` of its origin, in its axes."""
+
+    z: Vector
+    m: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """Force and moment about the origin of a frame, in its axes."""
+
+    force: Vector
+    moment: Vector
+
+
+class Mechanism:
+    """Write torques and regressors of a robot from variables q, qd, qdd (Luh, Walker and Paul, 1980; Atkeson, An and Hollerbach, 1986)."""
+
+    def __init__(self, model: RobotModel, *, at_rest: bool = False) -> None:
+        self.model, self.code = model, StraightLine()
+        n = model.n_joints
+        self.q = [Term(1.0, f"q[{j}]") for j in range(n)]
+        self.qd = [ZERO if at_rest else Term(1.0, f"qd[{j}]") for j in range(n)]
+        self.qdd = [ZERO if at_rest else Term(1.0, f"qdd[{j}]") for j in range(n)]
+        turning = [joint.is_revolute for joint in model.joints]
+        self.cosine = [self.code.given(f"cos(q[{j}])") if turns else ONE for j, turns in enumerate(turning)]
+        self.sine = [self.code.given(f"sin(q[{j}])") if turns else ZERO for j, turns in enumerate(turning)]
+        self.motions: list[Motion] = []
+        for j, joint in enumerate(model.joints):
+            self.motions.append(self._moved(j, joint))
+
+    def torques(self, parameters: Array) -> list[Term]:
+        """Return the torque of each joint for inertial parameters of shape (10 n,)."""
+        n = self.model.n_joints
+        carried: list[list[Wrench]] = [[] for _ in range(n)]
+        torques = [ZERO] * n
+        for j in reversed(range(n)):
+            own = self._inertial(self.motions[j], parameters[10 * j : 10 * j + 10])
+            whole = Wrench(self._added(own.force, *(w.force for w in carried[j])), self._added(own.moment, *(w.moment for w in carried[j])))
+            joint = self.model.joints[j]
+            at_joint = self._out(joint.after, whole)
+            torques[j] = at_joint.moment[2] if joint.is_revolute else at_joint.force[2]
+            if joint.parent != ROOT:
+                carried[joint.parent].append(self._out(joint.before, self._unturned(j, at_joint)))
+        return torques
+
+    def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
+        """Return the entries (joint, position in `columns`) of the regressor that are not always zero; columns count inertial parameters from 0."""
+        screws = self._screws()
+        entries = {}
+        for position, column in enumerate(columns):
+            link, parameter = divmod(column, 10)
+            wrench = self._inertial(self.motions[link], np.eye(10)[parameter])
+            for j, screw in screws[link].items():
+                pairs = zip(screw.z + screw.m, wrench.moment + wrench.force, strict=True)
+                entry = self.code.total(*pairs)
+                if not entry.is_zero:
+                    entries[j, position] = entry
+        return entries
+
+    def _moved(self, j: int, joint: Joint) -> Motion:
+        above = Motion(NOTHING, NOTHING, _vector(-self.model.gravity)) if joint.parent == ROOT else self.motions[joint.parent]
+        total, plus = self.code.total, self.code.sum
+        at = self._into(joint.before, above)
+        q, v, dv, c, s = self.q[j], self.qd[j], self.qdd[j], self.cosine[j], self.sine[j]
+        if joint.is_revolute:
+            w, dw, a = (self._turned(c, s, vector) for vector in (at.w, at.dw, at.a))
+            turned = Motion(
+                (w[0], w[1], plus(w[2], v)),
+                (total((dw[0],), (w[1], v)), total((dw[1],), (-w[0], v)), plus(dw[2], dv)),
+                a,
+            )
+        else:
+            swing = self._swing(at)
+            wx, wy, _ = at.w
+            twice = Term(2.0)
+            turned = Motion(
+                at.w,
+                at.dw,
+                (
+                    total((at.a[0],), (swing[0][2], q), (twice, wy, v)),
+                    total((at.a[1],), (swing[1][2], q), (-twice, wx, v)),
+                    total((at.a[2],), (swing[2][2], q), (dv,)),
+                ),
+            )
+        return self._into(joint.after, turned)
+
+    def _swing(self, motion: Motion) -> Matrix:
+        """Return `[dw]x + [w]x [w]x`, which times the place of a point gives its acceleration against the origin."""
+        (x, y, z), (dx, dy, dz), total = motion.w, motion.dw, self.code.total
+        return (
+            (total((-y, y), (-z, z)), total((x, y), (-dz,)), total((x, z), (dy,))),
+            (total((x, y), (dz,)), total((-x, x), (-z, z)), total((y, z), (-dx,))),
+            (total((x, z), (-dy,)), total((y, z), (dx,)), total((-x, x), (-y, y))),
+        )
+
+    def _into(self, placement: Array, motion: Motion) -> Motion:
+        """Return the motion of a frame at `placement` in a moving frame."""
+        R, p = placement[:3, :3], _vector(placement[:3, 3])
+        a = motion.a
+        if any(not part.is_zero for part in p):
+            a = self._added(a, self._times(self._swing(motion), p))
+        return Motion(*(self._times(_matrix(R.T), vector) for vector in (motion.w, motion.dw, a)))
+
+    def _out(self, placement: Array, wrench: Wrench) -> Wrench:
+        """Return a wrench on a frame at `placement` as one on the frame that carries it."""
+        R, p = _matrix(placement[:3, :3]), _vector(placement[:3, 3])
+        force = self._times(R, wrench.force)
+        return Wrench(force, self._added(self._times(R, wrench.moment), self._cross(p, force)))
+
+    def _unturned(self, j: int, wrench: Wrench) -> Wrench:
+        """Carry a wrench on the joint frame back over the motion of the joint."""
+        if self.model.joints[j].is_revolute:
+            c, s = self.cosine[j], -self.sine[j]
+            return Wrench(self._turned(c, s, wrench.force), self._turned(c, s, wrench.moment))
+        fx, fy, _ = wrench.force
+        nx, ny, nz = wrench.moment
+        q, total = self.q[j], self.code.total
+        return Wrench(wrench.force, (total((nx,), (-q, fy)), total((ny,), (q, fx)), nz))
+
+    def _inertial(self, motion: Motion, parameters: Array) -> Wrench:
+        """Return `F = m a + U h` and `N = I dw + w x I w + h x a` for `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m`, with `U = [dw]x + [w]x [w]x`."""
+        xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
+        inertia: Matrix = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+        moment_of_mass: Vector = (h[0], h[1], h[2])
+        force, moment = NOTHING, NOTHING
+        if any(not entry.is_zero for entry in (xx, xy, xz, yy, yz, zz)):
+            moment = self._added(self._times(inertia, motion.dw), self._cross(motion.w, self._times(inertia, motion.w)))
+        if any(not entry.is_zero for entry in moment_of_mass):
+            force = self._times(self._swing(motion), moment_of_mass)
+            moment = self._added(moment, self._cross(moment_of_mass, motion.a))
+        fx, fy, fz = (self.code.total((part,), (m, a)) for part, a in zip(force, motion.a, strict=True))
+        return Wrench((fx, fy, fz), moment)
+
+    def _screws(self) -> list[dict[int, Screw]]:
+        """Return for each link the screws of the joints that move it."""
+        screws: list[dict[int, Screw]] = []
+        for j, joint in enumerate(self.model.joints):
+            above = {} if joint.parent == ROOT else screws[joint.parent]
+            axis: Vector = (ZERO, ZERO, ONE)
+            moved = {k: self._over(j, self._through(joint.before, screw)) for k, screw in above.items()}
+            moved[j] = Screw(axis, NOTHING) if joint.is_revolute else Screw(NOTHING, axis)
+            screws.append({k: self._through(joint.after, screw) for k, screw in moved.items()})
+        return screws
+
+    def _through(self, placement: Array, screw: Screw) -> Screw:
+        R, p = _matrix(placement[:3, :3].T), _vector(placement[:3, 3])
+        return Screw(self._times(R, screw.z), self._times(R, self._added(screw.m, self._cross(screw.z, p))))
+
+    def _over(self, j: int, screw: Screw) -> Screw:
+        if self.model.joints[j].is_revolute:
+            c, s = self.cosine[j], self.sine[j]
+            return Screw(self._turned(c, s, screw.z), self._turned(c, s, screw.m))
+        (zx, zy, _), (mx, my, mz), q, total = screw.z, screw.m, self.q[j], self.code.total
+        return Screw(screw.z, (total((mx,), (zy, q)), total((my,), (-zx, q)), mz))
+
+    def _turned(self, c: Term, s: Term, v: Vector) -> Vector:
+        """Return `Rz^T v`."""
+        return self.code.total((c, v[0]), (s, v[1])), self.code.total((c, v[1]), (-s, v[0])), v[2]
+
+    def _times(self, matrix: Matrix, v: Vector) -> Vector:
+        x, y, z = (self.code.total(*zip(row, v, strict=True)) for row in matrix)
+        return x, y, z
+
+    def _cross(self, u: Vector, v: Vector) -> Vector:
+        total = self.code.total
+        return total((u[1], v[2]), (-u[2], v[1])), total((u[2], v[0]), (-u[0], v[2])), total((u[0], v[1]), (-u[1], v[0]))
+
+    def _added(self, *vectors: Vector) -> Vector:
+        x, y, z = (self.code.sum(*parts) for parts in zip(*vectors, strict=True))
+        return x, y, z
+
+
+def _numbers(values: Array) -> tuple[Term, ...]:
+    return tuple(Term(float(value)) for value in values)
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = _numbers(values)
+    return x, y, z
+
+
+def _matrix(values: Array) -> Matrix:
+    x, y, z = (_vector(row) for row in values)
+    return x, y, z

@@ -1,0 +1,141 @@
+"""A robot as a URDF of its own, without shapes: for robots that did not come from a URDF."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import ROOT, Joint, Link, RobotModel
+from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.models.physical import in_plain_friction, refuse_impossible
+from asbuilt.writers.models.urdf_edit import edited_urdf, unsaid_in_urdf
+
+UNLIMITED = 1e9
+"""Written where URDF wants a limit and none is known [rad, m, rad/s, m/s, N m or N]."""
+ON_AXIS = 1e-12
+"""A link origin this near the joint axis [m] is on it."""
+
+
+def urdf_text(model: RobotModel) -> str:
+    """Return the robot as a URDF: links, joints, inertials, limits and joint dynamics, in full precision.
+
+    URDF has the joint axis through the origin of the link frame. Where the model has the origin elsewhere (standard Denavit-Hartenberg
+    parameters with a length a), the URDF link frame is the joint frame, the inertial is given in it, and a fixed link `<name>_frame` marks the frame of
+    the model. Named frames become fixed links without mass. What URDF cannot say stands in comments.
+
+    Raises
+    ------
+    InertiaError
+        If the model is impossible for rigid bodies and drives.
+    """
+    refuse_impossible(model)
+    root = Element("robot", name=model.name)
+    for note in (*model.notes, *unsaid_in_urdf(model)):
+        root.append(Comment(f" {_without_dashes(note)} "))
+    taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
+    SubElement(root, "link", name=model.root_link)
+    moved = [_shift(joint) for joint in model.joints]
+    for joint, link, shift in zip(in_plain_friction(model).joints, model.links, moved, strict=True):
+        _link(root, link, shift)
+        parent = np.eye(4) if joint.parent == ROOT else moved[joint.parent]
+        name = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
+        _joint(root, joint, composed(parent, joint.before, joint.after, inverted(shift)), shift, name, link.name)
+        if not np.array_equal(shift, np.eye(4)):
+            _fixed(root, _free_name(f"{link.name}_frame", taken), link.name, shift)
+    for frame in model.frames:
+        carrier = np.eye(4) if frame.link == ROOT else moved[frame.link]
+        name = model.root_link if frame.link == ROOT else model.links[frame.link].name
+        _fixed(root, frame.name, name, composed(carrier, frame.placement))
+    indent(root)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def write_urdf(path: str | os.PathLike[str], model: RobotModel, *, original: str | Path | None = None) -> tuple[Path, tuple[str, ...]]:
+    """Write `original` with the inertias and friction of the model and every other byte kept, or a URDF of its own where there is no original.
+
+    Returns the path and notes on what the reader must know. Raises as `edited_urdf` and `urdf_text` do.
+    """
+    if original is None:
+        return atomic_write(path, urdf_text(model)), unsaid_in_urdf(model)
+    edited = edited_urdf(original, model)
+    return atomic_write(path, edited.content), edited.notes
+
+
+def _shift(joint: Joint) -> Array:
+    """Return the pose of the model's link frame in the URDF's, the identity where the joint axis passes through the link origin."""
+    if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= ON_AXIS:
+        return np.eye(4)
+    return np.array(joint.after)
+
+
+def _link(root: Element, link: Link, shift: Array) -> None:
+    element = SubElement(root, "link", name=link.name)
+    inertia: LinkInertia = link.inertia if np.array_equal(shift, np.eye(4)) else link.inertia.moved(shift)
+    if not inertia.parameters.any():
+        return
+    inertial, tensor = SubElement(element, "inertial"), inertia.inertia_about_com
+    SubElement(inertial, "origin", xyz=_numbers(inertia.com), rpy="0 0 0")
+    SubElement(inertial, "mass", value=_numbers([inertia.mass]))
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    SubElement(inertial, "inertia", {name: _numbers([tensor[place]]) for name, place in entries.items()})
+
+
+def _joint(root: Element, joint: Joint, origin: Array, shift: Array, parent: str, child: str) -> None:
+    limits, drive = joint.limits, joint.drive
+    limited = joint.kind != "continuous" and math.isfinite(limits.lower) and math.isfinite(limits.upper)
+    kind = "prismatic" if not joint.is_revolute else "revolute" if limited else "continuous"
+    element = SubElement(root, "joint", name=joint.name, type=kind)
+    _origin(element, origin)
+    SubElement(element, "parent", link=parent)
+    SubElement(element, "child", link=child)
+    axis = (joint.after @ inverted(shift))[2, :3]
+    SubElement(element, "axis", xyz=_numbers(axis))
+    bounds = {} if kind == "continuous" else {"lower": _bound(limits.lower), "upper": _bound(limits.upper)}
+    if bounds or math.isfinite(limits.torque) or math.isfinite(limits.velocity):
+        SubElement(element, "limit", bounds | {"effort": _bound(limits.torque), "velocity": _bound(limits.velocity)})
+    known = {"damping": drive.viscous, "friction": drive.coulomb}
+    given = {name: _numbers([value]) for name, value in known.items() if value is not None}
+    if given:
+        SubElement(element, "dynamics", given)
+    silent = [f"{name} {value!r}" for name in ("armature", "offset") if (value := getattr(drive, name))]
+    if silent:
+        element.append(Comment(f" {', '.join(silent)}: URDF has no place for it "))
+
+
+def _fixed(root: Element, name: str, parent: str, pose: Array) -> None:
+    SubElement(root, "link", name=name)
+    element = SubElement(root, "joint", name=f"{name}_fixed", type="fixed")
+    _origin(element, pose)
+    SubElement(element, "parent", link=parent)
+    SubElement(element, "child", link=name)
+
+
+def _origin(element: Element, pose: Array) -> None:
+    if not np.array_equal(pose, placement()):
+        SubElement(element, "origin", xyz=_numbers(pose[:3, 3]), rpy=_numbers(rpy_from_rotation(pose[:3, :3])))
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _bound(value: float) -> str:
+    return repr(min(max(float(value), -UNLIMITED), UNLIMITED))
+
+
+def _numbers(values: Array | list[float]) -> str:
+    return " ".join(repr(float(value) + 0.0) for value in values)
+
+
+def _without_dashes(text: str) -> str:
+    return " ".join(text.replace("--", "- -").split()).rstrip("-")

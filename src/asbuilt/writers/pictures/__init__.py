@@ -1,0 +1,1 @@
+"""Pictures, animations and the 3-D viewer."""

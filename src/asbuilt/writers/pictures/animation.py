@@ -1,0 +1,88 @@
+"""A picture or a short animation of a motion as a file."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from PIL import Image as Pillow
+
+from asbuilt.arrays import Image
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.pictures.gl_render import offscreen_context, rendered_frames
+from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.skeleton import skeleton_frames
+
+Style = Literal["auto", "rendered", "skeleton"]
+
+STILLS, ANIMATIONS = (".png",), (".gif", ".webp")
+FRAME_RATE = 12.5
+"""Frames of an animation per second [Hz]."""
+MOST_FRAMES = 125
+"""Longer motions are shown with fewer frames per second."""
+
+
+def write_picture(
+    path: str | os.PathLike[str],
+    model: RobotModel,
+    motion: Motion | None = None,
+    *,
+    size: tuple[int, int] = (640, 480),
+    style: Style = "auto",
+    progress: Callable[[float], None] | None = None,
+) -> Path:
+    """Write a robot or its motion as `.png` (the start, and the path of the tip), or as an animation in real time, `.gif` or `.webp`.
+
+    Rendered by MuJoCo where it is installed and OpenGL works without a screen (EGL or OSMesa), drawn as a skeleton otherwise, unless `style` says which.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another one, an animation has no motion, or rendering is asked for where it cannot be.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in (*STILLS, *ANIMATIONS):
+        raise UsageError(f"a picture is written as {', '.join((*STILLS, *ANIMATIONS))}, not as {Path(path).name!r}")
+    moving = suffix in ANIMATIONS
+    if moving and motion is None:
+        raise UsageError(f"{Path(path).name} would be an animation, but there is no motion; give one, or write a .png")
+    view = MotionView.of_motion(model, motion, most=MOST_FRAMES if moving else 2, rate=FRAME_RATE)
+    images = []
+    for k, image in enumerate(picture_frames(view if moving else view.first(), *size, style=style)):
+        images.append(image)
+        if progress is not None:
+            progress((k + 1) / len(view.t))
+    stream = io.BytesIO()
+    if not moving:
+        Pillow.fromarray(images[0]).save(stream, "PNG")
+        return atomic_write(path, stream.getvalue())
+    pause = round(1000 * float(view.t[-1]) / (len(view.t) - 1))
+    if suffix == ".gif":
+        palette = Pillow.fromarray(np.concatenate(images[:: max(1, len(images) // 8)])).quantize(255, dither=Pillow.Dither.NONE)
+        frames = [Pillow.fromarray(image).quantize(palette=palette, dither=Pillow.Dither.NONE) for image in images]
+        frames[0].save(stream, "GIF", save_all=True, append_images=frames[1:], duration=pause, loop=0, optimize=False)
+    else:
+        first, *rest = (Pillow.fromarray(image) for image in images)
+        first.save(stream, "WEBP", save_all=True, append_images=rest, duration=pause, loop=0, quality=80)
+    return atomic_write(path, stream.getvalue())
+
+
+def picture_frames(view: MotionView, width: int, height: int, *, style: Style = "auto") -> Iterator[Image]:
+    """Yield the frames of a view as images (height, width, 3), rendered where that works and `style` allows, else as skeletons."""
+    if style not in ("auto", "rendered", "skeleton"):
+        raise UsageError(f"style {style!r} is not one of auto, rendered, skeleton")
+    context = None if style == "skeleton" else offscreen_context(2 * width, 2 * height)
+    if context is not None:
+        return rendered_frames(view, context, width, height)
+    if style == "rendered":
+        raise UsageError(
+            "this machine renders nothing without a screen (neither EGL nor OSMesa works, or MuJoCo is missing); use the style skeleton"
+        )
+    return skeleton_frames(view, width, height)

@@ -1,0 +1,107 @@
+"""What any picture of a motion needs: poses over time, the path of the tip, the space that all of it takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from asbuilt.arrays import Array
+from asbuilt.description.appearance import Solid, link_solids
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import UsageError
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.motion import Motion
+
+PATH_POINTS = 400
+"""Most points that the path of the tip is drawn with."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionView:
+    """Hold the poses of a motion as pictures show it: `t` (N,), `q` (N, n), `poses` (N, n, 4, 4) in the root frame, `path` (m, 3) of the tip [m].
+
+    `up` is the direction against gravity, `floor` the height of the ground along it, `centre` and `radius` a ball that holds every pose.
+    """
+
+    model: RobotModel
+    t: Array
+    q: Array
+    poses: Array
+    path: Array
+    solids: tuple[Solid, ...]
+    up: Array
+    floor: float
+    centre: Array
+    radius: float
+
+    @classmethod
+    def of(cls, model: RobotModel, t: ArrayLike, q: ArrayLike, *, path: ArrayLike | None = None) -> MotionView:
+        """Build from times (N,) and joint positions (N, n); `path` (m, n) are the positions of a finer path, by default q."""
+        times, positions = np.atleast_1d(np.asarray(t, dtype=np.float64)), np.atleast_2d(np.asarray(q, dtype=np.float64))
+        if positions.shape != (times.size, model.n_joints) or not np.all(np.isfinite(positions)):
+            raise UsageError(
+                f"a view of {model.name} needs finite positions of shape ({times.size}, {model.n_joints}), got {positions.shape}"
+            )
+        poses = link_poses(model, positions)
+        along = poses if path is None else link_poses(model, np.asarray(path))
+        solids = link_solids(model)
+        strength = np.linalg.norm(model.gravity)
+        up = -model.gravity / strength if strength > 0 else np.array([0.0, 0.0, 1.0])
+        ends = np.concatenate([np.zeros((1, 3)), *(_ends(solid, along) for solid in solids)])
+        thickest = max(solid.radius for solid in solids)
+        low, high = ends.min(axis=0) - thickest, ends.max(axis=0) + thickest
+        floor = min(0.0, float(np.min(ends @ up)) - thickest)
+        last, place = _tip(model)
+        traced = along[:, last]
+        return cls(
+            model=model,
+            t=times,
+            q=positions,
+            poses=poses,
+            path=traced[:, :3, :3] @ place + traced[:, :3, 3],
+            solids=solids,
+            up=up,
+            floor=0.0 if floor > -0.6 * thickest - thickest else floor,
+            centre=0.5 * (low + high),
+            radius=0.5 * float(np.linalg.norm(high - low)),
+        )
+
+    @classmethod
+    def of_motion(cls, model: RobotModel, motion: Motion | None, *, most: int = 200, rate: float = 25.0) -> MotionView:
+        """Build from a motion, at `rate` [Hz] or as many frames as `most`; without a motion the robot stands in the middle of its ranges."""
+        if motion is None:
+            return cls.of(model, [0.0], resting_pose(model)[None])
+        frames = int(np.clip(np.ceil(motion.duration * rate), 2, most))
+        t = np.linspace(0.0, motion.duration, frames)
+        fine = np.linspace(0.0, motion.duration, int(np.clip(40 * motion.duration, 200, PATH_POINTS)))
+        return cls.of(model, t, motion.derivative(t, 0), path=motion.derivative(fine, 0))
+
+    def first(self) -> MotionView:
+        """Return the same view with its first frame alone."""
+        return replace(self, t=self.t[:1], q=self.q[:1], poses=self.poses[:1])
+
+
+def resting_pose(model: RobotModel) -> Array:
+    """Return the zero position moved into the joints' ranges, shape (n,), with a bend so that no two axes hide each other."""
+    bounds = MotionBounds.assumed(model)
+    bend = np.array([0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)])
+    bend[0] = 0.0
+    low, high = bounds.lower + 0.1 * (bounds.upper - bounds.lower), bounds.upper - 0.1 * (bounds.upper - bounds.lower)
+    return np.asarray(np.clip(bend, low, high))
+
+
+def _ends(solid: Solid, poses: Array) -> Array:
+    if solid.link == ROOT:
+        return np.stack([solid.start, solid.stop])
+    pose = poses[:, solid.link]
+    return np.concatenate([pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)])
+
+
+def _tip(model: RobotModel) -> tuple[int, Array]:
+    """Return the last link and the point on it that draws the path: a frame on it, or its origin."""
+    last = model.n_joints - 1
+    on_it = [frame.placement[:3, 3] for frame in model.frames if frame.link == last]
+    return last, np.asarray(on_it[-1] if on_it else np.zeros(3))

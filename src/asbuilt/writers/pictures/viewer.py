@@ -1,0 +1,304 @@
+"""A robot in 3-D in the browser: its motion, frames, centres of mass and inertia ellipsoids (viser)."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.appearance import Solid, inertia_ellipsoid
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.rotation import quaternion_from_rotation, rotation_onto
+from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.errors import MissingExtraError, UsageError
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.writers.pictures.motion_view import MotionView
+
+ROD, HOUSING, STAND, PATH, COM, INERTIA = (205, 208, 213), (226, 122, 32), (96, 101, 108), (0, 114, 178), (20, 20, 24), (0, 158, 115)
+BODY_OPACITY = 0.35
+"""Opacity of the bodies while something inside them is shown."""
+DISTANCE, BESIDE_PANEL = 2.7, 0.3
+"""How far the camera stands off, and how far to the side it looks so that the panel hides nothing, in radii of the scene."""
+FRAME_RATE = 30.0
+"""Poses sent per second [Hz]."""
+SAVED_FRAMES = 600
+"""Most poses in a saved page."""
+LAST_PORT_OFFSET = 20
+"""How many ports after the wanted one are tried."""
+
+
+class Viewer:
+    """A page that shows a robot in 3-D and, where there is a motion, plays it.
+
+    Bodies are rods and housings drawn from the geometry. Per link it can show the frame, the centre of mass, and the ellipsoid of uniform density that
+    has the link's inertia; links whose inertia no body has get a point but no ellipsoid. Without a motion each joint has a slider.
+
+    Raises
+    ------
+    MissingExtraError
+        If viser is not installed.
+    UsageError
+        If no port from `port` on is free.
+    """
+
+    def __init__(self, model: RobotModel, motion: Motion | None = None, *, port: int = 8080, host: str = "127.0.0.1") -> None:
+        viser = _viser()
+        self.model = model
+        self.motion = motion
+        self.view = MotionView.of_motion(model, motion, most=SAVED_FRAMES, rate=FRAME_RATE)
+        self.port = _free_port(host, port)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server: Any = viser.ViserServer(host=host, port=self.port, label=f"asbuilt: {model.name}", verbose=False)
+        self._links: list[Any] = []
+        self._layers: dict[str, list[Any]] = {
+            "bodies": [],
+            "frames": [],
+            "centres of mass": [],
+            "inertia ellipsoids": [],
+            "path of the tip": [],
+        }
+        self._scene()
+        self._pose(self.view.q[0])
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{self.server.get_host()}:{self.port}"
+
+    def page(self) -> str:
+        """Return a page of its own, one HTML text with everything in it, that shows the robot and plays the motion without any server."""
+        self._show(dict.fromkeys(self._layers, True), opacity=BODY_OPACITY)
+        recorder = self.server.get_scene_serializer()
+        pause = float(self.view.t[-1]) / max(1, len(self.view.t) - 1)
+        for q in self.view.q if len(self.view.t) > 1 else ():
+            self._pose(q)
+            recorder.insert_sleep(pause)
+        return str(recorder.as_html())
+
+    def serve(self, *, until: Callable[[], bool] | None = None) -> None:
+        """Play the motion round and round, obeying the controls of the page, until interrupted or `until()` says so."""
+        controls = _Controls(self)
+        last = time.perf_counter()
+        while until is None or not until():
+            now = time.perf_counter()
+            controls.advance(now - last)
+            last = now
+            time.sleep(1.0 / FRAME_RATE)
+
+    def close(self) -> None:
+        """Stop the server."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+    def _scene(self) -> None:
+        scene, view, model = self.server.scene, self.view, self.model
+        scene.set_up_direction(tuple(view.up))
+        scene.configure_default_lights(cast_shadow=True)
+        seat = rotation_onto(view.up)
+        thickest = max(solid.radius for solid in view.solids)
+        scene.add_grid(
+            "/floor",
+            width=8 * view.radius,
+            height=8 * view.radius,
+            cell_size=0.1,
+            section_size=0.5,
+            cell_color=(228, 231, 235),
+            section_color=(205, 209, 214),
+            plane_color=(250, 250, 251),
+            plane_opacity=1.0,
+            shadow_opacity=0.2,
+            wxyz=_wxyz(seat),
+            position=tuple((view.floor - 2e-3) * view.up),
+        )
+        self._mesh("/stand", Solid(ROOT, "housing", view.floor * view.up, (view.floor + 0.25 * thickest) * view.up, 2 * thickest), STAND)
+        if view.floor < 0.0:
+            self._mesh("/column", Solid(ROOT, "housing", view.floor * view.up, np.zeros(3), 1.15 * thickest), STAND)
+        for k, link in enumerate(model.links):
+            name = f"/links/{k + 1} {link.name.replace('/', '-')}"
+            self._links.append(scene.add_frame(name, show_axes=False))
+            size = 0.09 * view.radius
+            self._layers["frames"].append(
+                scene.add_frame(f"{name}/frame", axes_length=size, axes_radius=0.035 * size, origin_radius=0.06 * size, visible=False)
+            )
+            self._inertia(name, k)
+        for number, solid in enumerate(view.solids):
+            parent = "" if solid.link == ROOT else self._links[solid.link].name
+            self._layers["bodies"].append(self._mesh(f"{parent}/{solid.kind} {number}", solid, ROD if solid.kind == "rod" else HOUSING))
+        if len(view.path) > 1:
+            segments = np.stack([view.path[:-1], view.path[1:]], axis=1).astype(np.float32)
+            self._layers["path of the tip"].append(scene.add_line_segments("/path", segments, PATH, thickness=0.005 * view.radius))
+        camera = self.server.initial_camera
+        sideways = np.array([0.72, -0.72, 0.0]) if abs(view.up[2]) > 0.9 else np.cross(view.up, [0.3, 0.5, 0.8])
+        camera.fov = np.deg2rad(40)
+        towards = sideways + 0.35 * view.up
+        centre = view.centre + BESIDE_PANEL * view.radius * np.cross(view.up, towards) / np.linalg.norm(np.cross(view.up, towards))
+        camera.look_at = tuple(centre)
+        camera.position = tuple(centre + DISTANCE * view.radius * towards)
+
+    def _inertia(self, name: str, k: int) -> None:
+        inertia, size = self.model.links[k].inertia, 0.016 * self.view.radius
+        if not inertia.mass > 0.0:
+            return
+        scene, centre = self.server.scene, tuple(inertia.com)
+        self._layers["centres of mass"].append(
+            scene.add_icosphere(f"{name}/centre of mass", radius=size, color=COM, position=centre, visible=False)
+        )
+        ellipsoid = inertia_ellipsoid(inertia)
+        if ellipsoid is None:
+            return
+        semi_axes, axes = ellipsoid
+        handle = scene.add_icosphere(
+            f"{name}/inertia ellipsoid",
+            radius=1.0,
+            color=INERTIA,
+            opacity=0.45,
+            scale=tuple(np.maximum(semi_axes, 0.1 * size)),
+            wxyz=_wxyz(axes),
+            position=centre,
+            cast_shadow=False,
+            visible=False,
+        )
+        self._layers["inertia ellipsoids"].append(handle)
+
+    def _mesh(self, name: str, solid: Solid, colour: tuple[int, int, int]) -> Any:
+        vertices, faces = round_mesh(solid)
+        return self.server.scene.add_mesh_simple(name, vertices.astype(np.float32), faces.astype(np.uint32), color=colour)
+
+    def _pose(self, q: Array) -> None:
+        with self.server.atomic():
+            for handle, pose in zip(self._links, link_poses(self.model, q), strict=True):
+                handle.wxyz, handle.position = _wxyz(pose[:3, :3]), tuple(pose[:3, 3])
+
+    def _show(self, visible: dict[str, bool], *, opacity: float | None) -> None:
+        for layer, shown in visible.items():
+            for handle in self._layers[layer]:
+                handle.visible = shown
+        for handle in self._layers["bodies"]:
+            handle.opacity = opacity
+            handle.cast_shadow = opacity is None
+
+
+@dataclass(slots=True)
+class _Clock:
+    """Where in the motion the page stands [s]."""
+
+    now: float = 0.0
+    shown: float = -1.0
+
+
+class _Controls:
+    """The panel of the page: what to show, and a player, or a slider per joint where there is no motion."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self.viewer = viewer
+        self.clock = _Clock()
+        gui, model, motion = viewer.server.gui, viewer.model, viewer.motion
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        mass = sum(link.inertia.mass for link in model.links)
+        gui.add_markdown(f"**{model.name}** - {model.n_joints} joints, {mass:.2f} kg moving")
+        with gui.add_folder("Show"):
+            self.boxes = {
+                layer: gui.add_checkbox(layer, initial_value=layer in ("bodies", "path of the tip"))
+                for layer, handles in viewer._layers.items()
+                if handles
+            }
+        for box in self.boxes.values():
+            box.on_update(lambda _: self.show())
+        if motion is not None:
+            with gui.add_folder("Motion"):
+                self.playing = gui.add_checkbox("play", initial_value=True)
+                self.speed = gui.add_slider("speed", min=0.1, max=3.0, step=0.1, initial_value=1.0)
+                self.place = gui.add_slider("time [s]", min=0.0, max=round(motion.duration, 3), step=0.01, initial_value=0.0)
+            return
+        bounds = MotionBounds.assumed(model)
+        with gui.add_folder("Joints"):
+            self.sliders = [
+                gui.add_slider(
+                    f"{joint.name} [{'rad' if joint.is_revolute else 'm'}]",
+                    min=round(float(bounds.lower[k]), 3),
+                    max=round(float(bounds.upper[k]), 3),
+                    step=0.001,
+                    initial_value=round(float(np.clip(viewer.view.q[0, k], bounds.lower[k] + 1e-3, bounds.upper[k] - 1e-3)), 3),
+                )
+                for k, joint in enumerate(model.joints)
+            ]
+        for slider in self.sliders:
+            slider.on_update(lambda _: viewer._pose(np.array([entry.value for entry in self.sliders])))
+
+    def show(self) -> None:
+        """Show the layers that are ticked; bodies turn to glass where something is inside them."""
+        visible = {layer: bool(box.value) for layer, box in self.boxes.items()}
+        inside = any(visible.get(layer, False) for layer in ("frames", "centres of mass", "inertia ellipsoids"))
+        self.viewer._show(visible, opacity=BODY_OPACITY if inside else None)
+
+    def advance(self, seconds: float) -> None:
+        """Move on by so much time, or go where the slider was put."""
+        motion, clock = self.viewer.motion, self.clock
+        if motion is None:
+            return
+        if abs(self.place.value - clock.shown) > 0.006 and clock.shown >= 0.0:
+            clock.now = float(self.place.value)
+        elif self.playing.value:
+            clock.now = (clock.now + seconds * float(self.speed.value)) % motion.duration
+        if round(clock.now, 2) != clock.shown:
+            self.viewer._pose(motion.derivative(clock.now))
+            clock.shown = round(clock.now, 2)
+            self.place.value = clock.shown
+
+
+def round_mesh(solid: Solid, slices: int = 28, rings: int = 7) -> tuple[Array, NDArray[np.int64]]:
+    """Return vertices (v, 3) and triangles (f, 3), seen from outside, of a rod with round ends or of a housing with flat ones."""
+    length, radius = solid.length, solid.radius
+    if solid.kind == "rod":
+        angles = np.linspace(0.0, np.pi / 2, rings)
+        profile = [(radius * np.sin(a), -radius * np.cos(a)) for a in angles] + [
+            (radius * np.cos(a), length + radius * np.sin(a)) for a in angles
+        ]
+    else:
+        bevel = min(0.12 * radius, 0.3 * length)
+        corner = [(radius, bevel), (radius, length - bevel)]
+        profile = [(0.0, 0.0), (radius - bevel, 0.0), *corner, (radius - bevel, length), (0.0, length)]
+    turn = np.linspace(0.0, 2 * np.pi, slices, endpoint=False)
+    circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(slices)], axis=1)
+    vertices = np.concatenate([r * circle + [0.0, 0.0, z] for r, z in profile])
+    k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(slices), indexing="ij")
+    a, b = (k * slices + j).ravel(), (k * slices + (j + 1) % slices).ravel()
+    faces = np.concatenate([np.stack([a, b, b + slices], axis=1), np.stack([a, b + slices, a + slices], axis=1)])
+    return vertices @ rotation_onto((solid.stop - solid.start) / length).T + solid.start, faces
+
+
+def _wxyz(rotation: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in quaternion_from_rotation(rotation))
+
+
+def _viser() -> ModuleType:
+    try:
+        return import_module("viser")
+    except ImportError:
+        raise MissingExtraError("viser", "view", "the 3-D view") from None
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return the first port from `port` on that nobody listens on."""
+    if not 0 < port < 65536:
+        raise UsageError(f"a port is a number from 1 to 65535, got {port}")
+    for candidate in range(port, min(port + LAST_PORT_OFFSET, 65536)):
+        with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, candidate))
+            except OSError:
+                continue
+            return candidate
+    raise UsageError(f"the ports {port} to {port + LAST_PORT_OFFSET - 1} of {host} are all taken; give another one with --port")

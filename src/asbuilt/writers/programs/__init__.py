@@ -1,0 +1,1 @@
+"""Programs that make controllers run a motion and record it."""

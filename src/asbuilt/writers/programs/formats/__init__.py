@@ -1,0 +1,1 @@
+"""Controller program formats, one per file."""

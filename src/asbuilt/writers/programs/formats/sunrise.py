@@ -1,0 +1,141 @@
+"""KUKA Sunrise: a Java application that runs the motion with the controller's own spline or point-to-point motions and records it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import MotionError
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.writers.programs.log_sheet import sheet_text
+from asbuilt.writers.programs.naming import class_name
+from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
+from asbuilt.writers.programs.rendering import numbers, render, rounded_down
+from asbuilt.writers.programs.request import (
+    DRY_RUN_SLOWDOWN,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
+from asbuilt.writers.programs.via_points import Stretch, point_to_point_stretches, spline_times
+
+PACKAGE = "application"
+"""Java package of the application."""
+
+SPLINE_TOLERANCE = 0.01
+"""How far a spline through the points may leave the designed path [rad]."""
+
+MOST_POINTS = 1000
+"""Points that still fit into one Java class: its constants are set by one method of at most 64 KiB."""
+
+ACCELERATION = 0.5
+"""Acceleration and jerk given to the controller, as parts of what its axes can do."""
+
+LEAST_SPEED = 0.01
+"""Least speed that is asked for, as a part of the axes' maximum; the controller refuses zero."""
+
+SIGN_NOTE = (
+    "KUKA reports measured joint torques with the opposite sign, as what the link exerts on the drive, hence sign = -1. It turns external torques "
+    "(tau_ext) as well, so that tau - tau_ext is what KUKA's own model predicts. `asbuilt check` tells if your controller's version differs."
+)
+
+
+class SunriseFormat(ProgramFormat):
+    """A RoboticsAPI application: SplineJP through points of the motion, or PTP from rest to rest where the motion is made of these."""
+
+    key = "sunrise"
+    title = "KUKA Sunrise application (Java)"
+    default_rate = 500.0
+    n_joints = 7
+
+    def check_joints(self, model: RobotModel) -> None:
+        """Raise MotionError if the robot is none of KUKA's kind, or has joints without a velocity limit."""
+        super().check_joints(model)
+        limit = MotionBounds.of(model).velocity
+        unknown = [name for name, v in zip(model.joint_names, limit, strict=True) if not np.isfinite(v)]
+        if unknown:
+            raise MotionError(
+                f"the format sunrise gives speeds as parts of the axes' maximum, but the description of {model.name} has no velocity "
+                f"limit for {', '.join(unknown)}; add it"
+            )
+
+    def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
+        """Return the Java class and the sheet of its DataRecorder log."""
+        stretches = point_to_point_stretches(request.motion)
+        spline = stretches is None
+        stretches = stretches if stretches is not None else _spline_stretches(request)
+        if len(stretches) > MOST_POINTS:
+            raise MotionError(
+                f"the motion needs {len(stretches)} points, more than the {MOST_POINTS} that fit into one application; split it, or give the "
+                "format fri, which streams"
+            )
+        limit = MotionBounds.of(request.model).velocity
+        speeds = [float(np.clip((stretch.speed / limit).max(), LEAST_SPEED, 1.0)) for stretch in stretches]
+        approach = min(0.1, float((request.approach_speed / limit).min()))
+        name = class_name(request.name, suffix="Excitation")
+        planner = (
+            f"The path is a joint spline (SplineJP) through {len(stretches)} points of the motion and stays near it; "
+            if spline
+            else f"The path is the {len(stretches)} point-to-point motions (PTP) that the motion is made of; "
+        )
+        use = (
+            f"Add {name}.java to a Sunrise project (Sunrise.OS 1.x; package {PACKAGE}), with tool and load data set, and synchronise it.",
+            "Select T1 on the smartPAD, start the application and choose the dry run. Then T2 or AUT: the dry run again, to its end.",
+            "Only then choose full speed. The enabling switch, a released start key or Cancel stops the robot.",
+            f"Copy {request.stem}_log.txt from the DataRecorder folder of the controller and keep {request.stem}_log.toml beside it: "
+            f"asbuilt identify ROBOT {request.stem}_log.txt",
+            planner
+            + "its timing between the points is the controller's own, so the margins of velocity hold, those of acceleration and torque "
+            "are for the designed timing.",
+        )
+        text = render(
+            "Sunrise.java.j2",
+            preamble=commented(preamble(request, self.title, use), " *"),
+            package=PACKAGE,
+            spline=spline,
+            class_name=name,
+            dry_run=f"{1 / DRY_RUN_SLOWDOWN:g}",
+            dry_run_percent=DRY_RUN_PART,
+            approach=rounded_down(approach),
+            acceleration=f"{ACCELERATION:g}",
+            jerk=f"{ACCELERATION:g}",
+            tolerance=f"{request.start_tolerance.min():g}",
+            interval=request.period_ms,
+            start=numbers(request.motion.start),
+            step=f"{request.motion.duration / len(stretches):.4f}",
+            points=[numbers(stretch.pose) for stretch in stretches],
+            speeds=[rounded_down(speed) for speed in speeds],
+            dwells=[10 * round(100 * stretch.dwell) for stretch in stretches],
+            log=f"{request.stem}_log.txt",
+            dry_run_log=f"{request.stem}_dry_run_log.txt",
+        )
+        sheet = sheet_text(
+            request,
+            (
+                "Written by KUKA's DataRecorder: two columns of time, then positions, measured torques and external torques of A1 to A7.",
+                "Compare the columns with the first line of the log; other versions may order them differently.",
+                SIGN_NOTE,
+            ),
+            {
+                "rate": request.rate,
+                "separator": " ",
+                "joints": list(request.model.joint_names),
+                "torque_source": "sensor",
+                "sign": -1,
+                "columns": {"position": "3-9", "torque": "10-16", "extra": {"tau_ext": "17-23"}},
+                "units": {"position": "rad", "torque": "N m"},
+            },
+        )
+        return (ProgramFile("program", f"{name}.java", text), ProgramFile("sheet", f"{request.stem}_log.toml", sheet))
+
+
+def _spline_stretches(request: ProgramRequest) -> tuple[Stretch, ...]:
+    times = spline_times(request.motion, SPLINE_TOLERANCE)
+    stretches = []
+    for begin, end in pairwise(times):
+        within = np.linspace(begin, end, 21)
+        speed = np.abs(request.motion.derivative(within, 1)).max(axis=0)
+        stretches.append(Stretch(request.motion.derivative(end), speed, 0.0))
+    return tuple(stretches)

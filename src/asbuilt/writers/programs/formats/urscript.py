@@ -1,0 +1,130 @@
+"""Universal Robots: URScript that streams the motion with servoj, and what records it over RTDE."""
+
+from __future__ import annotations
+
+from asbuilt.errors import MotionError
+from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
+from asbuilt.writers.programs.naming import identifier, plain_text
+from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
+from asbuilt.writers.programs.rendering import numbers, render
+from asbuilt.writers.programs.request import (
+    DRY_RUN_SLOWDOWN,
+    ProgramFile,
+    ProgramFormat,
+    ProgramRequest,
+)
+from asbuilt.writers.programs.via_points import hermite_knots
+
+TOLERANCE = 1e-4
+"""How far the cubics between the points may leave the motion [rad]."""
+
+LOOK_AHEAD, GAIN = 0.05, 600
+"""servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000)."""
+
+APPROACH_ACCELERATION = 0.3
+"""Acceleration on the way to the start pose [rad/s^2]."""
+
+RATES = (125.0, 500.0)
+"""Rates of the RTDE: CB3 and e-Series [Hz]."""
+
+FIELDS = ("actual_q", "actual_qd", "actual_current", "target_q", "target_current", "target_moment", "joint_temperatures")
+"""What is recorded: vectors of six."""
+
+
+class UrScriptFormat(ProgramFormat):
+    """A script per speed: points of position and velocity, cubics between them, servoj in every control cycle (CB3 and e-Series alike)."""
+
+    key = "urscript"
+    title = "URScript program for Universal Robots"
+    default_rate = 500.0
+    n_joints = 6
+
+    def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
+        """Return both scripts, the RTDE recipe and the sheet of the log."""
+        if request.rate > RATES[1] or abs(RATES[1] / request.rate - round(RATES[1] / request.rate)) > 1e-9:
+            raise MotionError(
+                f"the RTDE of a UR delivers 500 Hz (e-Series) or 125 Hz (CB3), or a whole fraction; {request.rate:g} Hz is none"
+            )
+        stem = request.stem
+        recipe = f"{stem}_rtde.xml"
+        use = (
+            f"Copy {stem}_dry_run.script and {stem}.script to the controller; in PolyScope add a Script node of type File with the one to run. "
+            "Installation: payload and centre of gravity as mounted, safety limits active, speed slider at 100 % (a lower slider also works, "
+            "and then the motion takes longer).",
+            f"{stem}_dry_run.script first, to its end. It stops and asks before it moves to the start pose, and again before the motion.",
+            f"Record with Universal Robots' RTDE client library: python record.py --host ROBOT --frequency {request.rate:g} --config {recipe} "
+            f"--output {stem}_log.csv",
+            f"Then {stem}.script. The emergency stop and the stop button of the pendant stop the robot.",
+            f"Keep {stem}_log.toml beside the log and enter the gains of your robot's joints: asbuilt identify ROBOT {stem}_log.csv",
+        )
+        head = commented(preamble(request, self.title, use), "#")
+        knots = hermite_knots(request.motion, TOLERANCE)
+        q, v = request.motion.derivative(knots[1:]), request.motion.derivative(knots[1:], 1)
+        values = {
+            "preamble": head,
+            "approach_speed": f"{request.approach_speed.min():.4f}",
+            "approach_acceleration": f"{APPROACH_ACCELERATION:g}",
+            "tolerance": f"{request.start_tolerance.min():g}",
+            "look_ahead": f"{LOOK_AHEAD:g}",
+            "gain": f"{GAIN}",
+            "spacing": f"{knots[-1] / (knots.size - 1):.9f}",
+            "start": numbers(request.motion.start, 7),
+            "title": plain_text(request.name)[:40],
+            "points": [(numbers(a, 7).replace(" ", ""), numbers(b, 7).replace(" ", "")) for a, b in zip(q, v, strict=True)],
+        }
+        full = render(
+            "urscript.script.j2",
+            function=identifier(request.name, prefix="asbuilt_"),
+            kind="FULL SPEED",
+            slowdown="1.0",
+            duration=f"{request.motion.duration:.1f}",
+            question="Did the dry run reach its end? Nobody within reach?",
+            **values,
+        )
+        dry_run = render(
+            "urscript.script.j2",
+            function=identifier(request.name, prefix="asbuilt_dry_run_"),
+            kind=f"Dry run at {DRY_RUN_PART} of the speed",
+            slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
+            duration=f"{request.dry_run.duration:.1f}",
+            question="Nobody within reach?",
+            **values,
+        )
+        return (
+            ProgramFile("program", f"{stem}.script", full),
+            ProgramFile("dry_run", f"{stem}_dry_run.script", dry_run),
+            ProgramFile("recipe", recipe, _recipe(request)),
+            ProgramFile("sheet", f"{stem}_log.toml", _sheet(request)),
+        )
+
+
+def _recipe(request: ProgramRequest) -> str:
+    fields = "\n".join(f'    <field name="{name}" type="VECTOR6D"/>' for name in FIELDS)
+    comment = f"What to record of motion {plain_text(request.name)}, for Universal Robots' RTDE client library".replace("--", "- -")
+    return (
+        f'<?xml version="1.0"?>\n<!-- {comment} -->\n<rtde_config>\n  <recipe key="out">\n'
+        f'    <field name="timestamp" type="DOUBLE"/>\n{fields}\n  </recipe>\n</rtde_config>\n'
+    )
+
+
+def _sheet(request: ProgramRequest) -> str:
+    columns = {
+        quantity: f"{field}_0-{field}_5"
+        for quantity, field in (("position", "actual_q"), ("velocity", "actual_qd"), ("torque", "actual_current"))
+    }
+    return sheet_text(
+        request,
+        (
+            "Written by record.py of Universal Robots' RTDE client library: joint currents [A], not torques.",
+            "MISSING: the gains below. Without them torques stay in amperes and identify refuses them.",
+            "With PolyScope 5.23 or later record actual_current_as_torque instead: N m already, torque_source is then motor.",
+        ),
+        {
+            "joints": list(request.model.joint_names),
+            "torque_source": "current",
+            "sign": 1,
+            "columns": {"time": "timestamp", **columns},
+            "units": {"time": "s", "position": "rad", "velocity": "rad/s", "torque": "A"},
+        },
+        gains=f"Gains: {GAINS_TO_FILL_IN}. Or give --gain g1,g2,...:",
+    )

@@ -1,0 +1,1 @@
+"""HTML reports and the files that a command leaves."""

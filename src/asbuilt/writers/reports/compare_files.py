@@ -1,0 +1,79 @@
+"""What `asbuilt compare` prints and leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from asbuilt.identification.result.determination import Determination
+from asbuilt.validation.attribution.attribution import Attribution
+from asbuilt.validation.comparison.comparison import Comparison
+from asbuilt.validation.comparison.drift import Drift
+from asbuilt.workflow.controller_model import ControllerComparison
+from asbuilt.writers.figures.cause_figures import attribution_figure, difference_figure
+from asbuilt.writers.figures.figure_style import save_figure
+from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.reports.compare_report import UNTOLD, comparison_html
+from asbuilt.writers.reports.drift_report import drift_html
+
+if TYPE_CHECKING:
+    from asbuilt.identification.result.result import IdentificationResult
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CadVerdict:
+    """Hold a result against CAD: the comparison, why CAD is off (None without evidence) and what the recording determines."""
+
+    comparison: Comparison
+    attribution: Attribution | None
+    determination: Determination
+
+    def as_text(self) -> str:
+        """Return all of it for a terminal: the verdict, why CAD is off, then the parameters, then what the recording tells."""
+        parts = [self.comparison.heading()]
+        if self.comparison.torque:
+            parts.append(self.comparison.torque_table().as_text())
+        parts.append(f"{UNTOLD}\n" if self.attribution is None else self.attribution.as_text())
+        parts.append(self.comparison.parameter_table().as_text())
+        parts.append("\n".join(["What this recording determines:", *(f"  {line}" for line in self.determination.sentences)]) + "\n")
+        return "\n".join(parts)
+
+    def as_document(self) -> dict[str, Any]:
+        """Return plain numbers, lists and None, ready for JSON."""
+        return self.comparison.as_document() | {
+            "attribution": None if self.attribution is None else self.attribution.as_document(),
+            "determination": self.determination.as_dict(),
+        }
+
+
+def write_comparison(folder: Path, result: IdentificationResult, verdict: CadVerdict) -> dict[str, Path]:
+    """Write comparison.csv, comparison.txt, comparison.html and, where the evidence allows, attribution.csv and the figures; returns their paths by kind."""
+    files = {
+        "comparison": atomic_write(folder / "comparison.csv", verdict.comparison.parameter_table().as_csv()),
+        "text": atomic_write(folder / "comparison.txt", verdict.as_text()),
+        "report": atomic_write(
+            folder / "comparison.html", comparison_html(result, verdict.comparison, verdict.attribution, verdict.determination)
+        ),
+    }
+    if verdict.attribution is not None:
+        files["attribution"] = atomic_write(folder / "attribution.csv", verdict.attribution.share_table().as_csv())
+        files["attribution_figure"] = save_figure(attribution_figure(verdict.attribution), folder / "attribution.png")
+        files["difference_figure"] = save_figure(difference_figure(verdict.comparison), folder / "differences.png")
+    return files
+
+
+def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[str, Path]:
+    """Write drift.csv, drift.txt and drift.html of two results, or of a result and the controller's model; returns their paths by kind."""
+    drift = compared if isinstance(compared, Drift) else compared.difference
+    return {
+        "comparison": atomic_write(folder / "drift.csv", drift.table().as_csv()),
+        "text": atomic_write(folder / "drift.txt", compared.as_text()),
+        "report": atomic_write(folder / "drift.html", drift_html(compared)),
+    }
+
+
+def with_files(document: dict[str, Any], files: Mapping[str, Path]) -> dict[str, Any]:
+    """Return the document with the paths of what was written."""
+    return {**document, "files": path_texts(files)}

@@ -1,0 +1,138 @@
+"""Everything that an identification leaves behind: on the screen and in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from asbuilt.errors import DescriptionError, IdentifiabilityError
+from asbuilt.identification.calibration.payload import Payload
+from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import stacked
+from asbuilt.validation.prediction import Validation
+from asbuilt.workflow.study import Study
+from asbuilt.writers.figures.cutoff_figure import cutoff_figure
+from asbuilt.writers.figures.figure_style import save_figure
+from asbuilt.writers.figures.figures import torque_figure
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.models.as_built import as_built, keeping_described_drives
+from asbuilt.writers.models.export import load_note, urdf_to_edit
+from asbuilt.writers.models.physical import impossibilities
+from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers.models.urdf import write_urdf
+from asbuilt.writers.reports.report import write_report
+from asbuilt.writers.tables.drive_tables import motor_side_table
+from asbuilt.writers.tables.payload_tables import payload_document, payload_text
+from asbuilt.writers.tables.tabular import (
+    identify_document,
+    prediction_table,
+    write_json,
+    write_parameters_csv,
+)
+
+
+def study_text(study: Study, payload: Payload | None = None) -> str:
+    """Return what `asbuilt identify` prints: the summary, torque errors of CAD and as built, the verdict, and what the flange carries where that was identified too."""
+    parts = [study.result.summary().as_text()]
+    if gear_ratios(study.result.model):
+        parts.append("Drives at the motor\n" + motor_side_table(motor_side_parameters(study.result)).as_text())
+    if study.cutoffs is not None:
+        parts.append(study.cutoffs.table().as_text())
+    parts += [stacked([study.comparison.torque_table()]), study.comparison.verdict()]
+    return "\n".join(parts if payload is None else [*parts, "", payload_text(payload)])
+
+
+def study_document(
+    study: Study, files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None, payload: Payload | None = None
+) -> dict[str, Any]:
+    """Return what `asbuilt identify --json` prints; `notes` are those of `write_study`."""
+    document = identify_document(study.result, files=files) | {"file_notes": {kind: list(said) for kind, said in (notes or {}).items()}}
+    if study.cutoffs is not None:
+        document["cutoff_sweep"] = study.cutoffs.as_document()
+    if payload is not None:
+        document["payload"] = payload_document(payload)
+    return document
+
+
+def write_study(
+    folder: Path, study: Study, *, payload: Payload | None = None, command: Sequence[str] = ()
+) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as built, robot.toml; cutoff.png and payload.json where there is one.
+
+    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built. Returns the path of each, by kind, and what the reader of a file must
+    know, by kind too: what a URDF cannot hold, or why a file was not written. `command` is the command line that repeats the study.
+    """
+    result = study.result
+    files = {
+        "result": atomic_write(folder / "result.json", result.to_json()),
+        "summary": atomic_write(folder / "summary.txt", study_text(study, payload)),
+        "parameters": write_parameters_csv(folder / "parameters.csv", result),
+    }
+    if payload is not None:
+        files["payload"] = write_json(folder / "payload.json", payload_document(payload))
+    files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
+    if study.cutoffs is not None:
+        files["cutoff"] = save_figure(cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"), folder / "cutoff.png")
+    files["report"] = write_report(
+        folder / "report.html",
+        result,
+        study.validations,
+        fitted=study.training,
+        attribution=study.attribution,
+        payload=payload,
+        command=command,
+    )
+    robots, notes = _write_robot(folder, result)
+    return files | robots, notes
+
+
+def _write_robot(folder: Path, result: IdentificationResult) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+    """Write robot.toml and robot.urdf where there can be such, and say what they lack, or why there are none."""
+    files: dict[str, Path] = {}
+    notes: dict[str, tuple[str, ...]] = {}
+    try:
+        built = as_built(result)
+        files["robot"], notes["robot"] = write_robot_toml(folder / "robot.toml", built.model), load_note(result, built)
+    except (IdentifiabilityError, DescriptionError) as problem:
+        notes["robot"] = (f"not written: {problem}",)
+        return files, notes
+    try:
+        original, missing = urdf_to_edit(result.model)
+        notes["urdf"] = tuple(f"not written: {why}" for why in missing)
+        if original is not None:
+            impossible, (in_simulators, kept) = impossibilities(built.model), keeping_described_drives(built.model, result.model)
+            if impossible:
+                notes["urdf"] = (
+                    f"not written, for no robot is like this: {impossible[0]}; asbuilt export --nearest writes the nearest that one can be",
+                )
+            else:
+                files["urdf"], said = write_urdf(folder / "robot.urdf", in_simulators, original=original)
+                notes["urdf"] = (*said, *kept)
+    except DescriptionError as problem:
+        notes["urdf"] = (f"not written: {problem}",)
+    return files, {kind: said for kind, said in notes.items() if said}
+
+
+def write_validations(folder: Path, result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Path]:
+    """Write for each validation its torques (CSV) and their figure (PNG); returns the path of each, by kind."""
+    files: dict[str, Path] = {}
+    for k, validation in enumerate(validations, start=1):
+        number = "" if len(validations) == 1 else f"_{k}"
+        files[f"prediction{number}"] = atomic_write(folder / f"prediction{number}.csv", prediction_table(validation).as_csv())
+        files[f"torque{number}"] = _draw(folder / f"torque{number}.png", result, validation)
+    return files
+
+
+def _draw(path: Path, result: IdentificationResult, shown: Validation) -> Path:
+    figure = torque_figure(
+        shown.t,
+        shown.measured,
+        shown.predicted,
+        cad=shown.predicted_cad,
+        joint_names=shown.joint_names,
+        units=shown.units,
+        title=f"{result.robot}: {Path(shown.source).name}",
+    )
+    return save_figure(figure, path)

@@ -1,0 +1,176 @@
+"""A robot in tables: geometry, mass properties, limits, drives, and its base parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from asbuilt.description.formats.document import model_document
+from asbuilt.description.model import ROOT, DriveValues, RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.tables import Cell, Column, Table
+
+ROUNDING = 1e-12
+"""Products of inertia below this part of the largest moment are rounding, and shown as zero."""
+
+
+def robots_table(models: Sequence[RobotModel]) -> Table:
+    """List robots: name, joints, total mass, whose facts they are."""
+    rows = tuple((model.name, model.n_joints, float(model.parameters[9::10].sum()), model.citation) for model in models)
+    columns = (Column("robot"), Column("joints", align="right"), Column("mass", "kg", "decimal", ".2f"), Column("source", width=96))
+    return Table(columns, rows)
+
+
+def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
+    """Return what `asbuilt robots --json` prints."""
+    return {
+        "robots": [
+            {"name": model.name, "n_joints": model.n_joints, "mass": float(model.parameters[9::10].sum()), "citation": model.citation}
+            for model in models
+        ]
+    }
+
+
+def robot_document(model: RobotModel) -> dict[str, Any]:
+    """Return what `asbuilt show --json` prints: the model with, for every link, whether such a body can exist."""
+    inconsistencies = {link.name: link.inertia.inconsistency() for link in model.links if link.inertia_known}
+    return {
+        "robot": model.name,
+        "physically_consistent": all(reason is None for reason in inconsistencies.values()),
+        "inconsistencies": {name: reason for name, reason in inconsistencies.items() if reason is not None},
+        "model": model_document(model),
+    }
+
+
+def joints_table(model: RobotModel) -> Table:
+    """List the joints: parent link, kind, where the axis sits in the parent link, limits and the drive values that the description gives."""
+    rows: list[tuple[Cell, ...]] = []
+    further = any(joint.drive.terms for joint in model.joints)
+    for joint in model.joints:
+        parent = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
+        degrees = 180.0 / math.pi if joint.is_revolute else 1.0
+        limits = joint.limits
+        unit = "deg" if joint.is_revolute else "m"
+        span = (
+            "-"
+            if math.isinf(limits.lower) and math.isinf(limits.upper)
+            else f"{limits.lower * degrees:.6g} .. {limits.upper * degrees:.6g} {unit}"
+        )
+        rows.append(
+            (
+                joint.name,
+                joint.kind,
+                parent,
+                _vector(joint.before[:3, 3]),
+                _vector(joint.before[:3, 2]),
+                span,
+                limits.velocity,
+                limits.torque,
+                joint.drive.armature,
+                joint.drive.viscous,
+                joint.drive.coulomb,
+                *([_further_terms(joint.drive)] if further else []),
+            )
+        )
+    columns = (
+        Column("joint"),
+        Column("kind"),
+        Column("on link"),
+        Column("axis at", "m"),
+        Column("axis along"),
+        Column("range"),
+        Column("velocity", "1/s", "decimal", ".4g"),
+        Column("torque", "N m", "decimal", ".4g"),
+        Column("Ia", "", "decimal", ".4g"),
+        Column("Fv", "", "decimal", ".4g"),
+        Column("Fc", "", "decimal", ".4g"),
+        *([Column("further drive terms")] if further else []),
+    )
+    return Table(columns, tuple(rows), title="Joints")
+
+
+def _further_terms(drive: DriveValues) -> str:
+    """Return further drive terms with their parameters and shapes, `stribeck Fs 0.3 velocity 0.05`."""
+    return "; ".join(" ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())]) for key, numbers in drive.terms.items())
+
+
+def links_table(model: RobotModel) -> Table:
+    """List the links: mass, centre of mass and inertia about it in link axes, and whether such a body can exist."""
+    rows: list[tuple[Cell, ...]] = []
+    for link in model.links:
+        inertia = link.inertia
+        if not link.inertia_known:
+            rows.append((link.name, None, "-", "-", "-", "not given"))
+            continue
+        reason = inertia.inconsistency()
+        about_com = inertia.inertia_about_com if inertia.mass > 0 else np.zeros((3, 3))
+        com = _vector(inertia.com) if inertia.mass > 0 else "-"
+        products = _vector(_rounded([about_com[0, 1], about_com[0, 2], about_com[1, 2]], float(np.abs(about_com).max())))
+        rows.append(
+            (link.name, inertia.mass, com, _vector(np.diag(about_com)), products, "OK" if reason is None else f"IMPOSSIBLE: {reason}")
+        )
+    columns = (
+        Column("link"),
+        Column("mass", "kg", "decimal", ".6g"),
+        Column("centre of mass", "m"),
+        Column("Ixx Iyy Izz about it", "kg m^2"),
+        Column("Ixy Ixz Iyz", "kg m^2"),
+        Column("consistency"),
+    )
+    return Table(columns, tuple(rows), title="Links")
+
+
+def robot_text(model: RobotModel) -> str:
+    """Return everything `asbuilt show` prints."""
+    gravity = _vector(model.gravity)
+    head = [
+        f"{model.name}: {model.n_joints} joints, {model.parameters[9::10].sum():.4g} kg moving, gravity {gravity} m/s^2 in {model.root_link}",
+    ]
+    if model.citation:
+        head.append(f"facts from: {model.citation}")
+    if model.source:
+        head.append(f"read from: {model.source}")
+    merged = [f"{frame.name} (on {model.root_link if frame.link == ROOT else model.links[frame.link].name})" for frame in model.frames]
+    if merged:
+        head.append(f"fixed frames: {', '.join(merged)}")
+    notes = [f"note: {note}" for note in model.notes]
+    return "\n".join([*head, *notes, "", joints_table(model).as_text(), links_table(model).as_text()])
+
+
+def base_table(base: BaseParameters, model: RobotModel) -> Table:
+    """List the base parameters: id, expression with letters where the description names lengths, value by design."""
+    values = base.values(parameter_values(model, base.drive))
+    rows = tuple(
+        (int(number), symbolic, unit, None if np.isnan(value) else float(value))
+        for number, symbolic, unit, value in zip(base.ids, base.symbolic, base.units, values, strict=True)
+    )
+    columns = (
+        Column("id", align="right"),
+        Column("base parameter", width=110),
+        Column("unit"),
+        Column("value", align="decimal", style=".6g"),
+    )
+    return Table(columns, rows, title=f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters")
+
+
+def standard_table(base: BaseParameters) -> Table:
+    """List the standard parameters: whether torques tell each alone, in a sum (which) or never, and why."""
+    rows = tuple(
+        (parameter.id, parameter.name, parameter.status, " ".join(str(member) for member in parameter.members) or "-", parameter.why)
+        for parameter in base.standard
+    )
+    columns = (Column("id", align="right"), Column("parameter"), Column("status"), Column("in base ids"), Column("why"))
+    return Table(columns, rows, title="Standard parameters")
+
+
+def _rounded(values: Iterable[float], size: float) -> list[float]:
+    """Return values with zero in place of those that are rounding beside others of this size."""
+    return [value if abs(value) > ROUNDING * size else 0.0 for value in values]
+
+
+def _vector(values: Iterable[float]) -> str:
+    return " ".join(f"{value + 0.0:.5g}" for value in values)

@@ -1,0 +1,217 @@
+"""Results as JSON documents and CSV tables; the field names are what other programs rely on."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.experiment.quality.checks import RecordingCheck
+from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
+from asbuilt.identification.result.determination import determination
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.tables import Cell, Column, Shown, Table, share, significant
+from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.prediction import Validation, torque_units
+from asbuilt.workflow.information_efficiency import Attainment
+from asbuilt.writers.files import atomic_write, path_texts
+
+
+def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
+    """Return what `asbuilt base --json` prints; a value is None where the description is silent."""
+    values = base.values(parameter_values(model, base.drive))
+    return {
+        "robot": model.name,
+        "drive": str(base.drive),
+        "n_standard": base.n_standard,
+        "n_base": base.n_base,
+        "parameters": [
+            {"id": int(number), "name": name, "expression": expression, "symbolic": symbolic, "value": _number(value), "unit": unit}
+            for number, name, expression, symbolic, value, unit in zip(
+                base.ids, base.names, base.expressions, base.symbolic, values, base.units, strict=True
+            )
+        ],
+        "standard": [
+            {"id": entry.id, "name": entry.name, "status": entry.status, "in": list(entry.members), "why": entry.why}
+            for entry in base.standard
+        ],
+    }
+
+
+def identify_document(result: IdentificationResult, *, files: Mapping[str, str | os.PathLike[str]] | None = None) -> dict[str, Any]:
+    """Return what `asbuilt identify --json` prints; `files` are the paths of what was written, by kind."""
+    return {
+        "robot": result.robot,
+        "method": result.method,
+        "drive": str(result.base.drive),
+        "n_samples": result.n_samples,
+        "n_standard": result.n_standard,
+        "n_base": result.n_base,
+        "rank": result.rank,
+        "condition_number": _number(result.condition_number),
+        "scaled_condition_number": _number(result.scaled_condition_number),
+        "effective_samples": _number(result.effective_samples),
+        "errors": result.errors.as_dict() | {"sentence": result.errors_sentence},
+        "joints": list(result.joint_names),
+        "parameters": [
+            {
+                "id": parameter.id,
+                "name": parameter.name,
+                "expression": parameter.expression,
+                "unit": parameter.unit,
+                "cad": _number(parameter.cad),
+                "estimate": _number(parameter.estimate),
+                "std_error": _number(parameter.std_error),
+                "determined": parameter.determined,
+                "dropped": parameter.dropped,
+                "poorly_determined": parameter.poorly_determined,
+            }
+            for parameter in result.parameters
+        ],
+        "motor_side": [asdict(each) for each in motor_side_parameters(result)] if gear_ratios(result.model) else [],
+        "train": result.train.as_dict(),
+        "validation": [metrics.as_dict() for metrics in result.validation],
+        "cad": result.cad.as_dict(),
+        "physically_consistent": result.physically_consistent,
+        "undetermined": list(result.undetermined),
+        "determination": determination(result).as_dict(),
+        "warnings": [{"code": warning.code, "message": warning.message} for warning in result.warnings],
+        "notes": list(result.notes),
+        "provenance": list(result.provenance),
+        "files": path_texts(files),
+    }
+
+
+def validate_document(
+    result: IdentificationResult, validations: Sequence[Validation], *, files: Mapping[str, str | os.PathLike[str]] | None = None
+) -> dict[str, Any]:
+    """Return what `asbuilt validate --json` prints: metrics as built and of the CAD values on each recording."""
+    return {
+        "robot": result.robot,
+        "method": result.method,
+        "joints": list(result.joint_names),
+        "validation": [validation.metrics_as_built.as_dict() for validation in validations],
+        "cad": [validation.metrics_cad.as_dict() for validation in validations],
+        "files": path_texts(files),
+    }
+
+
+def described_document(model: RobotModel, errors: Sequence[TorqueMetrics]) -> dict[str, Any]:
+    """Return what `asbuilt validate ROBOT --json` prints: how far off a robot as described predicts each recording."""
+    return {
+        "robot": model.name,
+        "method": "as described",
+        "joints": list(model.joint_names),
+        "validation": [metrics.as_dict() for metrics in errors],
+        "cad": [],
+        "files": {},
+    }
+
+
+def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -> Table:
+    """Return the RMS torque error of each joint of a robot as described, for each recording."""
+    heads = [Column("recording", width=40)]
+    heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(model.joint_names, torque_units(model), strict=True)]
+    heads.append(Column("relative error", align="decimal"))
+    rows: list[tuple[Cell, ...]] = [
+        (
+            recording_name(metrics.source),
+            *(Shown(float(value), significant(float(value))) for value in metrics.rms),
+            Shown(metrics.relative_error, share(metrics.relative_error)),
+        )
+        for metrics in errors
+    ]
+    return Table(tuple(heads), tuple(rows), title=f"RMS torque error of {model.name} as described")
+
+
+def check_document(model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()) -> dict[str, Any]:
+    """Return what `asbuilt check --json` prints; `information` is None where a recording was not judged."""
+    parts = list(carried) or [None] * len(checks)
+    return {
+        "robot": model.name,
+        "ok": all(check.ok for check in checks),
+        "recordings": [
+            {
+                "source": check.source,
+                "n_samples": check.n_samples,
+                "n_joints": check.n_joints,
+                "rate": _number(check.rate),
+                "duration": check.duration,
+                "findings": [asdict(finding) for finding in check.findings],
+                "information": None if part is None else part.as_document(),
+            }
+            for check, part in zip(checks, parts, strict=True)
+        ],
+    }
+
+
+def json_text(document: Any) -> str:
+    """Return one JSON document; NaN and infinities become null, numpy numbers and arrays plain ones."""
+    return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def write_json(path: str | os.PathLike[str], document: Any) -> Path:
+    """Write a document as JSON."""
+    return atomic_write(path, json_text(document))
+
+
+def identified_table(result: IdentificationResult) -> Table:
+    """Return every base parameter of a result in full precision."""
+    heads = tuple(
+        Column(name) for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error", "determined", "dropped")
+    )
+    return Table(
+        heads,
+        tuple(
+            (
+                *(p.id, p.name, p.expression, p.symbolic, p.unit, p.cad, p.estimate, p.std_error),
+                "yes" if p.determined else "no",
+                "yes" if p.dropped else "no",
+            )
+            for p in result.parameters
+        ),
+    )
+
+
+def write_parameters_csv(path: str | os.PathLike[str], result: IdentificationResult) -> Path:
+    """Write the base parameters of a result as CSV: id, name, expression, symbolic, unit, cad, estimate, std_error, determined, dropped; a dropped one has no std_error."""
+    return atomic_write(path, identified_table(result).as_csv())
+
+
+def prediction_table(validation: Validation) -> Table:
+    """Return t and, joint by joint, measured torque and its predictions as built and by design."""
+    heads = [Column("t", "s")]
+    values = [validation.t]
+    for k, (name, unit) in enumerate(zip(validation.joint_names, validation.units, strict=True)):
+        for what, torque in (("measured", validation.measured), ("as_built", validation.predicted), ("cad", validation.predicted_cad)):
+            heads.append(Column(f"{name}_{what}", unit))
+            values.append(torque[:, k])
+    return Table(tuple(heads), tuple(tuple(row) for row in np.column_stack(values).tolist()))
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, os.PathLike) else value

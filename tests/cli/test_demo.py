@@ -1,0 +1,55 @@
+"""The whole story in one go, and what it leaves behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from asbuilt.cli.demo import Demo, demo_document, demo_text, run_demo
+from asbuilt.description.load import load_robot
+from asbuilt.writers.tables.tabular import json_text
+from command_line import documented_fields
+
+
+@pytest.fixture(scope="module")
+def story(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    return run_demo(tmp_path_factory.mktemp("demo"), search_seconds=2.0)
+
+
+def test_designed_motion_keeps_the_limits_and_tells_every_parameter(story: Demo) -> None:
+    assert story.design.limits.is_respected
+    assert story.study.result.rank == story.study.result.n_base == 64
+
+
+def test_robot_as_built_predicts_another_motion_far_better_than_cad(story: Demo) -> None:
+    held = story.study.validations[0]
+    assert held.metrics_as_built.relative_error < 0.25 * held.metrics_cad.relative_error
+
+
+def test_it_finds_the_truth(story: Demo) -> None:
+    assert story.recovery is not None
+    assert story.recovery.within(3.0) > 0.9
+    assert story.recovery.torque_error < 0.02 * story.recovery.cad_error
+
+
+def test_the_gripper_is_named_among_the_causes(story: Demo) -> None:
+    assert any("kg at the flange" in sentence for sentence in story.causes.sentences)
+
+
+def test_files_are_there_and_load_again(story: Demo) -> None:
+    for kind, path in story.files.items():
+        assert Path(path).stat().st_size > 0, kind
+    assert load_robot(str(story.files["robot"])).n_joints == 7
+    assert load_robot(str(story.files["urdf"])).n_joints == 7
+
+
+def test_it_ends_in_one_screen_and_one_document(story: Demo) -> None:
+    screen = demo_text(story)
+    assert str(story.files["report"]) in screen
+    assert len(screen.splitlines()) <= 40
+    assert max(map(len, screen.splitlines())) <= 160 + len(str(story.files["report"]))
+    assert all(path.name in screen for path in story.files.values())
+    document = json.loads(json_text(demo_document(story)))
+    assert set(document) == documented_fields()["demo"][0]

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from asbuilt.description.formats.mjcf import read_mjcf
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import ROOT
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import DescriptionError, MissingExtraError
+
+mujoco = pytest.importorskip("mujoco")
+
+TREE = """
+<mujoco model="tree">
+  <compiler angle="degree" autolimits="true"/>
+  <option gravity="1 -2 -9"/>
+  <default>
+    <joint armature="0.1"/>
+    <default class="slider"><joint type="slide" damping="2"/><geom type="capsule" size="0.04 0.2" density="500"/></default>
+  </default>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body name="stand" pos="0 0 0.5" euler="0 0 30">
+      <inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>
+      <body name="shoulder" pos="0.1 0 0.2" quat="0.8 0.2 -0.3 0.1">
+        <inertial pos="0.1 0.02 0" quat="0.9 0.1 0 0.2" mass="3" diaginertia="0.1 0.2 0.25"/>
+        <joint name="swing" axis="0.6 0 0.8" pos="0.02 -0.01 0.03" range="-90 45" ref="20" frictionloss="0.3"/>
+        <joint name="twist" axis="0 1 0" pos="0.1 0 0"/>
+        <body name="bracket" pos="0 0.2 0" euler="90 0 0"><inertial pos="0 0 0.1" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+          <body name="piston" pos="0 0 0.3" childclass="slider">
+            <joint name="push" axis="0 0 -1" range="0 0.3" ref="0.1"/>
+            <geom/>
+            <site name="tip" pos="0 0 0.2"/>
+          </body>
+        </body>
+      </body>
+      <body name="left" pos="0 -0.4 0"><joint name="left_hinge" axis="1 0 0"/><geom type="box" size="0.1 0.2 0.3" mass="2"/></body>
+    </body>
+  </worldbody>
+  <actuator><motor name="m" joint="left_hinge" gear="50" forcerange="-2 2"/></actuator>
+</mujoco>
+"""
+
+
+def test_a_tree_with_every_feature_needs_mujocos_torques():
+    model = read_mjcf(TREE)
+    oracle = mujoco.MjModel.from_xml_string(TREE)
+    data = mujoco.MjData(oracle)
+    assert model.joint_names == ("swing", "twist", "push", "left_hinge")
+    order = [oracle.joint(name).dofadr[0] for name in model.joint_names]
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        q, qd, qdd = rng.uniform(-1, 1, (3, 4))
+        data.qpos[order], data.qvel[order], data.qacc[order] = q, qd, qdd
+        mujoco.mj_forward(oracle, data)
+        data.qacc[order] = qdd
+        tau = np.zeros(4)
+        mujoco.mj_rne(oracle, data, 1, tau)
+        assert np.allclose(inverse_dynamics(model, q, qd, qdd), tau[order], atol=1e-10)
+
+
+def test_limits_drives_parts_and_frames_arrive():
+    model = read_mjcf(TREE)
+    swing, twist, push, left = model.joints
+    assert [joint.kind for joint in model.joints] == ["revolute", "continuous", "prismatic", "continuous"]
+    assert np.allclose([swing.limits.lower, swing.limits.upper], np.deg2rad([-90, 45]))
+    assert (swing.drive.armature, swing.drive.coulomb, twist.drive.coulomb, push.drive.viscous) == (0.1, 0.3, None, 2.0)
+    assert left.limits.torque == 100.0
+    assert model.link_names == ("shoulder_after_swing", "shoulder", "piston", "left")
+    assert not model.links[0].inertia.parameters.any()
+    assert [name for name, _ in model.links[1].parts] == ["shoulder", "bracket"]
+    assert {frame.name: frame.link for frame in model.frames} == {"stand": ROOT, "bracket": 1, "tip": 2}
+    assert np.array_equal(model.gravity, [1, -2, -9])
+
+
+def test_a_model_from_strangers_loads_without_its_meshes(shared):
+    path = shared / "models" / "mjcf_iiwa14.xml"
+    model = load_robot(path)
+    assert model.joint_names == tuple(f"joint{i}" for i in range(1, 8))
+    assert [link.inertia.mass for link in model.links] == [5.76, 6.35, 3.5, 3.5, 3.5, 1.8, 1.2]
+    assert np.isclose(model.joints[1].limits.upper, 2.0944)
+    for joint in model.joints:
+        assert set(np.unique(np.abs(joint.before[:3, :3]))) <= {0.0, 1.0}
+    urdf = load_robot(shared / "models" / "iiwa14.urdf")
+    assert [link.inertia.mass for link in urdf.links] == [link.inertia.mass for link in model.links]
+
+
+MESHES = """
+<mujoco><default><default class="v"><geom type="mesh"/></default></default>
+<asset><mesh name="m" file="nowhere.stl"/><texture name="t" type="2d" file="none.png"/><material name="p" texture="t"/></asset>
+<worldbody><body name="a" childclass="v"><joint name="j"/>{inertial}
+<frame pos="0 0 1"><geom mesh="m" material="p"/><body name="b"><joint name="k" type="slide"/><geom type="sphere" size="0.1" mass="2"/></body></frame>
+</body></worldbody></mujoco>
+"""
+
+
+def test_a_body_made_of_meshes_alone_counts_as_unknown():
+    model = read_mjcf(MESHES.format(inertial=""))
+    assert [link.inertia_known for link in model.links] == [False, True]
+    assert not model.links[0].inertia.parameters.any()
+    assert "body 'a' has no <inertial>" in model.notes[0]
+    assert np.isclose(model.links[1].inertia.mass, 2.0)
+    assert model.joints[1].before[2, 3] == 1.0
+    known = read_mjcf(MESHES.format(inertial='<inertial pos="0 0 0" mass="4" diaginertia="1 1 1"/>'))
+    assert known.links[0].inertia_known
+    assert known.links[0].inertia.mass == 4.0
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ('<body name="x"><freejoint name="f"/><geom size="1"/></body>', r"joint 'f' of body 'x' is a free joint"),
+        ('<body><joint type="ball"/><geom size="1"/></body>', r"ball joint"),
+        ('<body><joint axis="0 0 0"/><geom size="1"/></body>', r"MuJoCo refuses the model: .*axis"),
+        ('<body name="x"><geom size="1"/></body>', r"no body has a hinge or slide joint"),
+        ('<include file="other.xml"/>', r"includes 'other.xml'"),
+        ('<body><joint/><flexcomp name="f" type="mesh" file="/etc/passwd"/></body>', r"holds <flexcomp>.*write its rigid bodies out"),
+        ("<body>" * 3000 + "</body>" * 3000, r"nested too deeply"),
+    ],
+)
+def test_what_cannot_be_described_is_refused(body, message):
+    with pytest.raises(DescriptionError, match=message):
+        read_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+
+
+def test_equality_constraints_are_noted():
+    text = TREE.replace("</mujoco>", '<equality><joint joint1="swing" joint2="twist"/></equality></mujoco>')
+    assert any("equality constraints" in note for note in read_mjcf(text).notes)
+
+
+def test_springs_of_joints_are_noted():
+    (note,) = read_mjcf(TREE.replace('<joint name="twist"', '<joint name="twist" stiffness="3"')).notes
+    assert note.startswith("the springs of twist (stiffness) are left out")
+    assert read_mjcf(TREE).notes == ()
+
+
+def test_without_mujoco_the_extra_is_named(monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'asbuilt\[sim\]'"):
+        read_mjcf(TREE)
+
+
+def test_mujocos_warnings_become_notes_and_not_a_log_file(monkeypatch, tmp_path, capfd):
+    monkeypatch.chdir(tmp_path)
+    light = '<body><joint name="j"/><inertial pos="0 0 0" mass="1e-8" diaginertia="1e-14 1e-14 1e-14"/></body>'
+    nan = '<body pos="nan 0 0"><joint/><geom size="1"/></body>'
+    for body in (light, nan):
+        with contextlib.suppress(DescriptionError):
+            read_mjcf(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")

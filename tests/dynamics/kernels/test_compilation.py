@@ -1,0 +1,51 @@
+"""Kept machine code serves while its sources stay, and never longer."""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from pathlib import Path
+
+import pytest
+
+from asbuilt.dynamics.kernels import compilation
+from asbuilt.dynamics.kernels.compilation import compiled, source_digest
+
+
+def fresh_twice(folder: Path):
+    """Import a compiled function anew, as another run would."""
+    path = folder / "toy.py"
+    path.write_text("from asbuilt.dynamics.kernels.compilation import compiled\n\n@compiled\ndef twice(x):\n    return 2 * x\n")
+    specification = importlib.util.spec_from_file_location("toy", path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    assert module.twice(3) == 6
+    return module.twice
+
+
+def test_code_is_kept_until_a_source_beside_it_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 0
+    assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 1
+    monkeypatch.setattr(compilation, "source_digest", lambda folder: "another")
+    assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 0
+    assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 1
+
+
+@pytest.mark.parametrize("name", ["lanes.py", "recursion.py", "kernels.py", "joint_space.py", "regressor_adjoint.py", "compilation.py"])
+def test_every_source_of_kernels_counts_and_no_other(tmp_path: Path, name: str) -> None:
+    folders = []
+    for changed in ("nothing.py", name, "newton_euler.py"):
+        folder = tmp_path / changed
+        shutil.copytree(Path(compilation.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+        with (folder / changed).open("a") as file:
+            file.write("# a change\n")
+        folders.append(folder)
+    as_it_is, changed, elsewhere = map(source_digest, folders)
+    assert changed != as_it_is
+    assert elsewhere == as_it_is
+
+
+def test_a_function_that_cannot_be_cached_is_compiled_all_the_same():
+    namespace = {}
+    exec("def twice(x):\n    return 2 * x", namespace)
+    assert compiled(namespace["twice"])(3) == 6

@@ -1,0 +1,77 @@
+"""Recordings read in stretches against the same read whole."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.errors import RecordingError
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment import long_recordings
+from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long, open_recordings
+from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.virtual.simulation import simulate_recording
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_robot("kuka-iiwa7-r800")
+
+
+@pytest.fixture(scope="module", params=["parquet", "csv"])
+def log(request, model, tmp_path_factory):
+    recording = simulate_recording(model, random_fourier(model, rng=1, duration=60.0), rate=200.0)
+    columns = {"t": recording.t} | {f"q_{k}": recording.q[:, k] for k in range(7)} | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+    path = tmp_path_factory.mktemp("logs") / f"run.{request.param}"
+    frame = pl.DataFrame(columns)
+    frame.write_parquet(path) if request.param == "parquet" else frame.write_csv(path)
+    return path
+
+
+def test_what_the_filters_leave_is_that_of_the_whole(model, log):
+    whole = read_recording(log, model=model)
+    chain = SignalChain(cutoff=5.0).resolved(whole)
+    samples = prepare_samples(whole, chain)
+    stream = replace(RecordingStream(log, {"model": model}), chunk_samples=2500)
+    pieces = stream.prepared(chain)
+    np.testing.assert_allclose(pieces.filtered_times, samples.filtered_times, atol=1e-9)
+    for name in ("tau", "q", "qd", "qdd"):
+        np.testing.assert_allclose(pieces.filtered(getattr(pieces, name)), samples.filtered(getattr(samples, name)), atol=1e-8)
+    assert pieces.rate == samples.rate
+    assert pieces.origin == samples.origin
+    for (_, ours), (_, theirs) in zip([hold_out(pieces, "blocks:5s:3")], [hold_out(samples, "blocks:5s:3")], strict=True):
+        assert np.all(np.isin(np.round(ours.filtered_times, 6), np.round(theirs.filtered_times, 6)))
+
+
+def test_the_beginning_is_the_head_and_it_can_be_gone_through_again(model, log):
+    stream = replace(RecordingStream(log, {"model": model}), chunk_samples=5000)
+    assert stream.head.n_samples == 12_001
+    assert [sum(part.n_samples for part in stream) for _ in range(2)] == [12_001, 12_001]
+    assert stream.source == str(log)
+
+
+def test_only_long_files_are_streamed(model, log, monkeypatch):
+    assert isinstance(open_recordings([log], model=model)[0], Recording)
+    assert not is_long(log)
+    monkeypatch.setattr(long_recordings, "LONG", 1e5)
+    opened = open_recordings([log], model=model)[0]
+    assert isinstance(opened, RecordingStream)
+    assert opened.options["model"] is model
+    assert not is_long(log.parent)
+    assert not is_long(log.with_suffix(".npz"))
+
+
+def test_file_without_samples_is_refused(model, tmp_path):
+    path = tmp_path / "empty.parquet"
+    pl.DataFrame(
+        {"t": pl.Series([], dtype=pl.Float64)} | {f"{x}_{k}": pl.Series([], dtype=pl.Float64) for x in ("q", "tau") for k in range(7)}
+    ).write_parquet(path)
+    with pytest.raises(RecordingError, match="no samples"):
+        _ = RecordingStream(path, {"model": model}).head

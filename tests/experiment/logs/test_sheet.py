@@ -1,0 +1,95 @@
+"""The recording sheet and its errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.sheet import RecordingSheet, read_sheet, sheet_beside
+
+FULL = """
+rate = 100
+header = false
+separator = ";"
+joints = ["a", "b"]
+torque_source = "current"
+sign = [1, -1]
+gains = [14.87, 13.26]
+[columns]
+time = 1
+position = "2-3"
+torque = ["i_1", 5]
+[columns.extra]
+tau_ext = "6-7"
+[units]
+time = "ms"
+position = "deg"
+torque = "mN m"
+[[windows]]
+start = 2.0
+stop = 5.0
+"""
+
+
+def test_every_field(tmp_path: Path) -> None:
+    path = tmp_path / "log.toml"
+    path.write_text(FULL)
+    sheet = read_sheet(path)
+    assert sheet.columns.position == [2, 3]
+    assert sheet.columns.torque == ["i_1", 5]
+    assert sheet.columns.extra == {"tau_ext": [6, 7]}
+    assert (sheet.rate, sheet.header, sheet.torque_source) == (100, False, "current")
+    assert sheet.windows[0].stop == 5
+    path.write_text(FULL, encoding="utf-8-sig")
+    assert read_sheet(path) == sheet
+
+
+def test_windows_are_half_open_and_count_from_the_start() -> None:
+    sheet = RecordingSheet.model_validate({"windows": [{"start": 1.0, "stop": 2.0}, {"start": 3.0}]})
+    t = np.array([10.0, 11.0, 11.5, 12.0, 13.0, 99.0, np.nan])
+    assert sheet.in_windows(t, 10.0).tolist() == [False, True, True, False, True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rate = -5", "field 'rate' is -5"),
+        ('rate = "fast"', "field 'rate' is 'fast'"),
+        ("speed = 3", "field 'speed' is not known here; known are rate, header"),
+        ('[columns]\ntorques = "1-7"', "field 'columns.torques' is not known here; known are time, position"),
+        ('[units]\nposition = "furlong"', "units.position: 'furlong' is not known; write s, ms"),
+        ("sign = 2", "each sign is 1 or -1"),
+        ("gains = [1.0, 0.0]", "each must be finite and not zero"),
+        ('torque_source = "magic"', "torque_source"),
+        ("[[windows]]\nstart = 3.0\nstop = 1.0", "stop 1 s does not come after start 3 s"),
+        ("rate = = 3", "is not TOML"),
+    ],
+)
+def test_mistakes_name_file_field_and_cure(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "log.toml"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=r"log\.toml") as caught:
+        read_sheet(path)
+    assert message in str(caught.value)
+
+
+def test_sheet_beside_the_log(tmp_path: Path) -> None:
+    log = tmp_path / "run.csv"
+    assert sheet_beside(log) is None
+    (tmp_path / "run.toml").write_text("rate = 100")
+    assert sheet_beside(log) == tmp_path / "run.toml"
+    (tmp_path / "run.csv.toml").write_text("rate = 200")
+    assert sheet_beside(log) == tmp_path / "run.csv.toml"
+
+
+def test_a_robot_file_beside_the_log_is_no_sheet(tmp_path: Path) -> None:
+    (tmp_path / "arm.toml").write_text('gravity = [0, 0, -9.81]\n[[links]]\nname = "a"')
+    assert sheet_beside(tmp_path / "arm.csv") is None
+
+
+def test_ranges_keep_their_prefix() -> None:
+    assert RecordingSheet.model_validate({"columns": {"position": "q_1-q_3"}}).columns.position == ["q_1", "q_2", "q_3"]
+    assert RecordingSheet.model_validate({"columns": {"position": "positions"}}).columns.position == ["positions"]

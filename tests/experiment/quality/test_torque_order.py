@@ -1,0 +1,100 @@
+"""Exchanged torques are told without CAD."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.quality.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque_order import exchanged_torques
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.virtual.simulation import InstalledRobot
+
+
+def recorded(model: RobotModel, seed: int = 1, duration: float = 12.0) -> Recording:
+    return InstalledRobot.typical(model, rng=seed).record(random_fourier(model, seed, duration=duration), 100.0, rng=seed).recording
+
+
+def exchanged(recording: Recording, one: int, other: int) -> Recording:
+    order = np.arange(recording.tau.shape[1])
+    order[[one, other]] = other, one
+    return replace(recording, tau=recording.tau[:, order])
+
+
+def fit_of(model: RobotModel, recording: Recording) -> TorqueFit:
+    q = recording.q
+    qd, order = np.gradient(q, recording.t, axis=0), tuple(range(model.n_joints))
+    return TorqueFit(model, q, qd, np.gradient(qd, recording.t, axis=0), recording.tau, order, order)
+
+
+@pytest.mark.parametrize("robot", ["scara", "ur10e", "puma-560"])
+def test_every_exchange_is_told_whatever_cad_says(robot: str) -> None:
+    """The masses of the description are a thousandth of the robot's; only its geometry is used."""
+    model = bundled_robot(robot)
+    recording = recorded(model)
+    light = model.with_parameters(1e-3 * model.parameters)
+    assert exchanged_torques(fit_of(light, recording)) is None
+    for pair in combinations(range(model.n_joints), 2):
+        found = exchanged_torques(fit_of(light, exchanged(recording, *pair)))
+        assert found is not None
+        assert found.joints == pair
+        assert found.exchanged < 0.2 * found.as_logged
+
+
+def test_unexplained_shares_are_those_of_a_dense_fit() -> None:
+    """numpy's least squares on all rows, torques scaled to unit variance, leaves the same."""
+    model = bundled_robot("scara")
+    fit = fit_of(model, exchanged(recorded(model), 1, 3))
+    found = exchanged_torques(fit)
+    assert found is not None
+    base = find_base_parameters(model, DriveSet.parse("viscous,offset"))
+    samples, n = fit.tau.shape
+    dry = np.zeros((samples, n, n))
+    dry[:, range(n), range(n)] = np.tanh(fit.qd / 0.02)
+    rigid = observation_matrix(model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns).reshape(samples, n, -1)
+    for order, told in (([0, 1, 2, 3], found.as_logged), ([0, 3, 2, 1], found.exchanged)):
+        tau = fit.tau[:, order]
+        spread = tau.std(axis=0)
+        rows = (np.concatenate([rigid, dry], axis=2) / spread[:, None]).reshape(samples * n, -1)
+        target = ((tau - tau.mean(axis=0)) / spread).ravel()
+        left = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
+        assert np.mean(left.reshape(samples, n)[:, [1, 3]] ** 2) == pytest.approx(told, rel=1e-5)
+
+
+def test_too_few_samples_tell_nothing() -> None:
+    model = bundled_robot("ur10e")
+    fit = fit_of(model, exchanged(recorded(model), 4, 5))
+    assert exchanged_torques(replace(fit, q=fit.q[:25], qd=fit.qd[:25], qdd=fit.qdd[:25], tau=fit.tau[:25])) is None
+
+
+@pytest.mark.parametrize("log", ["ur-20_02_10-30sec_12harm.csv", "ur-20_01_17-ptp_10_points.csv"])
+def test_wrists_of_a_real_arm(shared: Path, tmp_path: Path, log: str) -> None:
+    sheet = tmp_path / "sheet.toml"
+    sheet.write_text(
+        'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"\n',
+        encoding="utf-8",
+    )
+    model = load_robot(shared / "models" / "ur10e.urdf")
+    (recording,) = read_recordings(
+        [shared / "data" / "ur10e" / log], model=model, sheet=sheet, gain=[14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+    )
+
+    def codes(of: Recording) -> list[str]:
+        return [finding.code for finding in check_recording(model, of).findings]
+
+    assert "joints-swapped" not in codes(recording)
+    for pair in ((4, 5), (3, 5), (0, 5)):
+        assert "joints-swapped" in codes(exchanged(recording, *pair))

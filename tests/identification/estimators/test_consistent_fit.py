@@ -1,0 +1,203 @@
+"""Consistent estimators on robots whose truth is known, on the recordings of real ones, and their errors against repeated trials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.description.consistency import inconsistencies
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.identification.bodies.body_bounds import body_bounds
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
+from asbuilt.identification.errors.uncertainty import block_uncertainty
+from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.estimators.methods import find_method
+from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT
+from asbuilt.identification.identify import identify
+from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.known_information import known_information
+from asbuilt.identification.information.square_root_information import accumulate
+
+ROBOTS = ["kuka-iiwa7-r800", "ur10e", "puma-560", "scara", "franka-panda"]
+
+
+def fits(case):
+    return {
+        "consistent": fit_consistent(case.information, case.prior),
+        "entropic": fit_toward_cad(case.information, case.prior),
+        "euclidean": fit_toward_cad(case.information, case.prior, metric="euclidean"),
+    }
+
+
+def torque_error(case, beta):
+    return np.sqrt(case.information.residual_energy(beta).sum() / case.information.torque_energy.sum())
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_without_noise_the_torques_of_the_truth_come_back(trial, robot):
+    case = trial(robot, seed=3)
+    for method, estimate in fits(case).items():
+        assert torque_error(case, estimate.beta) < 1e-4, method
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
+    case = trial(robot, noise=0.05, seed=4)
+    free = fit_least_squares(case.information, weights="joint", prior=case.base.values(case.prior.parameters))
+    truth = trial(robot, noise=0.0, seed=4, chi=case.chi).information
+    missed = {"wls": truth.residual_energy(free.beta).sum()}
+    for method, estimate in fits(case).items():
+        np.testing.assert_allclose(case.base.values(estimate.standard), estimate.beta)
+        assert estimate.part > 0
+        assert margin_is_consistent(consistency_margin(case.base, estimate.beta), estimate.beta)
+        assert estimate.standard[case.prior.non_negative].min() > -1e-6
+        assert not inconsistencies(case.model.with_parameters(estimate.standard[: 10 * case.model.n_joints]))
+        missed[method] = truth.residual_energy(estimate.beta).sum()
+    assert missed["consistent"] < 1.05 * missed["wls"]
+    assert missed["entropic"] < missed["wls"]
+    assert missed["euclidean"] < missed["wls"]
+
+
+def test_the_weight_follows_how_far_cad_is_off(trial):
+    exact = trial("kuka-iiwa7-r800", noise=0.2, seed=5, spread=1e-3)
+    wrong = trial("kuka-iiwa7-r800", noise=0.002, seed=5, spread=0.4)
+    near, far = (fit_toward_cad(case.information, case.prior) for case in (exact, wrong))
+    assert near.prior_weight >= 100.0 * far.prior_weight
+    assert near.notes[0].startswith(f"weight of CAD {near.prior_weight:g}: the strongest")
+    few = exact.information.select([0, 1])
+    assert fit_toward_cad(few, exact.prior).prior_weight == DEFAULT_WEIGHT
+
+
+def test_given_weight_bounds_and_joint_weights(trial):
+    case = trial("ur10e", noise=0.05, seed=6)
+    heavy = body_bounds(case.prior, mass={5: (2.0, 3.0)})
+    for metric in ("entropic", "euclidean"):
+        estimate = fit_toward_cad(case.information, case.prior, metric=metric, weight=50.0, bounds=heavy, weights=np.full(6, 2.0))
+        assert estimate.prior_weight == 50.0
+        assert estimate.notes[0] == "weight of CAD 50, as given"
+        assert 2.0 - 1e-6 <= estimate.standard[59] <= 3.0 + 1e-6
+        np.testing.assert_array_equal(estimate.weights, 2.0)
+    with pytest.raises(UsageError, match="entropic and euclidean"):
+        fit_toward_cad(case.information, case.prior, metric="manhattan")
+
+
+@pytest.mark.parametrize("method", ["consistent", "entropic"])
+def test_errors_are_not_too_small(trial, method):
+    """Over repeated noise, and with a truth as far from CAD as its own weight says, the estimate lies within its errors."""
+    inside, asked = 0, 0
+    for seed in range(12):
+        case = trial("scara", "viscous,coulomb", noise=0.05, seed=100 + seed, duration=16.0)
+        estimate = fit_consistent(case.information, case.prior) if method == "consistent" else fit_toward_cad(case.information, case.prior)
+        error = (estimate.beta - case.beta) / block_uncertainty(case.information, estimate).std_errors
+        inside, asked = inside + int(np.sum(np.abs(error) < 1.96)), asked + len(error)
+    assert inside / asked > 0.93
+
+
+def test_unexcited_directions_lie_at_cad(trial):
+    """Only the last two joints move: what links 1 to 5 are stays as described, and what is told is told."""
+    case = trial("kuka-iiwa7-r800", "none", seed=7)
+    q, qd, qdd = (values.copy() for values in (case.samples.q, case.samples.qd, case.samples.qdd))
+    q[:, :5], qd[:, :5], qdd[:, :5] = 0.3, 0.0, 0.0
+    W = observation_matrix(case.model, q, qd, qdd, drive=case.base.drive, columns=case.base.columns)
+    chi = np.concatenate([case.prior.parameters[:50], case.chi[50:]])
+    samples = replace(case.samples, q=q, qd=qd, qdd=qdd, tau=(W @ case.base.values(chi)).reshape(q.shape), tau_raw=np.zeros(0))
+    information = accumulate(case.model, case.base, samples)
+    estimate = fit_consistent(information, case.prior)
+    assert len(estimate.undetermined) > 10
+    assert np.sqrt(information.residual_energy(estimate.beta).sum() / information.torque_energy.sum()) < 1e-4
+    assert case.prior.divergence(estimate.standard)[:3].max() < 0.05
+    errors = block_uncertainty(information, estimate).std_errors
+    assert np.all(errors[~estimate.determined] > 0)
+
+
+@pytest.mark.parametrize("method", ["wls", "entropic"])
+def test_what_is_known_is_the_inverse_of_the_covariance(trial, method):
+    """Estimates that lean on CAD have errors in every direction, also where the recording tells nothing; weighted least squares has none there."""
+    case = trial("kuka-iiwa7-r800", "viscous,coulomb", noise=0.02, seed=7)
+    q, qd, qdd = (values.copy() for values in (case.samples.q, case.samples.qd, case.samples.qdd))
+    q[:, 5:], qd[:, 5:], qdd[:, 5:] = 0.3, 0.0, 0.0
+    W = observation_matrix(case.model, q, qd, qdd, drive=case.base.drive, columns=case.base.columns)
+    tau = (W @ case.beta).reshape(q.shape) + 0.05 * np.random.default_rng(0).normal(size=q.shape)
+    result = identify(case.model, replace(case.samples, q=q, qd=qd, qdd=qdd, tau=tau, tau_raw=np.zeros(0)), base=case.base, method=method)
+    assert result.rank < result.n_base
+    known, size = known_information(result), np.sqrt(np.diag(result.covariance))
+    scaled, covariance = (
+        known * np.outer(size, size),
+        result.covariance / np.outer(np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0)),
+    )
+    np.testing.assert_allclose(covariance @ scaled @ covariance, covariance, atol=1e-6)
+    assert np.linalg.matrix_rank(scaled, tol=1e-6) == (result.rank if method == "wls" else result.n_base)
+
+
+def med7(shared, log, rule):
+    model = load_robot(shared / "models" / "lbrstack_med7.urdf")
+    recordings = read_recordings([shared / "data" / "lbr_med7" / log], model=model, rate=100.0, flip_torque=True)
+    samples = prepare_samples(recordings[0], SignalChain().resolved(*recordings))
+    return model, *hold_out(samples, rule)
+
+
+@pytest.mark.parametrize(
+    ("log", "rule", "no_worse"),
+    [
+        ("measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3", [0.57, 0.41, 0.39, 0.47, 0.13, 0.12, 0.09]),
+        ("measurements.csv", "last:0.3", [0.6, 0.9, 0.4, 0.6, 0.3, 0.12, 0.16]),
+    ],
+)
+def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
+    """The level of plain least squares on the long recording; the short one it cannot learn at all (1.4, 2.4, 1.3, 1.9 on joints 1 to 4)."""
+    model, train, held = med7(shared, log, rule)
+    base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
+    information, other = accumulate(model, base, train), accumulate(model, base, held)
+    prior = cad_prior(model, base.drive)
+    for estimate in (fit_consistent(information, prior), fit_toward_cad(information, prior)):
+        rms = np.sqrt(other.residual_energy(estimate.beta) / other.n_samples)
+        assert np.all(rms < no_worse) or estimate.method == "entropic"
+        assert np.sqrt(np.mean(rms**2)) < np.sqrt(np.mean(np.square(no_worse)))
+        assert estimate.part > 0
+
+
+def test_result_says_method_margin_and_weight(shared):
+    model, train, _ = med7(shared, "measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3")
+    for method in ("consistent", "entropic", "euclidean"):
+        result = identify(model, train, drive=DriveSet.parse("viscous,coulomb,offset"), method=method)
+        assert result.physically_consistent
+        text = result.summary().as_text()
+        assert "physically consistent" in text.splitlines()[0]
+        assert any("real body" in note for note in result.notes)
+        assert result.std_errors.min() > 0
+
+
+@pytest.mark.parametrize("weight", [0.1, 1.0])
+def test_bodies_far_from_cad_are_reached(trial, weight):
+    """A tool of 10 kg that CAD does not know, noisy torques: a descent straight from CAD stalls."""
+    bare = trial("ur10e", "armature,viscous,coulomb,offset", seed=12, duration=10.0)
+    chi = bare.chi.copy()
+    chi[50:60] += LinkInertia.from_com(10.0, [0.0, -0.16, 0.05], 0.02 * np.eye(3)).parameters
+    case = trial("ur10e", "armature,viscous,coulomb,offset", noise=0.05, seed=12, duration=10.0, chi=chi)
+    found = fit_toward_cad(case.information, case.prior, weight=weight)
+    assert found.part > 0.0
+    place = case.base.names.index("my6")
+    np.testing.assert_allclose(found.beta[place], case.beta[place], rtol=0.1)
+
+
+@pytest.mark.parametrize("method", ["consistent", "entropic", "euclidean"])
+def test_torques_of_zero_are_fitted_without_overflow(trial, method):
+    """No noise and no torque: weights and values stay finite."""
+    case = trial("two-link", seed=1)
+    still = replace(case.samples, tau=np.zeros_like(case.samples.tau), tau_raw=np.zeros(0))
+    with np.errstate(over="raise", invalid="raise"):
+        estimate = find_method(method).estimate(Evidence(case.model, accumulate(case.model, case.base, still), None))
+    assert np.all(np.isfinite(estimate.beta))
+    assert np.all(np.isfinite(estimate.weights))

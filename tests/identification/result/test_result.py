@@ -1,0 +1,313 @@
+"""The result as an object: what it says, what it stores, what it predicts."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.parameters import parameter_values
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.identify import conclude, design_values, identify
+from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.result.metrics import torque_metrics
+from asbuilt.identification.result.result import (
+    IdentificationResult,
+    IdentificationWarning,
+    IdentifiedParameter,
+)
+
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
+GOLDEN = Path(__file__).parent / "summary.txt"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    model = load_robot("two-link")
+    return model, find_base_parameters(model, DRIVE)
+
+
+def recorded(model, base, noise=0.05, n_samples=1200, seed=0, still=(), **given):
+    rng = np.random.default_rng(seed)
+    n, rate = model.n_joints, 100.0
+    t = np.arange(n_samples) / rate
+    frequency, phase = rng.uniform(0.2, 2.0, (4, 1, n)), rng.uniform(0, 6.0, (4, 1, n))
+    angle = 2 * np.pi * frequency * t[:, None] + phase
+    q = np.sum(0.5 * np.sin(angle), axis=0)
+    qd = np.sum(np.pi * frequency * np.cos(angle), axis=0)
+    qdd = -np.sum(2 * np.pi**2 * frequency**2 * np.sin(angle), axis=0)
+    for joint in still:
+        q[:, joint], qd[:, joint], qdd[:, joint] = 0.5, 0.0, 0.0
+    chi = parameter_values(model, base.drive)
+    chi[10 * n :] = np.resize([0.8, 1.5, -0.2], len(chi) - 10 * n)
+    w = observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
+    tau = (w @ base.values(chi)).reshape(q.shape) + noise * rng.normal(size=q.shape)
+    whole = {"rate": rate, "joint_names": model.joint_names, "source": f"bench {seed}", "provenance": ("made up for a test",)}
+    return Samples(t, q, qd, qdd, tau, **(whole | given))
+
+
+def invented(arm, **changes):
+    """A result with round numbers, the same on every machine."""
+    model, base = arm
+    p, n = base.n_base, model.n_joints
+    design = design_values(model, base)
+    errors = 0.002 * 1.7 ** np.arange(p)
+    parameters = tuple(
+        IdentifiedParameter(
+            id=int(base.ids[j]),
+            name=base.names[j],
+            expression=base.expressions[j],
+            symbolic=base.symbolic[j],
+            unit=base.units[j],
+            cad=float(design[j]),
+            estimate=float(0.1 + 0.25 * j + (0 if np.isnan(design[j]) else design[j])),
+            std_error=float(errors[j]),
+            textbook_std_error=float(errors[j] / 2),
+            determined=j != p - 1,
+            poorly_determined=j == p - 2,
+        )
+        for j in range(p)
+    )
+    measured = np.column_stack([np.linspace(-3, 3, 101), np.linspace(-2, 5, 101)])[:, :n]
+    wave = np.sin(np.arange(101.0))[:, None] * [0.1, 0.2]
+    values = {
+        "model": model,
+        "base": base,
+        "method": "wls",
+        "sources": ("log.csv",),
+        "n_samples": 5312,
+        "rate": 20.0,
+        "duration": 265.6,
+        "parameters": parameters,
+        "covariance": np.diag(errors**2),
+        "textbook_covariance": np.diag(errors**2 / 4),
+        "sigma": np.array([0.11, 0.22]),
+        "effective_samples": 412.3,
+        "rank": p - 1,
+        "singular_values": np.linspace(2.0, 0.1, p),
+        "condition_number": 61.31,
+        "scaled_condition_number": 12.44,
+        "undetermined": (f"{base.names[-1]}",),
+        "train": torque_metrics(measured, measured + wave, "log.csv", model.joint_names),
+        "validation": (torque_metrics(measured, measured + 1.5 * wave, "other.csv", model.joint_names),),
+        "cad": torque_metrics(measured, 0.7 * measured, "other.csv", model.joint_names),
+        "physically_consistent": True,
+        "consistency_margin": 8.4e-4,
+        "warnings": (
+            IdentificationWarning("not_excited", f"Not excited by this recording, kept at CAD: {base.names[-1]}. Move these joints more."),
+            IdentificationWarning("poorly_determined", f"Poorly determined: {base.names[-2]}. Lengthen or enrich the motion."),
+        ),
+        "provenance": ("made up for a test",),
+    }
+    return IdentificationResult(**(values | changes))
+
+
+def test_summary_reads_as_agreed(arm):
+    text = invented(arm).summary().as_text()
+    assert text == GOLDEN.read_text()
+    assert all(line == line.rstrip() for line in text.splitlines())
+    assert str(invented(arm).summary()) == text
+
+
+def test_bad_news_is_shouted(arm):
+    result = invented(arm, condition_number=np.inf, scaled_condition_number=np.inf, physically_consistent=False, consistency_margin=-0.099)
+    text = result.summary().as_text()
+    for words in ("1 DIRECTION NOT EXCITED", "1 PARAMETER POORLY DETERMINED", "IMPOSSIBLE FOR REAL BODIES", "infinite", "NOT EXCITED"):
+        assert words in text
+    good = replace(result.parameters[0], determined=True, poorly_determined=False)
+    calm = replace(
+        result,
+        parameters=tuple(replace(p, determined=True, poorly_determined=False) for p in result.parameters),
+        undetermined=(),
+        warnings=(),
+        physically_consistent=None,
+        consistency_margin=None,
+    )
+    assert good == calm.parameters[0]
+    heading = dict(calm.summary().heading)
+    assert heading["status"] == "OK"
+    assert heading["consistency"] == "not decided"
+
+
+def test_html_is_well_formed_and_escaped_and_csv_has_numbers_in_full(arm):
+    result = invented(arm, warnings=(IdentificationWarning("x", "a < b & c"),))
+    page = result.summary().as_html()
+    opened = []
+
+    class Nesting(HTMLParser):
+        def handle_starttag(self, tag, attrs):
+            opened.append(tag)
+
+        def handle_endtag(self, tag):
+            assert opened.pop() == tag
+
+    Nesting().feed(page)
+    assert opened == []
+    assert "a &lt; b &amp; c" in page
+    rows = result.summary().as_csv().splitlines()
+    assert len(rows) == result.n_base + 1
+    assert repr(result.parameters[0].estimate) in rows[1]
+
+
+def test_json_round_trip_to_the_last_bit(arm):
+    model, base = arm
+    for result in (invented(arm), identify(model, recorded(model, base, still=(1,)), drive=DRIVE)):
+        text = result.to_json()
+        again = IdentificationResult.from_json(text)
+        assert again.to_json() == text
+        for item in fields(IdentificationResult):
+            one, other = getattr(result, item.name), getattr(again, item.name)
+            if isinstance(one, np.ndarray):
+                assert np.array_equal(one, other)
+            elif item.name not in ("model", "base", "parameters", "train", "validation", "cad"):
+                assert one == other, item.name
+        assert np.array_equal(again.base.regrouping, result.base.regrouping)
+        assert np.array_equal(again.estimates, result.estimates)
+        assert again.summary().as_text() == result.summary().as_text()
+
+
+def test_json_has_the_fields_that_others_rely_on(arm):
+    document = json.loads(invented(arm).to_json())
+    assert {"robot", "method", "n_samples", "n_standard", "n_base", "rank", "condition_number", "scaled_condition_number"} <= set(document)
+    assert {"joints", "parameters", "train", "validation", "cad", "physically_consistent", "warnings"} <= set(document)
+    assert {"id", "name", "expression", "unit", "cad", "estimate", "std_error"} <= set(document["parameters"][0])
+    assert {"source", "rms", "max_abs", "r_squared", "relative_error"} <= set(document["train"])
+    assert document["parameters"][-1]["cad"] is None
+    assert set(document["warnings"][0]) == {"code", "message"}
+
+
+def test_damaged_results_are_refused(arm):
+    text = invented(arm).to_json()
+    whole = json.loads(text)
+
+    def damaged(**changes):
+        return json.dumps(whole | changes)
+
+    for bad, words in (
+        ("", "not even JSON"),
+        (text[:1000], "not even JSON"),
+        ("[1, 2]", "not a stored result"),
+        ('{"format": "something else"}', "not a stored result"),
+        (damaged(version=99), "format version 99"),
+        (json.dumps({k: v for k, v in whole.items() if k != "rank"}), "KeyError 'rank'"),
+        (damaged(covariance=[[1.0]]), "covariance must have shape"),
+        (damaged(parameters=whole["parameters"][:-1]), "base parameters"),
+        (damaged(parameters=[{"id": 1}]), "damaged"),
+        (damaged(drive=["nonsense"]), "unknown drive term"),
+        (damaged(model={}), "robot document"),
+        (damaged(train=None), "damaged|metrics"),
+    ):
+        with pytest.raises(ResultError, match=words):
+            IdentificationResult.from_json(bad)
+
+
+def test_prediction_is_the_observation_matrix_times_the_estimates(arm):
+    model, base = arm
+    parallel = design_parallel_filter(6.0, 100.0, 4)
+    samples = recorded(model, base, parallel=parallel, segments=((0, 600), (650, 1200)))
+    result = identify(model, samples, drive=DRIVE)
+    prediction = result.predict(samples)
+    w = observation_matrix(model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns)
+    assert np.allclose(prediction.predicted, samples.filtered((w @ result.estimates).reshape(samples.q.shape)), atol=1e-11)
+    assert np.array_equal(prediction.measured, samples.filtered_torque)
+    assert np.array_equal(prediction.t, samples.filtered_times)
+    metrics = torque_metrics(prediction.measured, prediction.predicted, "x", model.joint_names)
+    assert np.allclose(metrics.rms, result.train.rms)
+    cad = result.predict_cad(samples)
+    assert np.allclose(np.sqrt(np.mean(cad.error**2, axis=0)), result.cad.rms)
+    assert result.n_samples == samples.n_filtered
+    assert result.rate == pytest.approx(25.0)
+
+
+def test_prediction_of_another_robots_samples_is_refused(arm):
+    model, base = arm
+    result = identify(model, recorded(model, base), drive=DRIVE)
+    iiwa = load_robot("kuka-iiwa7-r800")
+    with pytest.raises(ResultError, match="has"):
+        result.predict(recorded(iiwa, find_base_parameters(iiwa, DRIVE), n_samples=20))
+
+
+def test_identify_recovers_the_truth_within_its_errors(arm):
+    model, base = arm
+    chi = parameter_values(model, DRIVE)
+    chi[10 * model.n_joints :] = np.resize([0.8, 1.5, -0.2], 3 * model.n_joints)
+    truth = base.values(chi)
+    result = identify(model, [recorded(model, base, seed=s) for s in range(3)], drive=DRIVE, method="wls")
+    assert np.all(np.abs(result.estimates - truth) < 4.5 * result.std_errors)
+    assert result.sources == ("bench 0", "bench 1", "bench 2")
+    assert result.rank == result.n_base
+    assert result.physically_consistent is True
+    assert np.allclose(result.sigma, 0.05, rtol=0.1)
+    assert result.provenance == ("made up for a test",)
+    assert np.isnan(result.cad_values[-1])
+    assert 0 < result.effective_samples <= result.n_samples
+
+
+def test_what_is_not_excited_is_kept_at_cad_and_said(arm):
+    model, base = arm
+    samples = recorded(model, base, still=(1,))
+    result = identify(model, samples, drive=DRIVE)
+    assert result.rank < result.n_base == result.rank + len(result.undetermined)
+    assert "not_excited" in [warning.code for warning in result.warnings]
+    assert "Fv2" in result.undetermined
+    assert np.isinf(result.condition_number)
+    with pytest.raises(IdentifiabilityError, match="Fv2"):
+        identify(model, samples, drive=DRIVE, unexcited="refuse")
+
+
+def test_a_conclusion_from_the_information_alone_says_the_same_but_the_largest_error(arm):
+    model, base = arm
+    samples = recorded(model, base)
+    whole = identify(model, samples, drive=DRIVE)
+    information = accumulate(model, base, samples)
+    estimate = fit_least_squares(information, weights="joint", prior=design_values(model, base))
+    alone = conclude(model, information, estimate, rate=100.0)
+    assert np.allclose(alone.estimates, whole.estimates)
+    for one, other in ((alone.train, whole.train), (alone.cad, whole.cad)):
+        assert np.allclose(one.rms, other.rms)
+        assert np.allclose(one.r_squared, other.r_squared)
+        assert one.relative_error == pytest.approx(other.relative_error)
+        assert np.isnan(one.max_abs).all()
+    assert json.loads(alone.to_json())["train"]["max_abs"] == [None, None]
+
+
+def test_links_without_mass_properties_have_no_cad_value(arm):
+    model, base = arm
+    silent = replace(model, links=(model.links[0], replace(model.links[1], inertia_known=False)))
+    values = design_values(silent, base)
+    assert np.isnan(values[base.names.index("Fv2")])
+    involved = np.any(base.regrouping[:, 10:20] != 0, axis=1)
+    assert np.isnan(values[involved]).all()
+
+
+def test_a_result_says_how_its_errors_were_judged(arm):
+    model, base = arm
+    result = identify(model, recorded(model, base), base=base)
+    assert result.errors.kind == "blocks"
+    assert result.errors.n_blocks >= 8
+    assert "Standard errors (blocks): by formula from" in str(result.summary())
+    whole = json.loads(result.to_json())
+    assert whole["errors"]["kind"] == "blocks"
+    assert IdentificationResult.from_json(result.to_json()).errors == result.errors
+
+
+def test_a_result_of_a_version_that_did_not_say_how_is_read(arm):
+    whole = json.loads(invented(arm).to_json())
+    del whole["errors"]
+    for parameter in whole["parameters"]:
+        del parameter["dropped"]
+    old = IdentificationResult.from_json(json.dumps(whole))
+    assert old.errors.kind == "unstated"
+    assert not old.dropped.any()
+    assert str(old.summary()) == str(invented(arm).summary())

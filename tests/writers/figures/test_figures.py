@@ -1,0 +1,82 @@
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from asbuilt.errors import UsageError
+from asbuilt.validation.prediction import validate
+from asbuilt.writers.figures.figure_style import save_figure
+from asbuilt.writers.figures.figures import (
+    friction_figure,
+    parameter_figure,
+    residual_figure,
+    singular_value_figure,
+    torque_figure,
+)
+
+
+@pytest.fixture(scope="module")
+def figures(example: Any) -> dict[str, Figure]:
+    return drawn(example)
+
+
+def drawn(example: Any) -> dict[str, Figure]:
+    result = example.result
+    v = validate(result, example.held_out)
+    return {
+        "torque": torque_figure(
+            v.t, v.measured, v.predicted, cad=v.predicted_cad, joint_names=v.joint_names, units=v.units, title=v.source
+        ),
+        "parameters": parameter_figure(
+            [p.expression for p in result.parameters],
+            result.estimates,
+            result.std_errors,
+            result.cad_values,
+            units=[p.unit for p in result.parameters],
+            ids=[p.id for p in result.parameters],
+        ),
+        "singular": singular_value_figure(result.singular_values, rank=result.rank),
+        "residuals": residual_figure(v.error, v.residuals(), units=v.units),
+        "friction": friction_figure(v.velocity, v.friction, v.friction_curves(), model=v.drive, joint_names=v.joint_names, units=v.units),
+    }
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
+def test_every_figure_saves_in_every_format(example: Any, tmp_path: Path, suffix: str) -> None:
+    magic = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
+    one, two = drawn(example), drawn(example)
+    for name in one if suffix == "png" else ("torque", "singular"):
+        content = save_figure(one[name], tmp_path / f"{name}.{suffix}", dpi=50).read_bytes()
+        assert content.startswith(magic)
+        assert content == save_figure(two[name], tmp_path / f"again.{suffix}", dpi=50).read_bytes()
+
+
+def test_drawn_curves_hold_the_peaks_and_the_gaps(example: Any, figures: dict[str, Figure]) -> None:
+    v = validate(example.result, example.held_out)
+    for k in range(4):
+        measured = figures["torque"].axes[2 * k].lines[0].get_ydata()
+        assert np.nanmax(measured) == v.measured[:, k].max()
+        assert np.nanmin(measured) == v.measured[:, k].min()
+        assert np.count_nonzero(np.isnan(measured)) == len(example.held_out.segments) - 1
+
+
+def test_torque_axes_are_labelled_with_units_and_share_time(figures: dict[str, Figure]) -> None:
+    axes = figures["torque"].axes
+    assert "[N m]" in axes[0].get_ylabel()
+    assert "[N]" in axes[4].get_ylabel()
+    assert axes[-1].get_xlabel() == "time [s]"
+    assert len({axis.get_xlim() for axis in axes}) == 1
+
+
+def test_unknown_suffix_is_refused(figures: dict[str, Figure], tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"use \.png, \.svg, \.pdf"):
+        save_figure(figures["singular"], tmp_path / "x.bmp")
+
+
+def test_no_global_figure_is_made() -> None:
+    code = "import sys, asbuilt.writers.figures.figures; assert 'matplotlib.pyplot' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)

@@ -1,0 +1,55 @@
+"""The page of CAD against as built: what it says first, and that nothing of it is cut off on a narrow screen."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from chromium import chromium
+
+from asbuilt.identification.result.determination import determination
+from asbuilt.validation.attribution.attribution import attribute
+from asbuilt.validation.comparison.comparison import compare
+from asbuilt.writers.reports.compare_files import CadVerdict, write_comparison
+from asbuilt.writers.reports.compare_report import comparison_html
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "validation"))
+from virtual_causes import identified
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    result = identified("kuka-iiwa7-r800", "pf")
+    verdict = CadVerdict(compare(result), attribute(result), determination(result))
+    return write_comparison(tmp_path_factory.mktemp("comparison"), result, verdict)
+
+
+@pytest.mark.parametrize("width", [1300, 900])
+def test_no_table_is_cut_off(files: dict[str, Path], width: int, tmp_path: Path) -> None:
+    browser = chromium(tmp_path, f"disable-gpu window-size={width},1000")
+    browser.get(files["report"].as_uri())
+    run = browser.execute_script
+    beyond = run("return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1).length")
+    shown = run("return document.querySelectorAll('.scroll table').length")
+    browser.quit()
+    assert shown == 4
+    assert beyond == 0
+
+
+def test_page_and_text_begin_with_what_matters(files: dict[str, Path]) -> None:
+    page, text = files["report"].read_text(encoding="utf-8"), files["text"].read_text(encoding="utf-8")
+    order = ("of the torque is off as built", "why CAD is off", "Nested models", "first moment along z, links 4 to 7")
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+    assert text.index("Why CAD is off") < text.index("Base parameters")
+    assert "what the torque error of CAD is made of" not in text
+
+
+def test_page_without_evidence_has_the_torque_table(example: Any) -> None:
+    page = comparison_html(example.result, compare(example.result), None, determination(example.result))
+    assert 'id="torque-table"' in page
+    assert "<img src=x" not in page
+    said = CadVerdict(compare(example.result), None, determination(example.result)).as_text()
+    assert all("Why CAD is off, and what differences cost in torque, is not told" in text for text in (page, said))

@@ -1,0 +1,22 @@
+from __future__ import annotations
+
+import numpy as np
+
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import Joint, Link, RobotModel
+from asbuilt.description.rotation import placement, rotation_from_rpy
+from asbuilt.writers.tables.robot_tables import links_table
+
+
+def test_rounding_is_not_shown_as_products_of_inertia() -> None:
+    """A ball far from the origin: its inertia about the centre is the difference of large numbers, and has no products."""
+    ball = LinkInertia.from_com(2.0, [0.3, -0.7, 0.11], 1e-3 * np.eye(3)).moved(
+        placement(rotation_from_rpy([0.3, 0.2, 0.1]), [0.0, 0.1, 0.9])
+    )
+    I = ball.inertia_about_com
+    assert 0.0 < np.abs(I - np.diag(np.diag(I))).max() < 1e-12
+    askew = LinkInertia.from_com(1.0, [0.0, 0.0, 0.0], [[2.0, 1e-3, 0.0], [1e-3, 3.0, 0.0], [0.0, 0.0, 4.0]])
+    joints = tuple(Joint(f"j{k}", "revolute", k - 1, np.eye(4), np.eye(4)) for k in range(2))
+    model = RobotModel("two", joints, (Link("ball", ball), Link("askew", askew)))
+    products = [row[4] for row in links_table(model).rows]
+    assert products == ["0 0 0", "0.001 0 0"]
