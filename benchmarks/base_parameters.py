@@ -17,15 +17,18 @@ from asbuilt.dynamics.drives.selection import DriveSet
 
 DRIVE = "armature,viscous,coulomb,offset"
 COLD = (
-    "import time; from asbuilt import load_robot, find_base_parameters; m = load_robot('kuka-iiwa7-r800'); import asbuilt.dynamics.base.base_parameters; "
-    "t = time.perf_counter(); find_base_parameters(m); print(time.perf_counter() - t)"
+    "import time; from asbuilt import load_robot, find_base_parameters; m ="
+    " load_robot('kuka-iiwa7-r800'); import asbuilt.dynamics.base.base_parameters; t ="
+    " time.perf_counter(); find_base_parameters(m); print(time.perf_counter() - t)"
 )
 
 
 def long_arm(n_joints: int) -> RobotModel:
     """Return an arm of alternating axes with lengths in every row."""
     inertia = LinkInertia.from_com(1.0, [0.1, 0.02, 0.03], np.diag([0.02, 0.03, 0.04]))
-    rows = [DHRow(a=0.1, b=0.2, alpha=(-1) ** k * np.pi / 2, inertia=inertia) for k in range(n_joints)]
+    rows = [
+        DHRow(a=0.1, b=0.2, alpha=(-1) ** k * np.pi / 2, inertia=inertia) for k in range(n_joints)
+    ]
     return robot_from_dh(rows, name=f"arm of {n_joints} joints")
 
 

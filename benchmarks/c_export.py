@@ -59,9 +59,21 @@ def measure() -> dict[str, float | str]:
             source, header = write_c(Path(place) / "robot.c", model)
             p = int(header.read_text().split("_BASE_PARAMETERS ")[1].split()[0])
             main = Path(place) / "main.c"
-            main.write_text(PROGRAM.format(prefix=code.prefix, n=model.n_joints, p=p, calls=CALLS, repeats=REPEATS))
+            main.write_text(
+                PROGRAM.format(
+                    prefix=code.prefix, n=model.n_joints, p=p, calls=CALLS, repeats=REPEATS
+                )
+            )
             program = Path(place) / "program"
-            subprocess.run(["gcc", "-std=c99", "-O2", str(main), str(source), "-o", str(program), "-lm"], check=True)
-            lines = subprocess.run([str(program)], check=True, capture_output=True, text=True).stdout.split()
-        found |= {f"{name}_{what}_us_per_sample": float(value) for what, value in zip(lines[::2], lines[1::2], strict=True)}
+            subprocess.run(
+                ["gcc", "-std=c99", "-O2", str(main), str(source), "-o", str(program), "-lm"],
+                check=True,
+            )
+            lines = subprocess.run(
+                [str(program)], check=True, capture_output=True, text=True
+            ).stdout.split()
+        found |= {
+            f"{name}_{what}_us_per_sample": float(value)
+            for what, value in zip(lines[::2], lines[1::2], strict=True)
+        }
     return found

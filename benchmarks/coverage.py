@@ -69,22 +69,36 @@ SMALL_FRICTION = 0.03
 
 
 def recordings(
-    machine: InstalledRobot, model: RobotModel, correlation_time: float, duration: float, noise: float, repetitions: int
+    machine: InstalledRobot,
+    model: RobotModel,
+    correlation_time: float,
+    duration: float,
+    noise: float,
+    repetitions: int,
 ) -> Iterator[SquareRootInformation]:
     """Yield the information of one motion recorded again and again, first-order noise of that correlation time [s] on the torque."""
     base = find_base_parameters(model, DRIVE)
-    recording = machine.record(random_fourier(model, rng=11, duration=duration, n_harmonics=10), RATE).recording
+    recording = machine.record(
+        random_fourier(model, rng=11, duration=duration, n_harmonics=10), RATE
+    ).recording
     recording = replace(recording, qd=None, qdd=None)
     chain, rng = SignalChain().resolved(recording), np.random.default_rng(0)
     forget, warm_up = np.exp(-1.0 / (RATE * correlation_time)), int(20 * RATE * correlation_time)
     for _ in range(repetitions):
         white = rng.normal(size=(recording.n_samples + warm_up, model.n_joints))
         coloured = lfilter([np.sqrt(1.0 - forget**2)], [1.0, -forget], white, axis=0)[warm_up:]
-        yield accumulate(model, base, prepare_samples(replace(recording, tau=recording.tau + noise * coloured), chain))
+        yield accumulate(
+            model,
+            base,
+            prepare_samples(replace(recording, tau=recording.tau + noise * coloured), chain),
+        )
 
 
 def shares(
-    seen: Iterator[SquareRootInformation], truth: Array, fit: Callable[[SquareRootInformation], Estimate], draws: int
+    seen: Iterator[SquareRootInformation],
+    truth: Array,
+    fit: Callable[[SquareRootInformation], Estimate],
+    draws: int,
 ) -> dict[str, float]:
     """Return the share of 95 % intervals that contain the truth, over all parameters and of the worst, for every kind of error."""
     held: dict[str, list[Array]] = {"": [], "_bootstrap": [], "_textbook": []}
@@ -93,20 +107,29 @@ def shares(
         error = np.abs(estimate.beta - truth)
         drawn = redraw(information, estimate, n_draws=draws, rng=repetition)
         held[""].append(error < NORMAL_95 * block_uncertainty(information, estimate).std_errors)
-        held["_bootstrap"].append(error < NORMAL_95 * bootstrap_uncertainty(information, estimate, drawn).std_errors)
+        held["_bootstrap"].append(
+            error < NORMAL_95 * bootstrap_uncertainty(information, estimate, drawn).std_errors
+        )
         held["_textbook"].append(error < NORMAL_95 * estimate.std_errors)
     found = {}
     for kind, each in held.items():
         per_parameter = np.mean(each, axis=0)
-        found[kind], found[f"{kind}_worst_parameter"] = float(per_parameter.mean()), float(per_parameter.min())
+        found[kind], found[f"{kind}_worst_parameter"] = (
+            float(per_parameter.mean()),
+            float(per_parameter.min()),
+        )
     return found
 
 
-def coverage(robot: str, correlation_time: float, duration: float, repetitions: int = REPETITIONS) -> dict[str, float]:
+def coverage(
+    robot: str, correlation_time: float, duration: float, repetitions: int = REPETITIONS
+) -> dict[str, float]:
     """Return the shares of weighted least squares."""
     model = load_robot(robot)
     base = find_base_parameters(model, DRIVE)
-    machine = InstalledRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints))
+    machine = InstalledRobot.ideal(model).with_drive(
+        DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints)
+    )
     design = design_values(model, base)
     return shares(
         recordings(machine, model, correlation_time, duration, NOISE, repetitions),
@@ -138,7 +161,9 @@ def coverage_of_bodies(
     )
 
 
-def off_from_cad(model: RobotModel, base: BaseParameters, prior: CadPrior, edge: float) -> InstalledRobot:
+def off_from_cad(
+    model: RobotModel, base: BaseParameters, prior: CadPrior, edge: float
+) -> InstalledRobot:
     """Return a robot of other real bodies; where `edge` is small that is the smallest eigenvalue of every other, and one joint has next to no viscous friction."""
     rng = np.random.default_rng(5)
     bodies = []
@@ -148,11 +173,15 @@ def off_from_cad(model: RobotModel, base: BaseParameters, prior: CadPrior, edge:
         size = np.exp(SPREAD * rng.normal(size=4))
         if edge < 0.1 and i % 2 == 1:
             size[int(np.argmin(size))] = edge
-        bodies.append(LinkInertia.from_pseudo_inertia(root @ (axes * size) @ axes.T @ root.T).parameters)
+        bodies.append(
+            LinkInertia.from_pseudo_inertia(root @ (axes * size) @ axes.T @ root.T).parameters
+        )
     friction = np.tile([1.0, 2.0, 0.3], (model.n_joints, 1))
     if edge < 0.1:
         friction[-2, 0] = SMALL_FRICTION
-    return InstalledRobot.ideal(model.with_parameters(np.concatenate(bodies))).with_drive(base.drive, friction.ravel())
+    return InstalledRobot.ideal(model.with_parameters(np.concatenate(bodies))).with_drive(
+        base.drive, friction.ravel()
+    )
 
 
 def measure(repetitions: int | None = None) -> dict[str, float | str]:
@@ -160,11 +189,22 @@ def measure(repetitions: int | None = None) -> dict[str, float | str]:
     numbers: dict[str, float | str] = {}
     for robot, correlation_time, duration in STUDIES:
         found = coverage(robot, correlation_time, duration, repetitions or REPETITIONS)
-        numbers |= {f"{robot}_{correlation_time:g}s_noise_{duration:g}s{kind}": value for kind, value in found.items()}
-    for pulled, (robot, correlation_time, duration, noise, edge) in [(False, s) for s in STUDIES_OF_BODIES] + [
-        (True, s) for s in STUDIES_OF_PULLS
-    ]:
-        found = coverage_of_bodies(robot, correlation_time, duration, noise, edge, repetitions or REPETITIONS_OF_BODIES, pulled=pulled)
+        numbers |= {
+            f"{robot}_{correlation_time:g}s_noise_{duration:g}s{kind}": value
+            for kind, value in found.items()
+        }
+    for pulled, (robot, correlation_time, duration, noise, edge) in [
+        (False, s) for s in STUDIES_OF_BODIES
+    ] + [(True, s) for s in STUDIES_OF_PULLS]:
+        found = coverage_of_bodies(
+            robot,
+            correlation_time,
+            duration,
+            noise,
+            edge,
+            repetitions or REPETITIONS_OF_BODIES,
+            pulled=pulled,
+        )
         name = f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
         numbers |= {f"{name}{kind}": value for kind, value in found.items()}
     return numbers

@@ -44,20 +44,33 @@ class Recorded(NamedTuple):
 
 
 RECORDED = {
-    "UR10e, 12 harmonics, 30 s": Recorded("ur10e.urdf", ("ur10e/ur-20_02_10-30sec_12harm.csv",), "UR10e"),
-    "UR10e, 12 harmonics, 40 s": Recorded("ur10e.urdf", ("ur10e/ur-20_02_12-40sec_12harm.csv",), "UR10e"),
-    "UR10e, 14 harmonics, 50 s": Recorded("ur10e.urdf", ("ur10e/ur-20_02_19_14harm50sec.csv",), "UR10e"),
-    "UR10e, point to point": Recorded("ur10e.urdf", ("ur10e/ur-20_01_17-ptp_10_points.csv",), "UR10e"),
+    "UR10e, 12 harmonics, 30 s": Recorded(
+        "ur10e.urdf", ("ur10e/ur-20_02_10-30sec_12harm.csv",), "UR10e"
+    ),
+    "UR10e, 12 harmonics, 40 s": Recorded(
+        "ur10e.urdf", ("ur10e/ur-20_02_12-40sec_12harm.csv",), "UR10e"
+    ),
+    "UR10e, 14 harmonics, 50 s": Recorded(
+        "ur10e.urdf", ("ur10e/ur-20_02_19_14harm50sec.csv",), "UR10e"
+    ),
+    "UR10e, point to point": Recorded(
+        "ur10e.urdf", ("ur10e/ur-20_01_17-ptp_10_points.csv",), "UR10e"
+    ),
     "UR10": Recorded("ur10.urdf", ("ur10_rosbag2/ur10_exciting_trajectory.db3",), "UR10"),
     "LWR4+, first": Recorded("kuka_lwr4.urdf", ("kuka_lwr4/measurements_1.npz",), "LWR4+"),
     "LWR4+, second": Recorded("kuka_lwr4.urdf", ("kuka_lwr4/measurements_2.npz",), "LWR4+"),
-    "LBR Med 7, slow": Recorded("lbrstack_med7.urdf", ("lbr_med7/measurements_with_ext_tau_1_dgr.csv",), "LBR Med 7"),
+    "LBR Med 7, slow": Recorded(
+        "lbrstack_med7.urdf", ("lbr_med7/measurements_with_ext_tau_1_dgr.csv",), "LBR Med 7"
+    ),
     "LBR Med 7, fast": Recorded("lbrstack_med7.urdf", ("lbr_med7/measurements.csv",), "LBR Med 7"),
 }
 
 
 def measure(
-    data: Path = SHARED, time_limit: float = 24.0, only: tuple[str, ...] = (), out: Path = Path("out/designs.md")
+    data: Path = SHARED,
+    time_limit: float = 24.0,
+    only: tuple[str, ...] = (),
+    out: Path = Path("out/designs.md"),
 ) -> dict[str, float | str]:
     """Print the tables row by row, write them, and return efficiencies and condition numbers."""
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -70,10 +83,12 @@ def measure(
         out.write_text("\n".join(lines) + "\n")
 
     say(
-        f"Fourier series as `asbuilt excite ROBOT --duration S --time-limit {time_limit:g}` designs them: viscous, Coulomb and offset for every joint, noise 1 N m (N),"
+        f"Fourier series as `asbuilt excite ROBOT --duration S --time-limit {time_limit:g}` designs"
+        " them: viscous, Coulomb and offset for every joint, noise 1 N m (N),"
     )
     say(
-        "95 % of the limits of motion and 80 % of those of torque allowed; harmonics x periods; margins on a grid of 1 kHz, as shares of the whole limits."
+        "95 % of the limits of motion and 80 % of those of torque allowed; harmonics x periods;"
+        " margins on a grid of 1 kHz, as shares of the whole limits."
     )
     say("")
     heads = (
@@ -92,14 +107,19 @@ def measure(
     assumed: dict[str, tuple[str, ...]] = {}
     for robot in [name for name in robot_names() if not only or name in only]:
         for duration in DURATIONS:
-            design = design_motion(load_robot(robot), USUAL_DRIVE, DesignOptions(duration=duration, time_limit=time_limit))
+            design = design_motion(
+                load_robot(robot),
+                USUAL_DRIVE,
+                DesignOptions(duration=duration, time_limit=time_limit),
+            )
             worst = design.limits.worst_margin
             if design.assumed:
                 assumed[robot] = design.assumed
             say(
                 robot,
                 f"{duration:g} s",
-                f"{design.size}" + (f" x {periods}" if (periods := design.options.periods or 1) > 1 else ""),
+                f"{design.size}"
+                + (f" x {periods}" if (periods := design.options.periods or 1) > 1 else ""),
                 design.base.n_base,
                 f"{design.solve_seconds:.1f} s",
                 len(design.candidates),
@@ -108,14 +128,24 @@ def measure(
                 _percent(design.family_efficiency),
                 f"{design.condition_number:.1f}",
                 f"{design.scaled_condition_number:.2f}",
-                *(_percent(worst[quantity]) + ("*" if quantity in design.assumed else "") for quantity in SHOWN),
+                *(
+                    _percent(worst[quantity]) + ("*" if quantity in design.assumed else "")
+                    for quantity in SHOWN
+                ),
             )
-            numbers[f"{robot}, {duration:g} s: scaled_condition_number"] = design.scaled_condition_number
+            numbers[f"{robot}, {duration:g} s: scaled_condition_number"] = (
+                design.scaled_condition_number
+            )
             numbers[f"{robot}, {duration:g} s: d_efficiency"] = float(design.d_efficiency or 0.0)
-            numbers[f"{robot}, {duration:g} s: worst_margin"] = min(margin for margin in worst.values() if margin is not None)
+            numbers[f"{robot}, {duration:g} s: worst_margin"] = min(
+                margin for margin in worst.values() if margin is not None
+            )
     if assumed:
         say("")
-        say("\\* limits that the description lacks for some joints: those of `MotionBounds.assumed`.")
+        say(
+            "\\* limits that the description lacks for some joints: those of"
+            " `MotionBounds.assumed`."
+        )
     if (data / "data").is_dir():
         numbers |= _beside_recordings(data, time_limit, only, out.parent, say)
     return numbers
@@ -130,12 +160,17 @@ def _beside_recordings(
     sheet.write_text(UR10E_SHEET)
     say("")
     say(
-        "Recorded motions of real robots beside what is designed for the same description and duration (in periods of at most 40 s): condition number of the"
+        "Recorded motions of real robots beside what is designed for the same description and"
+        " duration (in periods of at most 40 s): condition number of the"
     )
     say(
-        "unweighted observation matrix of the base columns with viscous, Coulomb and offset columns, as it is and with columns scaled to unit length; information per"
+        "unweighted observation matrix of the base columns with viscous, Coulomb and offset"
+        " columns, as it is and with columns scaled to unit length; information per"
     )
-    say("sample as share of the bound; and which share of its velocity limit the joint that is farthest from it reaches.")
+    say(
+        "sample as share of the bound; and which share of its velocity limit the joint that is"
+        " farthest from it reaches."
+    )
     say("")
     heads = (
         "recording",
@@ -157,12 +192,18 @@ def _beside_recordings(
         model = load_robot(str(data / "models" / recorded.robot))
         case = CASES[recorded.case]
         options = dict(case.options) | ({"sheet": sheet} if "gain" in case.options else {})
-        log = read_recordings([data / "data" / path for path in recorded.files], model=model, **options)[0]
+        log = read_recordings(
+            [data / "data" / path for path in recorded.files], model=model, **options
+        )[0]
         samples = prepare_samples(log, SignalChain().resolved(log))
         base = find_base_parameters(model, USUAL_DRIVE)
         mean = mean_information(Information.of(model, base), samples.q, samples.qd, samples.qdd)
         periods = math.ceil(log.duration / LONGEST_PERIOD)
-        design = design_motion(model, USUAL_DRIVE, DesignOptions(duration=log.duration, periods=periods, time_limit=time_limit))
+        design = design_motion(
+            model,
+            USUAL_DRIVE,
+            DesignOptions(duration=log.duration, periods=periods, time_limit=time_limit),
+        )
         share = information_efficiency(model, USUAL_DRIVE, samples).d_efficiency
         limit = MotionBounds.assumed(model).velocity
         plain, scaled = condition_numbers(mean)
@@ -178,7 +219,10 @@ def _beside_recordings(
             _percent(float((np.abs(samples.qd).max(axis=0) / limit).min())),
             _percent(_least_speed(design, limit)),
         )
-        numbers[f"{name}: condition_number"], numbers[f"{name}: scaled_condition_number"] = plain, scaled
+        numbers[f"{name}: condition_number"], numbers[f"{name}: scaled_condition_number"] = (
+            plain,
+            scaled,
+        )
         numbers[f"{name}: designed condition_number"] = design.condition_number
         numbers[f"{name}: designed scaled_condition_number"] = design.scaled_condition_number
     return numbers
@@ -187,7 +231,9 @@ def _beside_recordings(
 def condition_numbers(mean: Array) -> tuple[float, float]:
     """Return the condition number of an observation matrix W from `W^T W`, as it is and with columns of unit length."""
     size = 1.0 / np.sqrt(np.diag(mean))
-    return float(np.sqrt(np.linalg.cond(mean))), float(np.sqrt(np.linalg.cond(mean * np.outer(size, size))))
+    return float(np.sqrt(np.linalg.cond(mean))), float(
+        np.sqrt(np.linalg.cond(mean * np.outer(size, size)))
+    )
 
 
 def _least_speed(design: Design, limit: Array) -> float:
@@ -200,12 +246,22 @@ def _percent(share: float | None) -> str:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=SHARED, help="folder with data/ and models/ in it")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--data", type=Path, default=SHARED, help="folder with data/ and models/ in it"
+    )
     parser.add_argument("--time-limit", type=float, default=24.0, help="time for each design [s]")
     parser.add_argument(
-        "--only", action="append", default=[], choices=[*robot_names(), *RECORDED], help="this robot or recording only (may be given again)"
+        "--only",
+        action="append",
+        default=[],
+        choices=[*robot_names(), *RECORDED],
+        help="this robot or recording only (may be given again)",
     )
-    parser.add_argument("--out", type=Path, default=Path("out/designs.md"), help="Markdown file to write")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/designs.md"), help="Markdown file to write"
+    )
     arguments = parser.parse_args()
     measure(arguments.data, arguments.time_limit, tuple(arguments.only), arguments.out)

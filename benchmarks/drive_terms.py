@@ -38,7 +38,10 @@ SETS = {
     "smooth, Stribeck, load": "viscous,smooth_coulomb,stribeck,load_friction,offset",
     "auto": "auto",
 }
-UR10E_SHEET = 'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"\n'
+UR10E_SHEET = (
+    'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity ='
+    ' "8-13"\ntorque = "14-19"\n'
+)
 
 
 class Case(NamedTuple):
@@ -60,9 +63,14 @@ CASES = {
         options={"rate": 100.0, "flip_torque": True},
     ),
     "LBR Med 7, short": Case(
-        "lbrstack_med7.urdf", ("lbr_med7/measurements.csv",), holdout="last:0.3", options={"rate": 100.0, "flip_torque": True}
+        "lbrstack_med7.urdf",
+        ("lbr_med7/measurements.csv",),
+        holdout="last:0.3",
+        options={"rate": 100.0, "flip_torque": True},
     ),
-    "LWR4+": Case("kuka_lwr4.urdf", ("kuka_lwr4/measurements_1.npz",), ("kuka_lwr4/measurements_2.npz",)),
+    "LWR4+": Case(
+        "kuka_lwr4.urdf", ("kuka_lwr4/measurements_1.npz",), ("kuka_lwr4/measurements_2.npz",)
+    ),
     "UR10e": Case(
         "ur10e.urdf",
         ("ur10e/ur-20_02_10-30sec_12harm.csv",),
@@ -93,7 +101,10 @@ def measure(data: Path = SHARED) -> dict[str, float | str]:
     for name, case in CASES.items():
         model = load_robot(str(data / "models" / case.robot))
         options = dict(case.options) | ({"sheet": sheet} if "gain" in case.options else {})
-        logs = [read_recordings([data / "data" / path], model=model, **options)[0] for path in (*case.train, *case.judged)]
+        logs = [
+            read_recordings([data / "data" / path], model=model, **options)[0]
+            for path in (*case.train, *case.judged)
+        ]
         chain = SignalChain().resolved(*logs[: len(case.train)])
         samples = [prepare_samples(log, chain) for log in logs]
         train, judged = samples[: len(case.train)], samples[len(case.train) :]
@@ -101,14 +112,26 @@ def measure(data: Path = SHARED) -> dict[str, float | str]:
             parts = [hold_out(each, case.holdout) for each in train]
             train, judged = [part for part, _ in parts], [held for _, held in parts]
         for label, text in SETS.items():
-            drive = "auto" if text == "auto" else DriveSet.parse(f"armature,{text}" if case.motor else text)
+            drive = (
+                "auto"
+                if text == "auto"
+                else DriveSet.parse(f"armature,{text}" if case.motor else text)
+            )
             result = identify(model, train, drive=settle_drive(model, train, drive).drive)
             for each in judged:
                 metrics = validate(result, each).metrics_as_built
                 where = Path(each.source).name
                 numbers[f"{name}: {label}, {where}"] = float(np.exp(np.mean(np.log(metrics.rms))))
                 lines.append(
-                    ",".join([name, f'"{label}"', where, f"{metrics.relative_error:.4f}", *(f"{value:.3f}" for value in metrics.rms)])
+                    ",".join(
+                        [
+                            name,
+                            f'"{label}"',
+                            where,
+                            f"{metrics.relative_error:.4f}",
+                            *(f"{value:.3f}" for value in metrics.rms),
+                        ]
+                    )
                 )
     (out / "drive_terms.csv").write_text("\n".join(lines) + "\n")
     return numbers

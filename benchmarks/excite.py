@@ -34,14 +34,25 @@ class Problem:
     def __init__(self) -> None:
         self.model = load_robot(ROBOT)
         base = find_base_parameters(self.model, USUAL_DRIVE)
-        self.information, self.bounds = Information.of(self.model, base), MotionBounds.assumed(self.model, FRACTION)
-        self.options = DesignOptions(duration=DURATION, size=HARMONICS, fraction=FRACTION, torque_fraction=TORQUE_FRACTION)
+        self.information, self.bounds = (
+            Information.of(self.model, base),
+            MotionBounds.assumed(self.model, FRACTION),
+        )
+        self.options = DesignOptions(
+            duration=DURATION, size=HARMONICS, fraction=FRACTION, torque_fraction=TORQUE_FRACTION
+        )
         torque = TorqueLimit((self.model,), TORQUE_FRACTION * MotionBounds.of(self.model).torque)
         scale = parameter_scale(self.information, self.bounds)
-        objective = Objective(self.information, DOptimality(), scale, DURATION * self.options.information_rate)
+        objective = Objective(
+            self.information, DOptimality(), scale, DURATION * self.options.information_rate
+        )
         self.nodes = DesignProgram(objective, self.options.family, self.bounds, 200, (torque,))
-        self.fine = DesignProgram(objective, self.options.family, self.bounds, int(1000 * DURATION), (torque,))
-        self.middle = np.outer(self.options.family.constant, (self.bounds.lower + self.bounds.upper) / 2)
+        self.fine = DesignProgram(
+            objective, self.options.family, self.bounds, int(1000 * DURATION), (torque,)
+        )
+        self.middle = np.outer(
+            self.options.family.constant, (self.bounds.lower + self.bounds.upper) / 2
+        )
         self.shape = self.middle.shape
 
     def log_det(self, coefficients: Array) -> float:
@@ -62,11 +73,15 @@ class Problem:
 
     def slack(self, x: Array) -> Array:
         """The smallest slack of each group of limits and joint."""
-        return np.concatenate([slack.min(axis=0) for slack in self.nodes.margins(x.reshape(self.shape))])
+        return np.concatenate(
+            [slack.min(axis=0) for slack in self.nodes.margins(x.reshape(self.shape))]
+        )
 
     def random(self, seed: int) -> Array:
         """A random feasible series."""
-        motion = random_fourier(self.model, rng=seed, duration=DURATION, n_harmonics=HARMONICS, fraction=TORQUE_FRACTION)
+        motion = random_fourier(
+            self.model, rng=seed, duration=DURATION, n_harmonics=HARMONICS, fraction=TORQUE_FRACTION
+        )
         return np.array(motion.coefficients)
 
 
@@ -91,7 +106,13 @@ def slsqp(problem: Problem, seconds: float) -> Array:
     try:
         while True:
             limits = {"type": "ineq", "fun": problem.slack}
-            minimize(watched, problem.random(seed).ravel(), method="SLSQP", constraints=[limits], options={"maxiter": 1000, "ftol": 1e-8})
+            minimize(
+                watched,
+                problem.random(seed).ravel(),
+                method="SLSQP",
+                constraints=[limits],
+                options={"maxiter": 1000, "ftol": 1e-8},
+            )
             seed += 1
     except _OverError:
         return best
@@ -116,7 +137,11 @@ def cma_es(problem: Problem, seconds: float) -> Array:
 def measure(search_s: float = 240.0) -> dict[str, float | str]:
     """Return log det per sample of every method, and the D-efficiency of each relative to the best known; `search_s` is what a long search may take [s]."""
     problem = Problem()
-    design_motion(problem.model, options=DesignOptions(duration=4.0, size=3, starts=1, time_limit=1.0), with_bound=False)
+    design_motion(
+        problem.model,
+        options=DesignOptions(duration=4.0, size=3, starts=1, time_limit=1.0),
+        with_bound=False,
+    )
     begin = time.perf_counter()
     design = design_motion(problem.model, USUAL_DRIVE, problem.options)
     seconds = time.perf_counter() - begin
@@ -124,7 +149,10 @@ def measure(search_s: float = 240.0) -> dict[str, float | str]:
     found = {"design": float(np.linalg.slogdet(design.mean_information)[1])}
     begin = time.perf_counter()
     random = [problem.random(k) for k in range(RANDOM_MOTIONS)]
-    found["random_1000"] = max(float(np.linalg.slogdet(mean_information(problem.information, *problem.fine.states(c)))[1]) for c in random)
+    found["random_1000"] = max(
+        float(np.linalg.slogdet(mean_information(problem.information, *problem.fine.states(c)))[1])
+        for c in random
+    )
     random_seconds = time.perf_counter() - begin
     methods: dict[str, Callable[[Problem, float], Array]] = {"slsqp": slsqp, "cma": cma_es}
     with one_blas_thread():
@@ -134,14 +162,23 @@ def measure(search_s: float = 240.0) -> dict[str, float | str]:
     search = design_motion(problem.model, USUAL_DRIVE, patient, with_bound=False)
     found["long_search"] = float(np.linalg.slogdet(search.mean_information)[1])
     best = max(found.values())
-    numbers: dict[str, float | str] = {"design_s": seconds, "random_1000_s": random_seconds, "long_search_s": search_s}
+    numbers: dict[str, float | str] = {
+        "design_s": seconds,
+        "random_1000_s": random_seconds,
+        "long_search_s": search_s,
+    }
     numbers |= {f"log_det_per_sample_{name}": value for name, value in found.items()}
-    numbers |= {f"d_efficiency_of_{name}_against_the_best": float(np.exp((value - best) / p)) for name, value in found.items()}
+    numbers |= {
+        f"d_efficiency_of_{name}_against_the_best": float(np.exp((value - best) / p))
+        for name, value in found.items()
+    }
     numbers |= {
         "d_efficiency_against_the_bound": float(design.d_efficiency or 0.0),
         "d_efficiency_against_the_bound_of_5_harmonics": float(design.family_efficiency or 0.0),
         "condition_number": design.condition_number,
         "scaled_condition_number": design.scaled_condition_number,
-        "worst_margin": min(margin for margin in design.limits.worst_margin.values() if margin is not None),
+        "worst_margin": min(
+            margin for margin in design.limits.worst_margin.values() if margin is not None
+        ),
     }
     return numbers

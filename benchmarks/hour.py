@@ -34,7 +34,9 @@ def measure() -> dict[str, float | str]:
         write_hour(path)
         size = path.stat().st_size / 1e6
         subprocess.run([sys.executable, __file__, str(path)], check=True, capture_output=True)
-        done = subprocess.run([sys.executable, __file__, str(path)], check=True, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, __file__, str(path)], check=True, capture_output=True, text=True
+        )
     return {"hour_file_mb": size} | json.loads(done.stdout)
 
 
@@ -45,7 +47,11 @@ def write_hour(path: Path) -> None:
     for start in range(0, int(HOUR * RATE), CHUNK):
         t = np.arange(start, start + CHUNK) / RATE
         q, _, _, tau = recorded(model, drive, t, rng)
-        columns = {"t": t} | {f"q_{k}": q[:, k] for k in range(7)} | {f"tau_{k}": tau[:, k] for k in range(7)}
+        columns = (
+            {"t": t}
+            | {f"q_{k}": q[:, k] for k in range(7)}
+            | {f"tau_{k}": tau[:, k] for k in range(7)}
+        )
         parts.append(path.with_name(f"part_{start:08d}.parquet"))
         pl.DataFrame(columns).write_parquet(parts[-1])
     pl.scan_parquet(parts).sink_parquet(path, row_group_size=CHUNK)

@@ -36,12 +36,18 @@ def measure() -> dict[str, float | str]:
             .with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints))
             .with_noise(SensorNoise(torque_noise=0.1))
         )
-        bare, loaded = recorded(robot, 1), recorded(robot.with_tool(TOOL, at=payload_frame(model)[0]), 3)
+        bare, loaded = (
+            recorded(robot, 1),
+            recorded(robot.with_tool(TOOL, at=payload_frame(model)[0]), 3),
+        )
         for common in (0.0, 1.0 / 3.0, 1.0):
             rng = np.random.default_rng(1)
             whole, noise = [], []
             for _ in range(DRAWS):
-                factors = 1.0 + OFF * (np.sqrt(common) * rng.normal() + np.sqrt(1.0 - common) * rng.normal(size=model.n_joints))
+                factors = 1.0 + OFF * (
+                    np.sqrt(common) * rng.normal()
+                    + np.sqrt(1.0 - common) * rng.normal(size=model.n_joints)
+                )
                 samples = scaled(bare, factors)
                 result = identify(model, samples, drive=DRIVE)
                 result = replace(result, evidence=gather_evidence(model, result.base, [samples]))
@@ -52,13 +58,19 @@ def measure() -> dict[str, float | str]:
             case = f"{name}_common_{common:.2f}"
             for part, columns in (("mass", slice(0, 1)), ("centre", slice(1, 4))):
                 found[f"{case}_{part}_covered"] = float(np.mean(np.array(whole)[:, columns]))
-                found[f"{case}_{part}_covered_by_noise_alone"] = float(np.mean(np.array(noise)[:, columns]))
+                found[f"{case}_{part}_covered_by_noise_alone"] = float(
+                    np.mean(np.array(noise)[:, columns])
+                )
     return found
 
 
 def recorded(robot: InstalledRobot, seed: int) -> Samples:
     """Return 30 s of a random motion, filtered."""
-    return prepare_samples(robot.record(random_fourier(robot.model, seed, duration=30.0, n_harmonics=10), 200.0, rng=seed).recording)
+    return prepare_samples(
+        robot.record(
+            random_fourier(robot.model, seed, duration=30.0, n_harmonics=10), 200.0, rng=seed
+        ).recording
+    )
 
 
 def scaled(samples: Samples, factors: np.ndarray) -> Samples:

@@ -26,8 +26,14 @@ def pinocchio_model(model: RobotModel) -> pin.Model:
     """Build the same chain of revolute joints in Pinocchio."""
     built, after = pin.Model(), pin.SE3.Identity()
     for i, joint in enumerate(model.joints):
-        number = built.addJoint(i, pin.JointModelRZ(), after * pin.SE3(np.array(joint.before)), joint.name)
+        number = built.addJoint(
+            i, pin.JointModelRZ(), after * pin.SE3(np.array(joint.before)), joint.name
+        )
         after = pin.SE3(np.array(joint.after))
         xx, xy, xz, yy, yz, zz, mx, my, mz, m = model.links[i].inertia.parameters
-        built.appendBodyToJoint(number, pin.Inertia.FromDynamicParameters(np.array([m, mx, my, mz, xx, xy, yy, xz, yz, zz])), after)
+        built.appendBodyToJoint(
+            number,
+            pin.Inertia.FromDynamicParameters(np.array([m, mx, my, mz, xx, xy, yy, xz, yz, zz])),
+            after,
+        )
     return built

@@ -34,7 +34,9 @@ def measure() -> dict[str, float | str]:
     chi = prior.parameters.copy()
     chi[:70] = (chi[:70].reshape(7, 10) * rng.uniform(0.8, 1.2, (7, 1))).ravel()
     chi[70:] = rng.uniform(0.1, 1.0, len(chi) - 70)
-    W = observation_matrix(model, motion.q, motion.qd, motion.qdd, drive=base.drive, columns=base.columns)
+    W = observation_matrix(
+        model, motion.q, motion.qd, motion.qdd, drive=base.drive, columns=base.columns
+    )
     tau = (W @ base.values(chi)).reshape(motion.q.shape)
     tau += 0.05 * np.sqrt(np.mean(tau**2, axis=0)) * rng.normal(size=tau.shape)
     samples = Samples(
@@ -51,12 +53,20 @@ def measure() -> dict[str, float | str]:
     estimate = fit_consistent(information, prior)
     factor, bounds = information.stacked(estimate.weights), generous_bounds(prior)
     return {
-        "conic_program_ms": _milliseconds(lambda: fit_real_bodies(prior, base.regrouping, factor=factor, bounds=bounds)),
+        "conic_program_ms": _milliseconds(
+            lambda: fit_real_bodies(prior, base.regrouping, factor=factor, bounds=bounds)
+        ),
         "consistent_whole_ms": _milliseconds(lambda: fit_consistent(information, prior)),
-        "entropic_given_weight_ms": _milliseconds(lambda: fit_toward_cad(information, prior, weight=10.0, weights=estimate.weights)),
+        "entropic_given_weight_ms": _milliseconds(
+            lambda: fit_toward_cad(information, prior, weight=10.0, weights=estimate.weights)
+        ),
         "entropic_choosing_weight_ms": _milliseconds(lambda: fit_toward_cad(information, prior)),
-        "euclidean_choosing_weight_ms": _milliseconds(lambda: fit_toward_cad(information, prior, metric="euclidean")),
-        "standard_parameters_ms": _milliseconds(lambda: standard_parameters(model, base, estimate.beta)),
+        "euclidean_choosing_weight_ms": _milliseconds(
+            lambda: fit_toward_cad(information, prior, metric="euclidean")
+        ),
+        "standard_parameters_ms": _milliseconds(
+            lambda: standard_parameters(model, base, estimate.beta)
+        ),
     }
 
 

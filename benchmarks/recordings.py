@@ -31,14 +31,20 @@ CASES = {
     "LBR Med 7, fast, 16 s": TERM_CASES["LBR Med 7, short"],
     "LBR Med 7, joints moving alike": Case(
         "lbrstack_med7.urdf",
-        tuple(f"lbr_med7/joint_states_{part}.csv" for part in ("positions", "velocities", "efforts")),
+        tuple(
+            f"lbr_med7/joint_states_{part}.csv" for part in ("positions", "velocities", "efforts")
+        ),
         holdout="blocks:5s:3",
         options={"flip_torque": True},
     ),
     "LWR4+": TERM_CASES["LWR4+"],
-    "LWR4+, the other way round": Case("kuka_lwr4.urdf", ("kuka_lwr4/measurements_2.npz",), ("kuka_lwr4/measurements_1.npz",)),
+    "LWR4+, the other way round": Case(
+        "kuka_lwr4.urdf", ("kuka_lwr4/measurements_2.npz",), ("kuka_lwr4/measurements_1.npz",)
+    ),
     "UR10e": UR10E._replace(judged=(*UR10E.judged, "ur10e/ur-20_02_19_14harm50sec.csv")),
-    "UR10e under load": UR10E._replace(train=("ur10e/ur-20_02_19_14harm50secLoad.csv",), judged=(), holdout="blocks:5s:3"),
+    "UR10e under load": UR10E._replace(
+        train=("ur10e/ur-20_02_19_14harm50secLoad.csv",), judged=(), holdout="blocks:5s:3"
+    ),
     "UR10": TERM_CASES["UR10"],
 }
 PLAIN = "plain fit"
@@ -94,18 +100,40 @@ class Row(NamedTuple):
         """Return a line of the table."""
         if self.metrics is None:
             return _line([self.way, self.judged, self.problem, *[""] * (n_joints + 4)])
-        errors = [f"{band:.3g} ({logged:.3g})" for band, logged in zip(self.metrics.rms, self.metrics.rms_recorded, strict=True)]
+        errors = [
+            f"{band:.3g} ({logged:.3g})"
+            for band, logged in zip(self.metrics.rms, self.metrics.rms_recorded, strict=True)
+        ]
         above = ""
         if plain is not None:
-            above = " ".join(str(k + 1) for k in range(n_joints) if self.metrics.rms[k] > plain[k] + HALF_A_DIGIT) or "none"
-        relative, took = f"{100 * self.metrics.relative_error:.2f} %", "" if self.seconds is None else f"{self.seconds:.1f}"
-        return _line([self.way, self.judged, self.method, self.bodies, relative, *errors, above, took])
+            above = (
+                " ".join(
+                    str(k + 1)
+                    for k in range(n_joints)
+                    if self.metrics.rms[k] > plain[k] + HALF_A_DIGIT
+                )
+                or "none"
+            )
+        relative, took = (
+            f"{100 * self.metrics.relative_error:.2f} %",
+            "" if self.seconds is None else f"{self.seconds:.1f}",
+        )
+        return _line(
+            [self.way, self.judged, self.method, self.bodies, relative, *errors, above, took]
+        )
 
 
-def measure(data: Path = SHARED, only: tuple[str, ...] = (), out: Path = Path("out/recordings.md")) -> dict[str, float | str]:
+def measure(
+    data: Path = SHARED, only: tuple[str, ...] = (), out: Path = Path("out/recordings.md")
+) -> dict[str, float | str]:
     """Print the tables row by row, write them, and return the held-out relative errors and how many results real bodies have."""
     if not (data / "data").is_dir():
-        return {"skipped": f"no recordings: there is no folder {data / 'data'}; give --data FOLDER with data/ and models/ in it"}
+        return {
+            "skipped": (
+                f"no recordings: there is no folder {data / 'data'}; give --data FOLDER with data/"
+                " and models/ in it"
+            )
+        }
     out.parent.mkdir(parents=True, exist_ok=True)
     numbers: dict[str, float | str] = {}
     lines: list[str] = []
@@ -116,10 +144,12 @@ def measure(data: Path = SHARED, only: tuple[str, ...] = (), out: Path = Path("o
         out.write_text("\n".join(lines) + "\n")
 
     say(
-        "Held-out RMS torque errors [N m] in the band that the filter passes, in brackets against the torque as logged. Mounting is estimated where"
+        "Held-out RMS torque errors [N m] in the band that the filter passes, in brackets against"
+        " the torque as logged. Mounting is estimated where"
     )
     say(
-        "a study finds the robot askew, and springs are taken where it suspects them. *above* lists the joints whose error is above that of the plain fit."
+        "a study finds the robot askew, and springs are taken where it suspects them. *above* lists"
+        " the joints whose error is above that of the plain fit."
     )
     real = total = 0
     for name in only or tuple(CASES):
@@ -127,12 +157,45 @@ def measure(data: Path = SHARED, only: tuple[str, ...] = (), out: Path = Path("o
         model = load_robot(str(data / "models" / case.robot))
         n, stated = model.n_joints, STATED.get(name, {})
         say(f"\n### {name}\n")
-        say(_line(["method", "judged by", "taken", "real bodies", "relative error", *(str(k + 1) for k in range(n)), "above", "s"]))
+        say(
+            _line(
+                [
+                    "method",
+                    "judged by",
+                    "taken",
+                    "real bodies",
+                    "relative error",
+                    *(str(k + 1) for k in range(n)),
+                    "above",
+                    "s",
+                ]
+            )
+        )
         say("|" + "---|" * (n + 7))
         for (what, where), errors in stated.items():
-            say(_line([f"before: {what}", where, "", "", "", *(f"{error:.2f}" for error in errors), "", ""]))
+            say(
+                _line(
+                    [
+                        f"before: {what}",
+                        where,
+                        "",
+                        "",
+                        "",
+                        *(f"{error:.2f}" for error in errors),
+                        "",
+                        "",
+                    ]
+                )
+            )
         for row in rows(model, data / "data", case, out.parent):
-            plain = next((errors for (what, where), errors in stated.items() if what.startswith(PLAIN) and where in ("", row.judged)), None)
+            plain = next(
+                (
+                    errors
+                    for (what, where), errors in stated.items()
+                    if what.startswith(PLAIN) and where in ("", row.judged)
+                ),
+                None,
+            )
             say(row.as_markdown(n, plain))
             if row.metrics is not None and row.seconds is not None:
                 numbers[f"{name}: {row.way}, {row.judged}"] = row.metrics.relative_error
@@ -153,8 +216,12 @@ def rows(model: RobotModel, data: Path, case: Case, scratch: Path) -> Iterator[R
     ways, cad_shown = list(WAYS), False
     for way in ways:
         start = time.perf_counter()
-        mounting: Literal["as_described", "estimate"] = "estimate" if way.mounting else "as_described"
-        chosen = StudyOptions(method=way.method, drive=way.drive, holdout=case.holdout, mounting=mounting)
+        mounting: Literal["as_described", "estimate"] = (
+            "estimate" if way.mounting else "as_described"
+        )
+        chosen = StudyOptions(
+            method=way.method, drive=way.drive, holdout=case.holdout, mounting=mounting
+        )
         try:
             study = run_study(model, logs, validation=judges, options=chosen)
         except AsbuiltError as problem:
@@ -162,16 +229,40 @@ def rows(model: RobotModel, data: Path, case: Case, scratch: Path) -> Iterator[R
             continue
         seconds, result = time.perf_counter() - start, study.result
         if not cad_shown:
-            yield from (Row("CAD", _judged(each.source), metrics=each.metrics_cad) for each in study.validations)
+            yield from (
+                Row("CAD", _judged(each.source), metrics=each.metrics_cad)
+                for each in study.validations
+            )
             cad_shown = True
-        if not any(each.mounting for each in ways) and any(warning.code == "mounting_askew" for warning in result.warnings):
+        if not any(each.mounting for each in ways) and any(
+            warning.code == "mounting_askew" for warning in result.warnings
+        ):
             ways += [way._replace(mounting=True) for way in WAYS]
-        suspected = [SPRINGS.search(warning.message) for warning in result.warnings if warning.code == "spring_suspected"]
-        if suspected and suspected[0] is not None and not any("spring" in (each.drive or "") for each in ways):
+        suspected = [
+            SPRINGS.search(warning.message)
+            for warning in result.warnings
+            if warning.code == "spring_suspected"
+        ]
+        if (
+            suspected
+            and suspected[0] is not None
+            and not any("spring" in (each.drive or "") for each in ways)
+        ):
             ways.append(Way("auto", f"auto,{suspected[0][0]}", any(each.mounting for each in ways)))
-        bodies = {True: REAL, False: f"**no** ({result.consistency_margin:.2g})", None: "not decided"}[result.physically_consistent]
+        bodies = {
+            True: REAL,
+            False: f"**no** ({result.consistency_margin:.2g})",
+            None: "not decided",
+        }[result.physically_consistent]
         for each in study.validations:
-            yield Row(str(way), _judged(each.source), result.method, bodies, each.metrics_as_built, seconds)
+            yield Row(
+                str(way),
+                _judged(each.source),
+                result.method,
+                bodies,
+                each.metrics_as_built,
+                seconds,
+            )
 
 
 def _judged(source: str) -> str:
@@ -184,10 +275,22 @@ def _line(cells: list[str]) -> str:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=SHARED, help="folder with data/ and models/ in it")
-    parser.add_argument("--only", action="append", default=[], choices=list(CASES), help="this case only (may be given again)")
-    parser.add_argument("--out", type=Path, default=Path("out/recordings.md"), help="Markdown file to write")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--data", type=Path, default=SHARED, help="folder with data/ and models/ in it"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        choices=list(CASES),
+        help="this case only (may be given again)",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/recordings.md"), help="Markdown file to write"
+    )
     arguments = parser.parse_args()
     found = measure(arguments.data, tuple(arguments.only), arguments.out)
     if "skipped" in found:

@@ -35,10 +35,16 @@ def measure() -> dict[str, float | str]:
         for name in ROBOTS:
             recoveries = [recovered(name, preset, seed) for seed in SEEDS]
             deviations = np.concatenate([recovery.deviations for recovery in recoveries])
-            found[f"{preset}_{name}_share_within_2_sigma"] = float(np.mean(np.abs(deviations) <= 2.0))
+            found[f"{preset}_{name}_share_within_2_sigma"] = float(
+                np.mean(np.abs(deviations) <= 2.0)
+            )
             found[f"{preset}_{name}_rms_sigma"] = float(np.sqrt(np.mean(deviations**2)))
-            found[f"{preset}_{name}_torque_error"] = float(np.mean([recovery.torque_error for recovery in recoveries]))
-            found[f"{preset}_{name}_cad_error"] = float(np.mean([recovery.cad_error for recovery in recoveries]))
+            found[f"{preset}_{name}_torque_error"] = float(
+                np.mean([recovery.torque_error for recovery in recoveries])
+            )
+            found[f"{preset}_{name}_cad_error"] = float(
+                np.mean([recovery.cad_error for recovery in recoveries])
+            )
     return found
 
 
@@ -46,9 +52,18 @@ def recovered(name: str, preset: str, seed: int) -> Recovery:
     """Record one robot three times, identify it and hold it against its truth along a fresh motion."""
     model = bundled_robot(name)
     robot = VirtualRobot.preset(preset, model, rng=seed)
-    learned = [robot.record(random_fourier(model, 100 * seed + k, n_harmonics=5 + k), rng=100 * seed + k) for k in range(RECORDINGS)]
-    study = run_study(model, [each.recording for each in learned], options=StudyOptions(drive=robot.drive, checked=False))
-    clean = replace(robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True))
+    learned = [
+        robot.record(random_fourier(model, 100 * seed + k, n_harmonics=5 + k), rng=100 * seed + k)
+        for k in range(RECORDINGS)
+    ]
+    study = run_study(
+        model,
+        [each.recording for each in learned],
+        options=StudyOptions(drive=robot.drive, checked=False),
+    )
+    clean = replace(
+        robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)
+    )
     along = clean.record(random_fourier(model, 100 * seed + 99))
     return compare_with_truth(study.result, replace(along, truth=robot.truth))
 

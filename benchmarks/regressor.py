@@ -26,9 +26,16 @@ def measure() -> dict[str, float | str]:
     block = tuple(array[:BLOCK] for array in motion)
     q, qd, qdd = motion
 
-    peer, thousand = pinocchio_model(model), list(zip(*(array[:1000] for array in motion), strict=True))
+    peer, thousand = (
+        pinocchio_model(model),
+        list(zip(*(array[:1000] for array in motion), strict=True)),
+    )
     data = peer.createData()
-    pinocchio_regressor = best(lambda: [pin.computeJointTorqueRegressor(peer, data, *sample) for sample in thousand], 1000, 5)
+    pinocchio_regressor = best(
+        lambda: [pin.computeJointTorqueRegressor(peer, data, *sample) for sample in thousand],
+        1000,
+        5,
+    )
     pinocchio_rnea = best(lambda: [pin.rnea(peer, data, *sample) for sample in thousand], 1000, 5)
 
     standard, wanted = RegressorPlan.of(model), RegressorPlan.of(model, drive, chosen)
@@ -38,15 +45,29 @@ def measure() -> dict[str, float | str]:
     inverse = best(lambda: newton_euler.inverse_dynamics(model, q, qd, qdd, threads=1), LONG, 10)
     return {
         "regressor_us_per_sample": rows,
-        "regressor_43_base_21_drive_us_per_sample": best(lambda: wanted.evaluate(*block, reused_wanted), BLOCK, 300),
+        "regressor_43_base_21_drive_us_per_sample": best(
+            lambda: wanted.evaluate(*block, reused_wanted), BLOCK, 300
+        ),
         "observation_matrix_us_per_sample": best(lambda: standard.stack(*motion), LONG, 5),
-        "observation_matrix_43_base_21_drive_us_per_sample": best(lambda: wanted.stack(*motion), LONG, 5),
+        "observation_matrix_43_base_21_drive_us_per_sample": best(
+            lambda: wanted.stack(*motion), LONG, 5
+        ),
         "inverse_dynamics_us_per_sample": inverse,
-        "inverse_dynamics_all_cores_us_per_sample": best(lambda: newton_euler.inverse_dynamics(model, q, qd, qdd), LONG, 10),
-        "mass_matrix_us_per_sample": best(lambda: newton_euler.mass_matrix(model, q[:8000]), 8000, 10),
-        "coriolis_matrix_us_per_sample": best(lambda: newton_euler.coriolis_matrix(model, q[:1024], qd[:1024]), 1024, 5),
-        "forward_dynamics_us_per_sample": best(lambda: newton_euler.forward_dynamics(model, q[:8000], qd[:8000], tau[:8000]), 8000, 5),
-        "one_sample_inverse_dynamics_us_per_sample": best(lambda: newton_euler.inverse_dynamics(model, q[0], qd[0], qdd[0]), 1, 500),
+        "inverse_dynamics_all_cores_us_per_sample": best(
+            lambda: newton_euler.inverse_dynamics(model, q, qd, qdd), LONG, 10
+        ),
+        "mass_matrix_us_per_sample": best(
+            lambda: newton_euler.mass_matrix(model, q[:8000]), 8000, 10
+        ),
+        "coriolis_matrix_us_per_sample": best(
+            lambda: newton_euler.coriolis_matrix(model, q[:1024], qd[:1024]), 1024, 5
+        ),
+        "forward_dynamics_us_per_sample": best(
+            lambda: newton_euler.forward_dynamics(model, q[:8000], qd[:8000], tau[:8000]), 8000, 5
+        ),
+        "one_sample_inverse_dynamics_us_per_sample": best(
+            lambda: newton_euler.inverse_dynamics(model, q[0], qd[0], qdd[0]), 1, 500
+        ),
         "pinocchio_regressor_us_per_sample": pinocchio_regressor,
         "pinocchio_inverse_dynamics_us_per_sample": pinocchio_rnea,
         "ratio_pinocchio_regressor": pinocchio_regressor / rows,

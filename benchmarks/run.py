@@ -21,10 +21,24 @@ HERE = Path(__file__).resolve().parent
 def main() -> None:
     """Run, print, write."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/bench.json"), help="JSON file to write")
-    parser.add_argument("--data", type=Path, help="folder with recordings in data/ and robots in models/ (default: ../shared)")
-    parser.add_argument("--search-s", type=float, help="what the long search for the best motion may take [s] (default: 240)")
-    parser.add_argument("--time-limit", type=float, help="what each design in the table of designs may take [s] (default: 24)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/bench.json"), help="JSON file to write"
+    )
+    parser.add_argument(
+        "--data",
+        type=Path,
+        help="folder with recordings in data/ and robots in models/ (default: ../shared)",
+    )
+    parser.add_argument(
+        "--search-s",
+        type=float,
+        help="what the long search for the best motion may take [s] (default: 240)",
+    )
+    parser.add_argument(
+        "--time-limit",
+        type=float,
+        help="what each design in the table of designs may take [s] (default: 24)",
+    )
     parser.add_argument("names", nargs="*", help="benchmarks to run (default: all)")
     arguments = parser.parse_args()
     available = sorted(path.stem for path in HERE.glob("*.py") if path.stem != "run")
@@ -32,7 +46,12 @@ def main() -> None:
     if unknown:
         parser.error(f"no benchmark {unknown[0]!r}; there are: {', '.join(available)}")
     sys.path.insert(0, str(HERE))
-    report: dict[str, object] = {"machine": {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}}
+    report: dict[str, object] = {
+        "machine": {
+            "processor": platform.processor() or platform.machine(),
+            "cores": os.cpu_count(),
+        }
+    }
     for name in arguments.names or available:
         spec = importlib.util.spec_from_file_location(name, HERE / f"{name}.py")
         assert spec is not None
@@ -42,11 +61,23 @@ def main() -> None:
         if not hasattr(module, "measure"):
             continue
         print(f"{name}: {(module.__doc__ or '').strip().splitlines()[0]}", flush=True)
-        wanted = {key: getattr(arguments, key, None) for key in inspect.signature(module.measure).parameters}
-        numbers = module.measure(**{key: value for key, value in wanted.items() if value is not None})
+        wanted = {
+            key: getattr(arguments, key, None)
+            for key in inspect.signature(module.measure).parameters
+        }
+        numbers = module.measure(
+            **{key: value for key, value in wanted.items() if value is not None}
+        )
         report[name] = numbers
         for key, value in numbers.items():
-            print(f"  {key:<52} {value:>12.4g}" if isinstance(value, int | float) else f"  {key:<52} {value}", flush=True)
+            print(
+                (
+                    f"  {key:<52} {value:>12.4g}"
+                    if isinstance(value, int | float)
+                    else f"  {key:<52} {value}"
+                ),
+                flush=True,
+            )
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(report, indent=2) + "\n")
     print(f"written: {arguments.out}")

@@ -27,7 +27,10 @@ for motion in (excitation, validation):
 with tempfile.TemporaryDirectory() as folder:
     path = write_motion(Path(folder) / "excitation.csv", excitation, model.joint_names)
     back = read_motion(path, model)
-    print(f"\nthe motion file has {path.stat().st_size / 1e6:.1f} MB and reads back to {np.abs(back.end - excitation.end).max():.0e} rad")
+    print(
+        f"\nthe motion file has {path.stat().st_size / 1e6:.1f} MB and reads back to"
+        f" {np.abs(back.end - excitation.end).max():.0e} rad"
+    )
 
 designed = simulate_recording(model, excitation)
 installed = InstalledRobot.typical(model, rng=3).record(excitation, rng=4)
@@ -35,8 +38,14 @@ installed = InstalledRobot.typical(model, rng=3).record(excitation, rng=4)
 print(f"\n{installed.recording.notes[0]}")
 print("joint   torque RMS [N m]   what the description misses [N m]")
 for j, name in enumerate(model.joint_names):
-    torque, missing = installed.recording.tau[:, j], installed.recording.tau[:, j] - designed.tau[:, j]
+    torque, missing = (
+        installed.recording.tau[:, j],
+        installed.recording.tau[:, j] - designed.tau[:, j],
+    )
     print(f"{name:5s} {np.sqrt(np.mean(torque**2)):18.2f} {np.sqrt(np.mean(missing**2)):19.2f}")
 
 tool = installed.model.links[-1].parts[-1][1]
-print(f"\ntruth kept beside the recording: {len(installed.names)} parameters, among them a gripper of {tool.mass:.2f} kg")
+print(
+    f"\ntruth kept beside the recording: {len(installed.names)} parameters, among them a gripper of"
+    f" {tool.mass:.2f} kg"
+)

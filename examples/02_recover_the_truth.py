@@ -41,7 +41,10 @@ def motions(model: RobotModel) -> list[Motion]:
 
 def recorded(robot: VirtualRobot, first_seed: int) -> list[Recording]:
     """Return what the robot logs along the three motions."""
-    return [robot.record(motion, rng=first_seed + k).recording for k, motion in enumerate(motions(robot.described))]
+    return [
+        robot.record(motion, rng=first_seed + k).recording
+        for k, motion in enumerate(motions(robot.described))
+    ]
 
 
 def recovered(robot: VirtualRobot, recordings: Sequence[Recording]) -> tuple[Recovery, float]:
@@ -51,22 +54,51 @@ def recovered(robot: VirtualRobot, recordings: Sequence[Recording]) -> tuple[Rec
     judged = robot.record(fresh, rng=100 * SEED + 99).recording
     if recordings[0].gains is not None:
         judged = judged.scaled(recordings[0].gains)
-    study = run_study(model, list(recordings), validation=[judged], options=StudyOptions(drive=robot.drive, checked=False))
-    clean = replace(robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)).record(fresh)
-    return compare_with_truth(study.result, replace(clean, truth=robot.truth)), study.result.validation[0].relative_error
+    study = run_study(
+        model,
+        list(recordings),
+        validation=[judged],
+        options=StudyOptions(drive=robot.drive, checked=False),
+    )
+    clean = replace(
+        robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)
+    ).record(fresh)
+    return (
+        compare_with_truth(study.result, replace(clean, truth=robot.truth)),
+        study.result.validation[0].relative_error,
+    )
 
 
-def calibrated(robot: VirtualRobot, bare: Sequence[Recording], kilograms: float) -> tuple[list[Recording], float]:
+def calibrated(
+    robot: VirtualRobot, bare: Sequence[Recording], kilograms: float
+) -> tuple[list[Recording], float]:
     """Return the recordings with gains found from a known weight, and the largest error that is left in a gain."""
-    model, centre, inertia = robot.described, [0.03, 0.02, 0.08], np.diag([0.4, 0.4, 0.3]) * kilograms * 0.05**2
+    model, centre, inertia = (
+        robot.described,
+        [0.03, 0.02, 0.08],
+        np.diag([0.4, 0.4, 0.3]) * kilograms * 0.05**2,
+    )
     weight = LinkInertia.from_com(kilograms, centre, inertia)
-    without, under = ([prepare_samples(each) for each in logs] for logs in (bare, recorded(robot.with_tool(weight), 200 * SEED)))
-    found = identify_gains(model, without, under, mass=kilograms, com=centre, inertia_about_com=inertia, frame=model.link_names[-1])
+    without, under = (
+        [prepare_samples(each) for each in logs]
+        for logs in (bare, recorded(robot.with_tool(weight), 200 * SEED))
+    )
+    found = identify_gains(
+        model,
+        without,
+        under,
+        mass=kilograms,
+        com=centre,
+        inertia_about_com=inertia,
+        frame=model.link_names[-1],
+    )
     left = float(np.abs(found.to_use * robot.sensors.torque_gain - 1.0).max())
     return [each.scaled(found.to_use) for each in bare], left
 
 
-def row(name: str, how: str, recovery: Recovery, held_out: float, left: float | None) -> tuple[object, ...]:
+def row(
+    name: str, how: str, recovery: Recovery, held_out: float, left: float | None
+) -> tuple[object, ...]:
     """Return a line of the table."""
     return (
         name,
@@ -97,11 +129,29 @@ if __name__ == "__main__":
         rows.append(row(name, "factory, nominal gains", *recovered(factory, currents), off))
         known, held_out = recovered(factory, scaled)
         rows.append(row(name, "factory, gains found", known, held_out, left))
-        assert known.within(2.0, of_links=True) > 0.85, f"{name}: the stated errors are too small with gains found"
-    heads = ("gains off by", "links in 2 sigma", "drives in 2 sigma", "all in 3 sigma", "RMS sigma", "held out", "torque error", "CAD")
-    print(Table(columns("robot", "recorded in", *(Column(head, align="right") for head in heads)), tuple(rows)).as_text())
+        assert known.within(2.0, of_links=True) > 0.85, (
+            f"{name}: the stated errors are too small with gains found"
+        )
+    heads = (
+        "gains off by",
+        "links in 2 sigma",
+        "drives in 2 sigma",
+        "all in 3 sigma",
+        "RMS sigma",
+        "held out",
+        "torque error",
+        "CAD",
+    )
     print(
-        "held out: error of the torque predicted for a fresh recording, its noise included; torque error: without any noise, against the truth.\n"
-        "In the factory dry friction rises at low speed and gears warm up, which viscous and Coulomb terms only imitate: drives are not found to their\n"
-        "standard errors there, and the less so the slower a joint turns; links are. A weight tells no gains of axes that gravity does not load, the scara's."
+        Table(
+            columns("robot", "recorded in", *(Column(head, align="right") for head in heads)),
+            tuple(rows),
+        ).as_text()
+    )
+    print(
+        "held out: error of the torque predicted for a fresh recording, its noise included; torque"
+        " error: without any noise, against the truth.\nIn the factory dry friction rises at low"
+        " speed and gears warm up, which viscous and Coulomb terms only imitate: drives are not"
+        " found to their\nstandard errors there, and the less so the slower a joint turns; links"
+        " are. A weight tells no gains of axes that gravity does not load, the scara's."
     )

@@ -12,12 +12,20 @@ test = robot.record(random_point_to_point(model, rng=3, n_poses=8), rate=500.0, 
 for finding in asbuilt.check_recording(model, training).findings:
     print(finding)
 
-options = asbuilt.StudyOptions(drive=asbuilt.DriveSet.parse("armature,viscous,coulomb,offset"), method="auto")
+options = asbuilt.StudyOptions(
+    drive=asbuilt.DriveSet.parse("armature,viscous,coulomb,offset"), method="auto"
+)
 study = asbuilt.run_study(model, [training], validation=[test], options=options)
 result = study.result
-print(f"{result.rank} of {result.n_base} parameters by {result.method}, physically consistent: {result.physically_consistent}")
+print(
+    f"{result.rank} of {result.n_base} parameters by {result.method}, physically consistent:"
+    f" {result.physically_consistent}"
+)
 for parameter in sorted(result.parameters, key=lambda p: p.relative_error)[:5]:
-    print(f"  {parameter.name:6} {parameter.estimate:10.4f} +- {parameter.std_error:.4f} {parameter.unit}")
+    print(
+        f"  {parameter.name:6} {parameter.estimate:10.4f} +- {parameter.std_error:.4f}"
+        f" {parameter.unit}"
+    )
 print(study.comparison.torque_table().as_text())
 
 again = asbuilt.IdentificationResult.from_json(result.to_json())

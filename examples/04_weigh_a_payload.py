@@ -16,10 +16,17 @@ loaded = bare.with_tool(camera, at=payload_frame(model)[0])
 
 def recorded(robot: InstalledRobot, seed: int) -> asbuilt.Samples:
     """Return samples of a random motion of 20 s."""
-    return asbuilt.prepare_samples(robot.record(random_fourier(model, rng=seed, n_harmonics=10), rate=500.0, rng=seed).recording)
+    return asbuilt.prepare_samples(
+        robot.record(
+            random_fourier(model, rng=seed, n_harmonics=10), rate=500.0, rng=seed
+        ).recording
+    )
 
 
 result = asbuilt.identify(model, recorded(bare, 1), drive=drive)
 payload = identify_payload(result, recorded(loaded, 2))
 for name, value, error in zip(payload.names, payload.values, payload.std_errors, strict=True):
-    print(f"{name:6} {value:9.4f} +- {error:.4f}  {'told' if name in payload.determined else 'not told'} by this motion")
+    print(
+        f"{name:6} {value:9.4f} +- {error:.4f} "
+        f" {'told' if name in payload.determined else 'not told'} by this motion"
+    )

@@ -19,30 +19,49 @@ from asbuilt.writers.motion_files import write_motion
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
-print("robot             parameters  log det  efficiency  of its harmonics  condition  scaled  random is worth")
+print(
+    "robot             parameters  log det  efficiency  of its harmonics  condition  scaled  random"
+    " is worth"
+)
 for name in ("kuka-iiwa7-r800", "ur10e", "franka-panda", "two-link"):
     model = load_robot(name)
-    design = design_motion(model, DRIVE, DesignOptions(duration=20.0, size=5, starts=4, time_limit=4.0))
+    design = design_motion(
+        model, DRIVE, DesignOptions(duration=20.0, size=5, starts=4, time_limit=4.0)
+    )
     states = random_fourier(model, rng=0).sample(100)
     random = mean_information(Information.of(model, design.base), states.q, states.qd, states.qdd)
-    worth = np.exp((np.linalg.slogdet(random)[1] - np.linalg.slogdet(design.mean_information)[1]) / design.base.n_base)
+    worth = np.exp(
+        (np.linalg.slogdet(random)[1] - np.linalg.slogdet(design.mean_information)[1])
+        / design.base.n_base
+    )
     print(
-        f"{name:18s}{design.base.n_base:10d} {design.log_det:8.1f} {design.d_efficiency:10.1%} {design.family_efficiency:16.1%}"
-        f" {design.condition_number:11.1f} {design.scaled_condition_number:7.2f} {worth:15.1%}"
+        f"{name:18s}{design.base.n_base:10d} {design.log_det:8.1f} {design.d_efficiency:10.1%}"
+        f" {design.family_efficiency:16.1%} {design.condition_number:11.1f}"
+        f" {design.scaled_condition_number:7.2f} {worth:15.1%}"
     )
 
 iiwa = load_robot("kuka-iiwa7-r800")
 with tempfile.TemporaryDirectory() as folder:
     cell = Path(folder) / "cell.toml"
-    cell.write_text('skeleton = 0.06\nfloor = 0.0\n[[obstacles]]\nname = "wall"\nsize = [0.1, 3, 3]\nposition = [0.7, 0, 1]\n')
-    careful = design_motion(iiwa, DRIVE, DesignOptions(size=5, starts=2, time_limit=8.0), constraints=watched(iiwa, collision=str(cell)))
+    cell.write_text(
+        'skeleton = 0.06\nfloor = 0.0\n[[obstacles]]\nname = "wall"\nsize = [0.1, 3, 3]\nposition ='
+        " [0.7, 0, 1]\n"
+    )
+    careful = design_motion(
+        iiwa,
+        DRIVE,
+        DesignOptions(size=5, starts=2, time_limit=8.0),
+        constraints=watched(iiwa, collision=str(cell)),
+    )
     path = write_motion(Path(folder) / "motion.csv", careful.motion, iiwa.joint_names)
     print(
-        f"\nin a cell: log det {careful.log_det:.1f}, nearest approach {1000 * (careful.collision_distance or 0):.0f} mm, {path.stat().st_size / 1e6:.1f} MB"
+        f"\nin a cell: log det {careful.log_det:.1f}, nearest approach"
+        f" {1000 * (careful.collision_distance or 0):.0f} mm, {path.stat().st_size / 1e6:.1f} MB"
     )
 print(careful.limits)
 
 standing = design_static_poses(iiwa, 12)
 print(
-    f"\n{len(standing.poses)} poses tell the {standing.n_parameters} gravity parameters, condition number {standing.condition_number:.2f}"
+    f"\n{len(standing.poses)} poses tell the {standing.n_parameters} gravity parameters, condition"
+    f" number {standing.condition_number:.2f}"
 )

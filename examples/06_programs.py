@@ -23,7 +23,9 @@ for robot in ROBOTS:
             continue
         with tempfile.TemporaryDirectory() as folder:
             files = write_program(folder, program)
-            sizes = ", ".join(f"{path.name} ({path.stat().st_size / 1024:.0f} kB)" for path in files.values())
+            sizes = ", ".join(
+                f"{path.name} ({path.stat().st_size / 1024:.0f} kB)" for path in files.values()
+            )
         print(f"{robot:<16} {form:<9} {sizes}")
 
 notes = {file.role: file for file in program}["notes"]

@@ -15,18 +15,47 @@ from asbuilt.workflow.study import StudyOptions, run_study
 from asbuilt.writers.models.export import export_result
 
 model = load_robot("ur10e")
-recording = InstalledRobot.typical(model, rng=3).record(random_fourier(model, rng=1, duration=20.0), rng=4).recording
-options = StudyOptions(method="consistent", drive=DriveSet.parse("armature,viscous,coulomb,offset"), holdout="blocks:2s:3")
+recording = (
+    InstalledRobot.typical(model, rng=3)
+    .record(random_fourier(model, rng=1, duration=20.0), rng=4)
+    .recording
+)
+options = StudyOptions(
+    method="consistent",
+    drive=DriveSet.parse("armature,viscous,coulomb,offset"),
+    holdout="blocks:2s:3",
+)
 result = run_study(model, [recording], options=options).result
-print(f"torque error held out: CAD {100 * result.cad.relative_error:.1f} %, as built {100 * result.validation[0].relative_error:.1f} %\n")
+print(
+    f"torque error held out: CAD {100 * result.cad.relative_error:.1f} %, as built"
+    f" {100 * result.validation[0].relative_error:.1f} %\n"
+)
 
 with tempfile.TemporaryDirectory() as folder:
     place = Path(folder)
-    exported = export_result(result, urdf=place / "ur10e.urdf", mjcf=place / "ur10e.xml", c=place / "ur10e.c", toml=place / "ur10e.toml")
+    exported = export_result(
+        result,
+        urdf=place / "ur10e.urdf",
+        mjcf=place / "ur10e.xml",
+        c=place / "ur10e.c",
+        toml=place / "ur10e.toml",
+    )
     print(exported.as_text().replace(f"{place}/", ""))
     if shutil.which("gcc"):
         program = place / "self_test"
-        subprocess.run(["gcc", "-std=c99", "-DUR10E_SELF_TEST", str(exported.files["c"]), "-o", str(program), "-lm"], check=True)
+        subprocess.run(
+            [
+                "gcc",
+                "-std=c99",
+                "-DUR10E_SELF_TEST",
+                str(exported.files["c"]),
+                "-o",
+                str(program),
+                "-lm",
+            ],
+            check=True,
+        )
         print(
-            "\nthe C code, compiled, against asbuilt:", subprocess.run([program], check=True, capture_output=True, text=True).stdout.strip()
+            "\nthe C code, compiled, against asbuilt:",
+            subprocess.run([program], check=True, capture_output=True, text=True).stdout.strip(),
         )

@@ -41,26 +41,53 @@ def example_robot(extra_name: str = HOSTILE) -> RobotModel:
     rng = np.random.default_rng(7)
     rows = []
     for k, (a, alpha, b, kind) in enumerate(
-        [(0.0, np.pi / 2, 0.3, "revolute"), (0.35, 0.0, 0.0, "revolute"), (0.0, 0.4, 0.1, "prismatic"), (0.1, -np.pi / 2, 0.2, "revolute")]
+        [
+            (0.0, np.pi / 2, 0.3, "revolute"),
+            (0.35, 0.0, 0.0, "revolute"),
+            (0.0, 0.4, 0.1, "prismatic"),
+            (0.1, -np.pi / 2, 0.2, "revolute"),
+        ]
     ):
         com = rng.uniform(-0.1, 0.1, 3)
         square = rng.normal(size=(3, 3)) * 0.05
-        inertia = LinkInertia.from_com(5.0 / (k + 1), com, np.trace(square @ square.T) * np.eye(3) - square @ square.T)
+        inertia = LinkInertia.from_com(
+            5.0 / (k + 1), com, np.trace(square @ square.T) * np.eye(3) - square @ square.T
+        )
         name = f"axis {extra_name}" if k == 1 else f"axis_{k + 1}"
         drive = DriveValues(viscous=0.4) if k == 0 else DriveValues()
         limits = JointLimits(lower=-1.5, upper=2.0, velocity=3.0, torque=80.0)
-        rows.append(DHRow(a=a, alpha=alpha, b=b, kind=kind, joint=name, inertia=inertia, drive=drive, limits=limits))
-    return robot_from_dh(rows, name=f"arm {extra_name}", citation="Nobody, On nothing, 2001", gravity=[1.0, 0.0, -9.6])
+        rows.append(
+            DHRow(
+                a=a,
+                alpha=alpha,
+                b=b,
+                kind=kind,
+                joint=name,
+                inertia=inertia,
+                drive=drive,
+                limits=limits,
+            )
+        )
+    return robot_from_dh(
+        rows,
+        name=f"arm {extra_name}",
+        citation="Nobody, On nothing, 2001",
+        gravity=[1.0, 0.0, -9.6],
+    )
 
 
-def example_samples(model: RobotModel, truth: np.ndarray, drive: DriveSet, *, source: str, seed: int, parallel: bool) -> Samples:
+def example_samples(
+    model: RobotModel, truth: np.ndarray, drive: DriveSet, *, source: str, seed: int, parallel: bool
+) -> Samples:
     rng = np.random.default_rng(seed)
     rate, n = 100.0, model.n_joints
     t = np.arange(0.0, 40.0, 1.0 / rate)
     keep = (t % 10.0) < 8.0
     q, qd, qdd = (np.zeros((len(t), n)) for _ in range(3))
     for k in range(n):
-        for w, a, phase in zip(rng.uniform(0.8, 4.0, 4), rng.uniform(0.1, 0.4, 4), rng.uniform(0, 6, 4), strict=True):
+        for w, a, phase in zip(
+            rng.uniform(0.8, 4.0, 4), rng.uniform(0.1, 0.4, 4), rng.uniform(0, 6, 4), strict=True
+        ):
             q[:, k] += a * np.sin(w * t + phase)
             qd[:, k] += a * w * np.cos(w * t + phase)
             qdd[:, k] -= a * w * w * np.sin(w * t + phase)
@@ -80,7 +107,9 @@ def example_samples(model: RobotModel, truth: np.ndarray, drive: DriveSet, *, so
     )  # fmt: skip
 
 
-def example_identification(*, parallel: bool = False, drive: str = "viscous,coulomb,offset") -> Example:
+def example_identification(
+    *, parallel: bool = False, drive: str = "viscous,coulomb,offset"
+) -> Example:
     model, terms = example_robot(), DriveSet.parse(drive)
     base = find_base_parameters(model, terms)
     rng = np.random.default_rng(3)
@@ -88,7 +117,9 @@ def example_identification(*, parallel: bool = False, drive: str = "viscous,coul
     truth = described * (1.0 + 0.25 * rng.normal(size=len(described)))
     truth[10 * model.n_joints :] = rng.uniform(0.2, 1.0, len(described) - 10 * model.n_joints)
     train = example_samples(model, truth, terms, source="train.csv", seed=1, parallel=parallel)
-    held_out = example_samples(model, truth, terms, source=f"held out {HOSTILE}.csv", seed=2, parallel=parallel)
+    held_out = example_samples(
+        model, truth, terms, source=f"held out {HOSTILE}.csv", seed=2, parallel=parallel
+    )
     W = observation_matrix(model, train.q, train.qd, train.qdd, drive=terms, columns=base.columns)
     W = train.filtered(W.reshape(len(train.t), model.n_joints, -1))
     rows = W.reshape(-1, base.n_base)
@@ -112,15 +143,23 @@ def example_identification(*, parallel: bool = False, drive: str = "viscous,coul
             poorly_determined=abs(b) < 3 * d,
         )
         for i, name, e, s, u, c, b, d in zip(
-            base.ids, base.names, base.expressions, base.symbolic, base.units, cad, beta, np.sqrt(np.diag(covariance)), strict=True
+            base.ids,
+            base.names,
+            base.expressions,
+            base.symbolic,
+            base.units,
+            cad,
+            beta,
+            np.sqrt(np.diag(covariance)),
+            strict=True,
         )
     )
     s = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
     test = held_out.filtered_torque
     columns = held_out.filtered(
-        observation_matrix(model, held_out.q, held_out.qd, held_out.qdd, drive=terms, columns=base.columns).reshape(
-            len(held_out.t), model.n_joints, -1
-        )
+        observation_matrix(
+            model, held_out.q, held_out.qd, held_out.qdd, drive=terms, columns=base.columns
+        ).reshape(len(held_out.t), model.n_joints, -1)
     )
     result = IdentificationResult(
         model=model, base=base, method="ols", sources=("train.csv",), n_samples=len(tau), rate=train.rate, duration=train.duration,

@@ -15,9 +15,28 @@ import pytest
 import asbuilt
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "asbuilt"
-ROOMS = ("description", "dynamics", "excitation", "experiment", "identification", "validation", "writers")
+ROOMS = (
+    "description",
+    "dynamics",
+    "excitation",
+    "experiment",
+    "identification",
+    "validation",
+    "writers",
+)
 LEAVES = ("errors", "tables")
-HEAVY = ("numba", "scipy", "polars", "matplotlib", "plotly", "clarabel", "trimesh", "mujoco", "pydantic", "lxml")
+HEAVY = (
+    "numba",
+    "scipy",
+    "polars",
+    "matplotlib",
+    "plotly",
+    "clarabel",
+    "trimesh",
+    "mujoco",
+    "pydantic",
+    "lxml",
+)
 
 
 def imported_modules(path: Path) -> list[str]:
@@ -28,8 +47,15 @@ def imported_modules(path: Path) -> list[str]:
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            names += [f"{node.module}.{alias.name}" if node.module == "asbuilt" else str(node.module) for alias in node.names]
-    return [name.removeprefix("asbuilt.") for name in names if name == "asbuilt" or name.startswith("asbuilt.")]
+            names += [
+                f"{node.module}.{alias.name}" if node.module == "asbuilt" else str(node.module)
+                for alias in node.names
+            ]
+    return [
+        name.removeprefix("asbuilt.")
+        for name in names
+        if name == "asbuilt" or name.startswith("asbuilt.")
+    ]
 
 
 def foreign_packages(path: Path) -> set[str]:
@@ -60,7 +86,9 @@ def test_room_imports_only_itself_earlier_rooms_and_leaves(room: str) -> None:
     allowed = {*LEAVES, *ROOMS[: ROOMS.index(room) + 1]}
     for path in (SOURCE / room).rglob("*.py"):
         for name in imported_modules(path):
-            assert name.split(".")[0] in allowed, f"{path.relative_to(SOURCE)} imports asbuilt.{name}"
+            assert name.split(".")[0] in allowed, (
+                f"{path.relative_to(SOURCE)} imports asbuilt.{name}"
+            )
 
 
 @pytest.mark.parametrize("leaf", LEAVES)
@@ -73,14 +101,21 @@ def test_every_package_that_is_imported_is_declared() -> None:
     project = tomllib.loads((SOURCE.parents[1] / "pyproject.toml").read_text())["project"]
     wanted = [
         *project["dependencies"],
-        *(each for extra in ("sim", "bags", "hdf5", "cad", "view") for each in project["optional-dependencies"][extra]),
+        *(
+            each
+            for extra in ("sim", "bags", "hdf5", "cad", "view")
+            for each in project["optional-dependencies"][extra]
+        ),
     ]
     declared = {re.split(r"[<>=\[]", each)[0].replace("-", "_").lower() for each in wanted}
     distributions = packages_distributions()
     for path in SOURCE.rglob("*.py"):
         for name in foreign_packages(path):
             homes = {home.replace("-", "_").lower() for home in distributions.get(name, [name])}
-            assert homes & declared, f"{path.relative_to(SOURCE)} imports {name} of {', '.join(homes)}, which pyproject.toml does not name"
+            assert homes & declared, (
+                f"{path.relative_to(SOURCE)} imports {name} of {', '.join(homes)}, which"
+                " pyproject.toml does not name"
+            )
 
 
 def test_public_names_are_the_same_for_readers_checkers_and_importers() -> None:
@@ -96,12 +131,20 @@ def test_public_names_are_the_same_for_readers_checkers_and_importers() -> None:
         assert value.__module__ == f"asbuilt.{home}"
         assert value.__doc__
     project = SOURCE.parents[1]
-    assert asbuilt.__version__ == tomllib.loads((project / "pyproject.toml").read_text())["project"]["version"]
+    assert (
+        asbuilt.__version__
+        == tomllib.loads((project / "pyproject.toml").read_text())["project"]["version"]
+    )
     assert f"version: {asbuilt.__version__}\n" in (project / "CITATION.cff").read_text()
 
 
-@pytest.mark.parametrize("statement", ["import asbuilt", "import asbuilt.cli.app; asbuilt.cli.app.main(['--help'])"])
+@pytest.mark.parametrize(
+    "statement", ["import asbuilt", "import asbuilt.cli.app; asbuilt.cli.app.main(['--help'])"]
+)
 def test_start_up_loads_nothing_heavy(statement: str) -> None:
-    code = f"import sys\ntry:\n    {statement}\nexcept SystemExit:\n    pass\nprint(*[m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    code = (
+        f"import sys\ntry:\n    {statement}\nexcept SystemExit:\n    pass\nprint(*[m for m in"
+        f" {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == ""

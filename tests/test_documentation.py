@@ -26,7 +26,11 @@ HOUSE = Path(__file__).resolve().parents[1]
 PAGES = [HOUSE / "README.md", *sorted((HOUSE / "docs").rglob("*.md"))]
 COMMANDS = typer.main.get_command(app).commands
 OPTIONS = {
-    name: [{*parameter.opts, *parameter.secondary_opts} for parameter in command.params if parameter.param_type_name == "option"]
+    name: [
+        {*parameter.opts, *parameter.secondary_opts}
+        for parameter in command.params
+        if parameter.param_type_name == "option"
+    ]
     for name, command in COMMANDS.items()
 }
 """The names of every option of every command."""
@@ -35,11 +39,18 @@ GENERATED = {"--full", "--duration"}
 
 
 def blocks(page: Path, language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
 
 
 def command_lines() -> list[tuple[str, str]]:
-    lines = [(page.name, line) for page in PAGES for block in blocks(page, "(?:sh|bash|console)?") for line in block.splitlines()]
+    lines = [
+        (page.name, line)
+        for page in PAGES
+        for block in blocks(page, "(?:sh|bash|console)?")
+        for line in block.splitlines()
+    ]
     return [(page, line) for page, line in lines if line.startswith("asbuilt ")]
 
 
@@ -49,7 +60,9 @@ def python_blocks() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(("page", "line"), command_lines())
 def test_commands_can_be_typed(page: str, line: str) -> None:
-    _, name, *arguments = shlex.split(line.translate({ord(bracket): None for bracket in "[]"}), comments=True)
+    _, name, *arguments = shlex.split(
+        line.translate({ord(bracket): None for bracket in "[]"}), comments=True
+    )
     with COMMANDS[name].make_context(name, arguments):
         pass
 
@@ -61,8 +74,14 @@ def test_python_blocks_name_what_there_is(page: str, block: str) -> None:
             module = import_module(str(node.module))
             for alias in node.names:
                 assert hasattr(module, alias.name), f"{page}: {node.module} has no {alias.name}"
-        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "asbuilt":
-            assert hasattr(import_module("asbuilt"), node.attr), f"{page}: asbuilt has no {node.attr}"
+        elif (
+            isinstance(node, ast.Attribute)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "asbuilt"
+        ):
+            assert hasattr(import_module("asbuilt"), node.attr), (
+                f"{page}: asbuilt has no {node.attr}"
+            )
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +91,10 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     model = asbuilt.load_robot("kuka-iiwa7-r800")
     write_urdf(folder / "arm.urdf", model)
     robot = InstalledRobot.typical(model, rng=1)
-    recordings = [robot.record(random_fourier(model, rng=seed, duration=12.0), 100.0, rng=seed).recording for seed in (2, 3)]
+    recordings = [
+        robot.record(random_fourier(model, rng=seed, duration=12.0), 100.0, rng=seed).recording
+        for seed in (2, 3)
+    ]
     recordings = [replace(each, extra={"tau_ext": 0.1 * each.tau}) for each in recordings]
     write_recording(folder / "hour.parquet", recordings[0])
     write_recording(folder / "timed.csv", recordings[0])
@@ -98,8 +120,13 @@ LONG = ("design_motion(", "MeshPart(")
 """Blocks that take minutes, or meshes; what they call is tested in its own room."""
 
 
-@pytest.mark.parametrize(("page", "block"), [(page, block) for page, block in python_blocks() if not any(call in block for call in LONG)])
-def test_python_blocks_run(page: str, block: str, at_hand: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("page", "block"),
+    [(page, block) for page, block in python_blocks() if not any(call in block for call in LONG)],
+)
+def test_python_blocks_run(
+    page: str, block: str, at_hand: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     block = block.replace("rate=1000)", "rate=100)") if "log.csv" in block else block
     monkeypatch.chdir(at_hand["folder"])
     names = {name: value for name, value in at_hand.items() if name != "folder"}
@@ -110,7 +137,9 @@ def test_every_command_and_option_is_told() -> None:
     told = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     assert [name for name in COMMANDS if f"asbuilt {name}" not in told] == []
     words = set(re.findall(r"--[a-z][a-z-]*", told))
-    assert {name: [names for names in options if not names & words] for name, options in OPTIONS.items()} == {name: [] for name in OPTIONS}
+    assert {
+        name: [names for names in options if not names & words] for name, options in OPTIONS.items()
+    } == {name: [] for name in OPTIONS}
 
 
 def test_commands_that_read_logs_read_them_alike() -> None:
@@ -123,33 +152,52 @@ def test_commands_that_read_logs_read_them_alike() -> None:
 
 
 def test_no_option_is_told_that_there_is_not() -> None:
-    known = GENERATED.union({"--help"}, *(names for options in OPTIONS.values() for names in options))
+    known = GENERATED.union(
+        {"--help"}, *(names for options in OPTIONS.values() for names in options)
+    )
     for page in PAGES:
         for code in re.findall(r"`([^`\n]*--[a-z][^`\n]*)`", page.read_text(encoding="utf-8")):
             if "asbuilt" in code or code.startswith("--"):
-                assert set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code)) <= known, f"{page.name}: `{code}`"
+                assert set(re.findall(r"(?<!\S)--[a-z][a-z-]*", code)) <= known, (
+                    f"{page.name}: `{code}`"
+                )
 
 
 def test_formulas_are_written_as_the_pages_render_them() -> None:
-    assert [page.name for page in PAGES if re.search(r"\\[(\[]", page.read_text(encoding="utf-8"))] == []
+    assert [
+        page.name for page in PAGES if re.search(r"\\[(\[]", page.read_text(encoding="utf-8"))
+    ] == []
 
 
 def test_no_bar_stands_escaped_in_code() -> None:
     """In code of tables GitHub wants bars escaped, and the pages show the escape: there are other words."""
-    shown = {page.name: re.findall(r"`[^`\n]*\\\|[^`\n]*`", page.read_text(encoding="utf-8")) for page in PAGES}
+    shown = {
+        page.name: re.findall(r"`[^`\n]*\\\|[^`\n]*`", page.read_text(encoding="utf-8"))
+        for page in PAGES
+    }
     assert {name: code for name, code in shown.items() if code} == {}
 
 
 def test_the_python_interface_is_what_asbuilt_exports() -> None:
-    told = re.findall(r"^::: asbuilt\.(?:[\w]+\.)*(\w+)$", (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+    told = re.findall(
+        r"^::: asbuilt\.(?:[\w]+\.)*(\w+)$",
+        (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
+    )
     assert sorted(told) == sorted(asbuilt.__all__)
 
 
 def test_examples_of_the_python_interface_stand_under_a_heading() -> None:
     """Without one the page shows `>>>` as three quotations within each other."""
-    for name in re.findall(r"^::: ([\w.]+)$", (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE):
+    for name in re.findall(
+        r"^::: ([\w.]+)$", (HOUSE / "docs" / "api.md").read_text(encoding="utf-8"), re.MULTILINE
+    ):
         module, _, thing = name.rpartition(".")
         found = getattr(import_module(module), thing)
         own = [found, *vars(found).values()] if isinstance(found, type) else [found]
-        for text in (inspect.getdoc(each) or "" for each in own if callable(each) or isinstance(each, property | classmethod)):
+        for text in (
+            inspect.getdoc(each) or ""
+            for each in own
+            if callable(each) or isinstance(each, property | classmethod)
+        ):
             assert ">>>" not in text.partition("\nExamples\n--------\n")[0], name

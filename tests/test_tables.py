@@ -43,7 +43,9 @@ def sample() -> Table:
         (13, "y", float("nan"), float("nan"), None),
     ]:
         shown, uncertainty = rounded(value, error)
-        rows.append((number, name, Shown(value, shown), Shown(error, uncertainty), deviation(sigmas)))
+        rows.append(
+            (number, name, Shown(value, shown), Shown(error, uncertainty), deviation(sigmas))
+        )
     heads = columns(
         Column("id", align="right"),
         Column("parameter", width=15),
@@ -61,7 +63,9 @@ def test_text_is_golden() -> None:
 
 
 def test_decimal_points_stand_in_one_column() -> None:
-    table = Table((Column("v", align="decimal", style=".10g"),), ((1.5,), (-22.25,), (3,), (1e-3,), (None,)))
+    table = Table(
+        (Column("v", align="decimal", style=".10g"),), ((1.5,), (-22.25,), (3,), (1e-3,), (None,))
+    )
     lines = table.as_text().splitlines()[2:]
     assert {line.index(".") for line in lines if "." in line} == {3}
     assert lines[2].index("3") == 2
@@ -93,7 +97,12 @@ class _Tags(HTMLParser):
 
 def test_html_is_balanced_and_escaped() -> None:
     hostile = '<script>alert("x")</script>'
-    table = Table((Column(hostile), Column("v", hostile, "decimal")), ((hostile, 0.1),), title=hostile, notes=(hostile,))
+    table = Table(
+        (Column(hostile), Column("v", hostile, "decimal")),
+        ((hostile, 0.1),),
+        title=hostile,
+        notes=(hostile,),
+    )
     parser = _Tags()
     parser.feed(table.as_html("t"))
     assert not parser.open
@@ -111,8 +120,15 @@ def test_control_characters_do_not_break_the_lines() -> None:
 def test_rounding_agrees_with_decimal_arithmetic(value: float, error: float) -> None:
     shown, uncertainty = (Decimal(text) for text in rounded(value, error))
     step = Decimal(1).scaleb(Decimal(f"{error:.1e}").adjusted() - 1)
-    expected = Decimal(error).quantize(step, ROUND_HALF_EVEN) if step < 1 else (Decimal(error) / step).quantize(Decimal(1)) * step
-    assert abs(uncertainty - expected) <= step * Decimal("0.001") or abs(abs(uncertainty - Decimal(error)) - step / 2) < step / 1000
+    expected = (
+        Decimal(error).quantize(step, ROUND_HALF_EVEN)
+        if step < 1
+        else (Decimal(error) / step).quantize(Decimal(1)) * step
+    )
+    assert (
+        abs(uncertainty - expected) <= step * Decimal("0.001")
+        or abs(abs(uncertainty - Decimal(error)) - step / 2) < step / 1000
+    )
     assert abs(shown - Decimal(value)) <= step * Decimal("0.5001")
     assert "-0." not in f"{shown}" or value < 0
 

@@ -39,4 +39,7 @@ class MissingExtraError(AsbuiltError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        super().__init__(f"{purpose} needs the package {package}, which is not installed: pip install 'asbuilt[{extra}]'")
+        super().__init__(
+            f"{purpose} needs the package {package}, which is not installed: pip install"
+            f" 'asbuilt[{extra}]'"
+        )

@@ -24,7 +24,9 @@ class Finding:
     time: float | None = None
 
     def __str__(self) -> str:
-        return f"{self.severity.upper()} {self.code}: {self.message}." + (f" {self.cure}." if self.cure else "")
+        return f"{self.severity.upper()} {self.code}: {self.message}." + (
+            f" {self.cure}." if self.cure else ""
+        )
 
 
 def joined(names: list[str] | tuple[str, ...], most: int = 7) -> str:

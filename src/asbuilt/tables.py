@@ -98,7 +98,11 @@ def share(fraction: float | None, digits: int = 1) -> str:
     >>> share(0.0187)
     '1.9 %'
     """
-    return MISSING if fraction is None or not math.isfinite(fraction) else f"{_signless(100.0 * fraction, digits)} %"
+    return (
+        MISSING
+        if fraction is None or not math.isfinite(fraction)
+        else f"{_signless(100.0 * fraction, digits)} %"
+    )
 
 
 def beside(value: float, error: float | None) -> str:
@@ -196,7 +200,10 @@ class Table:
         object.__setattr__(self, "rows", tuple(tuple(row) for row in self.rows))
         for number, row in enumerate(self.rows, start=1):
             if len(row) != len(self.columns):
-                raise ValueError(f"row {number} of table {self.title!r} has {len(row)} cells for {len(self.columns)} columns: {row}")
+                raise ValueError(
+                    f"row {number} of table {self.title!r} has {len(row)} cells for"
+                    f" {len(self.columns)} columns: {row}"
+                )
 
     def __str__(self) -> str:
         return self.as_text()
@@ -204,18 +211,30 @@ class Table:
     def as_text(self) -> str:
         """Return the table in fixed-width characters, no trailing spaces, lines ending in a newline."""
         body = [
-            [_clipped(_plain(column.shown(cell)), column.width) for column, cell in zip(self.columns, row, strict=True)]
+            [
+                _clipped(_plain(column.shown(cell)), column.width)
+                for column, cell in zip(self.columns, row, strict=True)
+            ]
             for row in self.rows
         ]
-        cells = [_aligned([row[k] for row in body], column.align) for k, column in enumerate(self.columns)]
-        widths = [max([len(column.header), len(column.unit)] + [len(cell) for cell in cells[k]]) for k, column in enumerate(self.columns)]
+        cells = [
+            _aligned([row[k] for row in body], column.align)
+            for k, column in enumerate(self.columns)
+        ]
+        widths = [
+            max([len(column.header), len(column.unit)] + [len(cell) for cell in cells[k]])
+            for k, column in enumerate(self.columns)
+        ]
         heads = [[column.header for column in self.columns]]
         if any(column.unit for column in self.columns):
             heads.append([column.unit for column in self.columns])
         lines = [self.title] if self.title else []
         lines += [_line(head, widths, self.columns) for head in heads]
         lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
-        lines += [_line([cells[k][i] for k in range(len(self.columns))], widths, self.columns) for i in range(len(body))]
+        lines += [
+            _line([cells[k][i] for k in range(len(self.columns))], widths, self.columns)
+            for i in range(len(body))
+        ]
         lines += [f"[{number}] {note}" for number, note in enumerate(self.notes, start=1)]
         return "".join(line.rstrip() + "\n" for line in lines)
 
@@ -230,18 +249,33 @@ class Table:
             for column in self.columns
         )
         body = "".join(
-            "<tr>" + "".join(_html_cell(column, cell) for column, cell in zip(self.columns, row, strict=True)) + "</tr>\n"
+            "<tr>"
+            + "".join(
+                _html_cell(column, cell) for column, cell in zip(self.columns, row, strict=True)
+            )
+            + "</tr>\n"
             for row in self.rows
         )
-        notes = "".join(f"<p>[{number}] {html.escape(note)}</p>" for number, note in enumerate(self.notes, start=1))
-        table = f'<table class="numbers"{label}>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table>'
+        notes = "".join(
+            f"<p>[{number}] {html.escape(note)}</p>"
+            for number, note in enumerate(self.notes, start=1)
+        )
+        table = (
+            "<table"
+            f' class="numbers"{label}>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table>'
+        )
         return table + (f'\n<div class="notes">{notes}</div>' if notes else "")
 
     def as_csv(self) -> str:
         """Return the table as CSV: one header row with units in brackets, numbers in full, empty where there is none."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([f"{column.header} [{column.unit}]" if column.unit else column.header for column in self.columns])
+        writer.writerow(
+            [
+                f"{column.header} [{column.unit}]" if column.unit else column.header
+                for column in self.columns
+            ]
+        )
         for row in self.rows:
             writer.writerow([_csv_cell(cell) for cell in row])
         return stream.getvalue()
@@ -259,7 +293,11 @@ def stacked(tables: Iterable[Table]) -> str:
 
 def _signless(value: float | Decimal, decimals: int) -> str:
     text = f"{value:.{decimals}f}"
-    return text[1:] if text.startswith("-") and not any(digit in text for digit in "123456789") else text
+    return (
+        text[1:]
+        if text.startswith("-") and not any(digit in text for digit in "123456789")
+        else text
+    )
 
 
 def _plain(text: str) -> str:
@@ -289,23 +327,38 @@ def _aligned(cells: Sequence[str], align: Alignment) -> list[str]:
     shown = []
     for cell, (head, point, tail), line in zip(cells, parts, lined, strict=True):
         is_gap = not (head or point or tail)
-        text = f"{MISSING:>{before}}{'':<{after}}" if cell == MISSING and before else cell if is_gap else line
+        text = (
+            f"{MISSING:>{before}}{'':<{after}}"
+            if cell == MISSING and before
+            else cell
+            if is_gap
+            else line
+        )
         shown.append(text.rjust(width))
     return shown
 
 
 def _line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]) -> str:
     place = {"left": str.ljust, "right": str.rjust, "center": str.center, "decimal": str.rjust}
-    return "  ".join(place[column.align](cell, width) for cell, width, column in zip(cells, widths, columns, strict=True))
+    return "  ".join(
+        place[column.align](cell, width)
+        for cell, width, column in zip(cells, widths, columns, strict=True)
+    )
 
 
 def _breakable(text: str) -> str:
     """Return the text escaped; a long one may break after underscores."""
-    return html.escape(text).replace("_", "_<wbr>") if len(text) > SHORT_HEADER else html.escape(text)
+    return (
+        html.escape(text).replace("_", "_<wbr>") if len(text) > SHORT_HEADER else html.escape(text)
+    )
 
 
 def _html_class(column: Column) -> str:
-    return "" if column.align == "left" else f' class="{"number" if column.align in ("right", "decimal") else "center"}"'
+    return (
+        ""
+        if column.align == "left"
+        else f' class="{"number" if column.align in ("right", "decimal") else "center"}"'
+    )
 
 
 def _html_cell(column: Column, cell: Cell) -> str:

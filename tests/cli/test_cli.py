@@ -54,7 +54,18 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_help_and_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = call(capsys, "--help")
     assert status == 0
-    for command in ("robots", "show", "base", "check", "identify", "validate", "compare", "simulate", "reproduce", "demo"):
+    for command in (
+        "robots",
+        "show",
+        "base",
+        "check",
+        "identify",
+        "validate",
+        "compare",
+        "simulate",
+        "reproduce",
+        "demo",
+    ):
         assert command in out
     assert call(capsys, "identify")[0] == 2
     assert call(capsys, "no-such-command")[0] == 2
@@ -75,20 +86,40 @@ def test_robots_and_show(capsys: pytest.CaptureFixture[str]) -> None:
     assert "kuka-iiwa7-r800" in err
 
 
-@pytest.mark.parametrize(("robot", "n_base"), [("kuka-iiwa7-r800", 43), ("ur10e", 36), ("puma-560", 36), ("franka-panda", 43)])
+@pytest.mark.parametrize(
+    ("robot", "n_base"),
+    [("kuka-iiwa7-r800", 43), ("ur10e", 36), ("puma-560", 36), ("franka-panda", 43)],
+)
 def test_base_counts(capsys: pytest.CaptureFixture[str], robot: str, n_base: int) -> None:
     found = document(capsys, "base", robot)
     assert found["n_base"] == n_base == len(found["parameters"])
     assert [entry["id"] for entry in found["standard"]] == list(range(1, found["n_standard"] + 1))
     assert {"id", "name", "expression", "symbolic", "value", "unit"} <= set(found["parameters"][0])
-    assert {entry["status"] for entry in found["standard"]} <= {"unidentifiable", "grouped", "identifiable"}
+    assert {entry["status"] for entry in found["standard"]} <= {
+        "unidentifiable",
+        "grouped",
+        "identifiable",
+    }
     assert all(entry["why"] for entry in found["standard"])
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_noise_free_recording_gives_back_the_description(capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], robot: str) -> None:
-    by_design = {entry["id"]: entry["value"] for entry in document(capsys, "base", robot)["parameters"]}
-    found = document(capsys, "identify", robot, recorded[f"{robot} ideal"], "--drive", "none", "--holdout", "last:0.3")
+def test_noise_free_recording_gives_back_the_description(
+    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], robot: str
+) -> None:
+    by_design = {
+        entry["id"]: entry["value"] for entry in document(capsys, "base", robot)["parameters"]
+    }
+    found = document(
+        capsys,
+        "identify",
+        robot,
+        recorded[f"{robot} ideal"],
+        "--drive",
+        "none",
+        "--holdout",
+        "last:0.3",
+    )
     scale = max(abs(value) for value in by_design.values())
     for parameter in found["parameters"]:
         assert parameter["estimate"] == pytest.approx(by_design[parameter["id"]], abs=2e-3 * scale)
@@ -100,10 +131,16 @@ def test_identify_writes_everything_and_validates(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], robot: str, tmp_path: Path
 ) -> None:
     log = recorded[f"{robot} train"]
-    found = document(capsys, "identify", robot, log, "--holdout", "blocks:1s:3", "--out", tmp_path / "out")
+    found = document(
+        capsys, "identify", robot, log, "--holdout", "blocks:1s:3", "--out", tmp_path / "out"
+    )
     for kind in ("result", "report", "parameters", "summary", "torque"):
         assert Path(found["files"][kind]).stat().st_size > 0
-    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".") or path.suffix == ".tmp"]
+    assert not [
+        path
+        for path in (tmp_path / "out").iterdir()
+        if path.name.startswith(".") or path.suffix == ".tmp"
+    ]
     for metrics in (found["train"], *found["validation"], found["cad"]):
         assert {"source", "rms", "max_abs", "r_squared", "relative_error"} <= set(metrics)
         assert len(metrics["rms"]) == len(found["joints"])
@@ -120,9 +157,32 @@ def test_identify_writes_everything_and_validates(
     assert "Why CAD is off" in out
     same = document(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"])
     assert same["n_changed"] == 0
-    drifted = document(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"], "--out", log.parent / "drifted")
-    assert {Path(path).name for path in drifted["files"].values()} == {"drift.csv", "drift.txt", "drift.html"}
-    assert call(capsys, "compare", found["files"]["result"], "--with", found["files"]["result"], "--cad", "scara")[0] == 2
+    drifted = document(
+        capsys,
+        "compare",
+        found["files"]["result"],
+        "--with",
+        found["files"]["result"],
+        "--out",
+        log.parent / "drifted",
+    )
+    assert {Path(path).name for path in drifted["files"].values()} == {
+        "drift.csv",
+        "drift.txt",
+        "drift.html",
+    }
+    assert (
+        call(
+            capsys,
+            "compare",
+            found["files"]["result"],
+            "--with",
+            found["files"]["result"],
+            "--cad",
+            "scara",
+        )[0]
+        == 2
+    )
     assert call(capsys, "compare", found["files"]["result"], "--cad-tolerance", "much")[0] == 2
     for options, idle in (
         (("--holdout", "last:0.3"), "--holdout"),
@@ -132,7 +192,15 @@ def test_identify_writes_everything_and_validates(
         status, out, err = call(capsys, "compare", found["files"]["result"], *options)
         assert (status, out) == (2, "")
         assert f"leave out {idle}" in err
-    written = document(capsys, "compare", found["files"]["result"], "--cad-tolerance", "5%", "--out", log.parent / "compared")
+    written = document(
+        capsys,
+        "compare",
+        found["files"]["result"],
+        "--cad-tolerance",
+        "5%",
+        "--out",
+        log.parent / "compared",
+    )
     assert written["chi_square_tolerance"]["statistic"] < written["chi_square"]["statistic"]
     assert all(Path(path).stat().st_size > 0 for path in written["files"].values())
 
@@ -141,7 +209,9 @@ def test_identify_writes_everything_and_validates(
 def test_every_output_says_how_errors_were_judged(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path, kind: str
 ) -> None:
-    found = document(capsys, "identify", "ur10e", recorded["ur10e train"], "--errors", kind, "--out", tmp_path)
+    found = document(
+        capsys, "identify", "ur10e", recorded["ur10e train"], "--errors", kind, "--out", tmp_path
+    )
     assert (found["errors"]["kind"], found["errors"]["asked"]) == (kind, kind)
     stored = json.loads(Path(found["files"]["result"]).read_text())["errors"]
     assert stored == {name: value for name, value in found["errors"].items() if name != "sentence"}
@@ -151,21 +221,34 @@ def test_every_output_says_how_errors_were_judged(
     page = Path(found["files"]["report"]).read_text()
     assert f"<dt>standard errors</dt><dd>{kind}</dd>" in page
     assert sentence in html.unescape(page)
-    assert all(note in html.unescape(page) for note in json.loads(Path(found["files"]["result"]).read_text())["notes"])
+    assert all(
+        note in html.unescape(page)
+        for note in json.loads(Path(found["files"]["result"]).read_text())["notes"]
+    )
     assert sentence in call(capsys, "compare", found["files"]["result"])[1]
     if kind == "bootstrap":
         assert f"the choice of {found['method']}" in sentence
 
 
 def test_json_is_strict_and_alone_on_stdout(recorded: dict[str, Path]) -> None:
-    command = [sys.executable, "-m", "asbuilt.cli.app", "identify", "scara", str(recorded["scara train"]), "--json"]
+    command = [
+        sys.executable,
+        "-m",
+        "asbuilt.cli.app",
+        "identify",
+        "scara",
+        str(recorded["scara train"]),
+        "--json",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     found = json.loads(done.stdout, parse_constant=refuse_constant)
     assert found["validation"] == []
     assert "nothing_held_out" in {warning["code"] for warning in found["warnings"]}
 
 
-def test_flipped_torque_is_refused_with_its_cure(capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path) -> None:
+def test_flipped_torque_is_refused_with_its_cure(
+    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], tmp_path: Path
+) -> None:
     lines = recorded["kuka-iiwa7-r800 ideal"].read_text().splitlines()
     header = lines[0].split(",")
     flip = [k for k, name in enumerate(header) if name.startswith("tau")]
@@ -192,12 +275,20 @@ def test_flipped_torque_is_refused_with_its_cure(capsys: pytest.CaptureFixture[s
         (["identify", "scara", "{log}", "--gain", "1,nan,2,3"], 2, "--gain"),
         (["identify", "scara", "{log}", "--gain", "1,2"], 1, "4"),
         (["check", "scara", "{log}", "--torque-source", ""], 2, "sensor"),
-        (["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--com", "0,1"], 2, "--com takes 3 numbers"),
+        (
+            ["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--com", "0,1"],
+            2,
+            "--com takes 3 numbers",
+        ),
         (["gains", "scara", "{log}", "--loaded", "{log}", "--mass", "1"], 2, "is given twice"),
         (["identify", "scara", "{log}", "--out", "{log}/x"], 2, "is a file"),
         (["identify", "scara", "{log}", "--cutoff", "1e-9"], 2, "raise the cutoff"),
         (["simulate", "scara", "--seed", "-1"], 2, "--seed"),
-        (["simulate", "scara", "--rate", "0", "--engine", "inverse-dynamics"], 1, "rate must be a positive number"),
+        (
+            ["simulate", "scara", "--rate", "0", "--engine", "inverse-dynamics"],
+            1,
+            "rate must be a positive number",
+        ),
         (["excite", "scara", "--rate", "nan"], 2, "--rate takes a positive number"),
         (["excite", "scara", "--out", "{log}/motion.csv"], 2, "is a file"),
         (["show", ""], 1, "no bundled robot"),
@@ -206,19 +297,34 @@ def test_flipped_torque_is_refused_with_its_cure(capsys: pytest.CaptureFixture[s
         (["identify", "scara", "{log}", "--torque-source", "guess"], 2, "sensor"),
         (["identify", "kuka-iiwa7-r800", "{log}"], 1, "4"),
         (["identify", "scara", "{log}", "--decimate", "0"], 2, "decimate"),
-        (["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--cutoff", "auto"], 2, "--cutoff"),
+        (
+            ["gains", "scara", "{log}", "--loaded", "{other}", "--mass", "1", "--cutoff", "auto"],
+            2,
+            "--cutoff",
+        ),
         (["validate", "{log}", "{other}"], 1, "name the robot before it"),
         (["compare", "{log}"], 1, "result"),
-        (["identify", "scara", "{log}", "--cutoff", "auto", "--holdout", "sometimes"], 2, "blocks:5s:3"),
+        (
+            ["identify", "scara", "{log}", "--cutoff", "auto", "--holdout", "sometimes"],
+            2,
+            "blocks:5s:3",
+        ),
         (["validate", "scara", "{log}", "{log}"], 2, "is given twice"),
         (["check", "scara", "{log}", "{log}"], 2, "is given twice"),
         (["view", "scara", "--save", "{log}/robot.png"], 2, "is a file"),
     ],
 )
 def test_wrong_calls_name_the_place_and_the_cure(
-    capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], arguments: list[str], status: int, says: str
+    capsys: pytest.CaptureFixture[str],
+    recorded: dict[str, Path],
+    arguments: list[str],
+    status: int,
+    says: str,
 ) -> None:
-    given = [argument.format(log=recorded["scara ideal"], other=recorded["scara train"]) for argument in arguments]
+    given = [
+        argument.format(log=recorded["scara ideal"], other=recorded["scara train"])
+        for argument in arguments
+    ]
     found, out, err = call(capsys, *given)
     assert (found, out) == (status, "")
     assert says in err
@@ -229,8 +335,12 @@ def test_wrong_calls_name_the_place_and_the_cure(
 def test_what_is_missing_is_told_before_any_work(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("asbuilt.workflow.study.run_study", lambda *_, **__: pytest.fail("the study ran"))
-    status, _, err = call(capsys, "identify", "scara", recorded["scara train"], "--payload", "missing.csv")
+    monkeypatch.setattr(
+        "asbuilt.workflow.study.run_study", lambda *_, **__: pytest.fail("the study ran")
+    )
+    status, _, err = call(
+        capsys, "identify", "scara", recorded["scara train"], "--payload", "missing.csv"
+    )
     assert status == 1
     assert "missing.csv" in err
 
@@ -244,22 +354,44 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     from asbuilt.writers.recording_files import write_recording
 
     robot = InstalledRobot.ideal(load_robot("kuka-iiwa7-r800"))
-    carrying = robot.with_tool(LinkInertia.from_com(2.0, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005])), at="flange")
+    carrying = robot.with_tool(
+        LinkInertia.from_com(2.0, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005])), at="flange"
+    )
     for name, machine, seed in (("bare", robot, 1), ("loaded", carrying, 2)):
         motion = random_fourier(robot.model, rng=seed, duration=12.0, n_harmonics=8)
         write_recording(tmp_path / f"{name}.csv", machine.record(motion, 200.0).recording)
-    found = document(capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--out", tmp_path)
+    found = document(
+        capsys,
+        "identify",
+        "kuka-iiwa7-r800",
+        tmp_path / "bare.csv",
+        "--payload",
+        tmp_path / "loaded.csv",
+        "--out",
+        tmp_path,
+    )
     assert found["payload"]["mass"]["estimate"] == pytest.approx(2.0, abs=0.02)
     assert found["payload"]["validation"][0]["source"].endswith("loaded.csv, the data used")
     assert "kuka-iiwa7-r800: payload at flange" in Path(found["files"]["summary"]).read_text()
     assert 'id="payload-values"' in Path(found["files"]["report"]).read_text()
-    assert json.loads(Path(found["files"]["payload"]).read_text())["mass"] == found["payload"]["mass"]
+    assert (
+        json.loads(Path(found["files"]["payload"]).read_text())["mass"] == found["payload"]["mass"]
+    )
     held = document(
-        capsys, "identify", "kuka-iiwa7-r800", tmp_path / "bare.csv", "--payload", tmp_path / "loaded.csv", "--holdout", "last:0.3"
+        capsys,
+        "identify",
+        "kuka-iiwa7-r800",
+        tmp_path / "bare.csv",
+        "--payload",
+        tmp_path / "loaded.csv",
+        "--holdout",
+        "last:0.3",
     )
     assert held["payload"]["validation"][0]["source"].endswith("loaded.csv, held out last:0.3")
     assert held["payload"]["n_samples"] < 0.8 * found["payload"]["n_samples"]
-    alone = document(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv", "--out", tmp_path)
+    alone = document(
+        capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv", "--out", tmp_path
+    )
     assert alone["frame"] == "flange"
     assert alone["com"]["estimate"] == pytest.approx([0.0, 0.02, 0.08], abs=0.005)
     assert alone["physically_consistent"] is True
@@ -268,21 +400,36 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     status, out, _ = call(capsys, "payload", found["files"]["result"], tmp_path / "loaded.csv")
     assert status == 0
     assert "of gains" not in out
-    by_current = ("payload", found["files"]["result"], tmp_path / "loaded.csv", "--torque-source", "current")
-    doubted, tighter = document(capsys, *by_current), document(capsys, *by_current, "--gain-uncertainty", "2%")
+    by_current = (
+        "payload",
+        found["files"]["result"],
+        tmp_path / "loaded.csv",
+        "--torque-source",
+        "current",
+    )
+    doubted, tighter = (
+        document(capsys, *by_current),
+        document(capsys, *by_current, "--gain-uncertainty", "2%"),
+    )
     assert alone["gain_uncertainty"] == [0.0] * 7
     assert doubted["gain_uncertainty"] == [0.07] * 7
     mass = doubted["mass"]
-    assert mass["std_error"] == pytest.approx(np.hypot(mass["std_error_noise"], mass["std_error_gains"]))
+    assert mass["std_error"] == pytest.approx(
+        np.hypot(mass["std_error_noise"], mass["std_error_gains"])
+    )
     assert mass["std_error_noise"] == pytest.approx(alone["mass"]["std_error"], rel=1e-3)
     assert sum(mass["slope_by_joint"]) == pytest.approx(2.0, abs=0.05)
-    assert tighter["mass"]["std_error_gains"] == pytest.approx(2 / 7 * mass["std_error_gains"], rel=0.01)
+    assert tighter["mass"]["std_error_gains"] == pytest.approx(
+        2 / 7 * mass["std_error_gains"], rel=0.01
+    )
     assert "That leaves" in call(capsys, *by_current)[1]
     assert call(capsys, *by_current, "--gain-uncertainty", "much")[0] == 2
     assert call(capsys, *by_current, "--gain-uncertainty", "90%")[0] == 2
 
 
-def test_simulate_on_the_engine_with_a_tool_and_let_go(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_simulate_on_the_engine_with_a_tool_and_let_go(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     log = tmp_path / "lab.csv"
     told = document(
         capsys,
@@ -306,7 +453,17 @@ def test_simulate_on_the_engine_with_a_tool_and_let_go(capsys: pytest.CaptureFix
     assert truth["settings"]["preset"] == "lab"
     assert truth["parameters"]["m6"] > 2.0
     for release in ("drop", "free", "step"):
-        freed = document(capsys, "simulate", "two-link", "--free", release, "--duration", "0.5", "--out", tmp_path / f"{release}.csv")
+        freed = document(
+            capsys,
+            "simulate",
+            "two-link",
+            "--free",
+            release,
+            "--duration",
+            "0.5",
+            "--out",
+            tmp_path / f"{release}.csv",
+        )
         assert freed["energy"]["imbalance"] < 1e-6
         assert Path(freed["files"]["figure"]).read_bytes()[:4] == b"\x89PNG"
     for wrong, message in (
@@ -329,18 +486,36 @@ def test_view_saves_pages_and_pictures_and_results_run_forward(
     log = recorded["ur10e train"]
     document(capsys, "identify", "ur10e", log, "--holdout", "last:0.3", "--out", tmp_path / "study")
     result = tmp_path / "study" / "result.json"
-    freed = document(capsys, "simulate", result, "--free", "free", "--duration", "0.5", "--out", tmp_path / "free.csv")
+    freed = document(
+        capsys,
+        "simulate",
+        result,
+        "--free",
+        "free",
+        "--duration",
+        "0.5",
+        "--out",
+        tmp_path / "free.csv",
+    )
     assert freed["energy"]["imbalance"] < 1e-6
     saved = document(capsys, "view", result, log, "--save", tmp_path / "motion.html")
     assert saved["duration"] == pytest.approx(12.0, abs=0.01)
     assert "__VISER_EMBED_DATA__" in Path(saved["files"]["page"]).read_text(encoding="utf-8")
-    assert call(capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "told.png")[1].startswith("written:\n  picture")
-    still = document(capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "still.png")
+    assert call(capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "told.png")[
+        1
+    ].startswith("written:\n  picture")
+    still = document(
+        capsys, "view", "scara", "--style", "skeleton", "--save", tmp_path / "still.png"
+    )
     assert Path(still["files"]["picture"]).read_bytes()[:4] == b"\x89PNG"
     for wrong, status, message in (
         (("ur10e", "--save", tmp_path / "a.gif"), 2, "there is no motion"),
         (("ur10e", "--save", tmp_path / "a.bmp"), 2, "a picture is written as"),
-        (("ur10e", "--style", "oil", "--save", tmp_path / "a.png"), 2, "is not one of auto, rendered, skeleton"),
+        (
+            ("ur10e", "--style", "oil", "--save", tmp_path / "a.png"),
+            2,
+            "is not one of auto, rendered, skeleton",
+        ),
         (("ur10e", tmp_path / "none.csv"), 1, "cannot read the motion"),
         (("ur10e", "--port", "0"), 2, "a port is a number"),
     ):

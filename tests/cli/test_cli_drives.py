@@ -27,17 +27,23 @@ def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:
     """Write a recording of a robot along a random motion; `torque(model, q, qd, qdd)` is what it logs."""
     model = bundled_robot(robot)
     motion = random_fourier(model, seed, duration=25.0).sample(100.0)
-    tau = torque(model, motion.q, motion.qd, motion.qdd) + 0.02 * np.random.default_rng(seed).normal(size=motion.q.shape)
+    tau = torque(model, motion.q, motion.qd, motion.qdd) + 0.02 * np.random.default_rng(
+        seed
+    ).normal(size=motion.q.shape)
     n = model.n_joints
     header = ",".join(["t", *(f"q_{k}" for k in range(n)), *(f"tau_{k}" for k in range(n))])
-    np.savetxt(path, np.column_stack([motion.t, motion.q, tau]), delimiter=",", header=header, comments="")
+    np.savetxt(
+        path, np.column_stack([motion.t, motion.q, tau]), delimiter=",", header=header, comments=""
+    )
     return path
 
 
 def driven(values, drive=DRIVE, scale=1.0):
     def torque(model, *state):
         rigid = inverse_dynamics(model, *state)
-        return scale * (rigid + drive_torque(drive, np.tile(values, model.n_joints), *state, load=rigid))
+        return scale * (
+            rigid + drive_torque(drive, np.tile(values, model.n_joints), *state, load=rigid)
+        )
 
     return torque
 
@@ -55,12 +61,32 @@ def test_drives_are_listed(capsys):
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
     recording = log(tmp_path / "log.csv", robot, driven([0.5, 1.0, 0.15, 0.1]))
-    chosen = document(capsys, "identify", robot, recording, "--torque-source", "sensor", "--drive", "auto", "--holdout", "blocks:2s:4")
-    assert ("load_friction" in chosen["drive"]) == (robot != "scara"), "the axes of a SCARA stand upright and carry next to no load"
+    chosen = document(
+        capsys,
+        "identify",
+        robot,
+        recording,
+        "--torque-source",
+        "sensor",
+        "--drive",
+        "auto",
+        "--holdout",
+        "blocks:2s:4",
+    )
+    assert ("load_friction" in chosen["drive"]) == (robot != "scara"), (
+        "the axes of a SCARA stand upright and carry next to no load"
+    )
     assert "drive_terms" in [warning["code"] for warning in chosen["warnings"]]
     assert any(line.startswith("drive terms") for line in chosen["provenance"])
     given = document(
-        capsys, "identify", robot, recording, "--torque-source", "sensor", "--drive", "viscous,coulomb,stribeck,load_friction,offset"
+        capsys,
+        "identify",
+        robot,
+        recording,
+        "--torque-source",
+        "sensor",
+        "--drive",
+        "viscous,coulomb,stribeck,load_friction,offset",
     )
     assert "stribeck:velocity=" in given["drive"]
     assert any(note.startswith("Picked automatically") for note in given["notes"])
@@ -99,7 +125,17 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def weighing(pair: tuple[Path, Path]) -> tuple[object, ...]:
-    return ("gains", "ur10e", pair[0], "--loaded", pair[1], "--mass", "4", "--frame", bundled_robot("ur10e").link_names[-1])
+    return (
+        "gains",
+        "ur10e",
+        pair[0],
+        "--loaded",
+        pair[1],
+        "--mass",
+        "4",
+        "--frame",
+        bundled_robot("ur10e").link_names[-1],
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,18 +151,26 @@ def weighing(pair: tuple[Path, Path]) -> tuple[object, ...]:
         ("sign = -1\ngains = 8", "-3", True, 1),
     ],
 )
-def test_gains_pasted_into_the_next_command_are_right(capsys, tmp_path, pair, sheet, gain, flip, sign):
+def test_gains_pasted_into_the_next_command_are_right(
+    capsys, tmp_path, pair, sheet, gain, flip, sign
+):
     described = [] if sheet is None else ["--sheet", tmp_path / "sheet.toml"]
     (tmp_path / "sheet.toml").write_text(sheet or "")
     turned = ["--flip-torque"] if flip else []
-    found = document(capsys, *weighing(pair), *described, *turned, *([] if gain is None else [f"--gain={gain}"]))
+    found = document(
+        capsys, *weighing(pair), *described, *turned, *([] if gain is None else [f"--gain={gain}"])
+    )
     np.testing.assert_allclose(np.array(found["gains"]) * sign, 10.0, rtol=0.05)
     np.testing.assert_allclose(np.array(found["in_use"]) * found["factors"], found["gains"])
 
     pasted = document(capsys, *weighing(pair), *described, *turned, found["option"])
-    assert np.all(np.abs(np.array(pasted["factors"]) - 1.0) < 0.05 * np.array(pasted["factor_std_errors"]))
+    assert np.all(
+        np.abs(np.array(pasted["factors"]) - 1.0) < 0.05 * np.array(pasted["factor_std_errors"])
+    )
     (tmp_path / "corrected.toml").write_text(
-        "\n".join([*(line for line in (sheet or "").split("\n") if "gains" not in line), found["sheet"]])
+        "\n".join(
+            [*(line for line in (sheet or "").split("\n") if "gains" not in line), found["sheet"]]
+        )
     )
     written = document(capsys, *weighing(pair), "--sheet", tmp_path / "corrected.toml", *turned)
     np.testing.assert_allclose(written["factors"], pasted["factors"])
@@ -163,12 +207,21 @@ def test_recordings_scaled_by_different_gains_are_refused(capsys, tmp_path, pair
 
 
 @pytest.fixture(scope="module", params=["ur10e", "puma-560"])
-def coupled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
+def coupled(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, int]:
     """A robot file whose last motor turns with the joint before it too, and has friction and inertia of its own."""
     model = bundled_robot(request.param)
     n = model.n_joints
-    terms = {"motor_armature": {"Iam": 0.4}, "motor_viscous": {"Fvm": 3.0}, "motor_coulomb": {"Fcm": 2.0}}
-    joints = (*model.joints[:-1], replace(model.joints[-1], drive=replace(model.joints[-1].drive, terms=terms)))
+    terms = {
+        "motor_armature": {"Iam": 0.4},
+        "motor_viscous": {"Fvm": 3.0},
+        "motor_coulomb": {"Fcm": 2.0},
+    }
+    joints = (
+        *model.joints[:-1],
+        replace(model.joints[-1], drive=replace(model.joints[-1].drive, terms=terms)),
+    )
     coupling = np.eye(n)
     coupling[n - 1, n - 2] = 1.0
     path = tmp_path_factory.mktemp("coupled") / "robot.toml"
@@ -179,7 +232,18 @@ def coupled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 def test_a_coupled_wrist_from_file_to_result(capsys, tmp_path, coupled):
     robot, n = coupled
     lab = tmp_path / "log.csv"
-    simulated = ("--engine", "inverse-dynamics", "--preset", "lab", "--rate", "200", "--duration", "40", "--seed", "3")
+    simulated = (
+        "--engine",
+        "inverse-dynamics",
+        "--preset",
+        "lab",
+        "--rate",
+        "200",
+        "--duration",
+        "40",
+        "--seed",
+        "3",
+    )
     document(capsys, "simulate", robot, *simulated, "--out", lab)
     judged = ("--holdout", "blocks:2s:4", "--method", "wls")
     found = document(capsys, "identify", robot, lab, "--torque-source", "motor", *judged)
@@ -187,8 +251,21 @@ def test_a_coupled_wrist_from_file_to_result(capsys, tmp_path, coupled):
     values = {parameter["name"]: parameter["estimate"] for parameter in found["parameters"]}
     assert values[f"Fvm{n}"] == pytest.approx(3.0, rel=0.1)
     assert values[f"Fcm{n}"] == pytest.approx(2.0, rel=0.1)
-    alone = document(capsys, "identify", robot, lab, "--torque-source", "motor", *judged, "--drive", "armature,viscous,coulomb,offset")
-    assert all(found["validation"][0]["rms"][k] < 0.5 * alone["validation"][0]["rms"][k] for k in (n - 2, n - 1))
+    alone = document(
+        capsys,
+        "identify",
+        robot,
+        lab,
+        "--torque-source",
+        "motor",
+        *judged,
+        "--drive",
+        "armature,viscous,coulomb,offset",
+    )
+    assert all(
+        found["validation"][0]["rms"][k] < 0.5 * alone["validation"][0]["rms"][k]
+        for k in (n - 2, n - 1)
+    )
     sensed = document(capsys, "identify", robot, lab, "--torque-source", "sensor", *judged)
     assert not any("motor_" in term for term in sensed["drive"])
 
@@ -203,11 +280,20 @@ def test_both_sides_of_a_coupled_wrist(capsys, tmp_path, coupled):
 
     def motor(_, *state):
         values = np.tile([0.5, 1.0, 3.0, 2.0, 0.4], n)
-        return inverse_dynamics(model, *state) + drive_torque(ahead, values, *state, shares=model.motor_shares)
+        return inverse_dynamics(model, *state) + drive_torque(
+            ahead, values, *state, shares=model.motor_shares
+        )
 
-    logs = [log(tmp_path / f"{name}.csv", model.name, torque) for name, torque in (("sensor", sensor), ("motor", motor))]
+    logs = [
+        log(tmp_path / f"{name}.csv", model.name, torque)
+        for name, torque in (("sensor", sensor), ("motor", motor))
+    ]
     found = document(capsys, "channels", robot, logs[0], "--motor", logs[1])
-    values = {parameter["name"]: parameter["estimate"] for parameter in found["parameters"] if parameter["side"] == "motor"}
+    values = {
+        parameter["name"]: parameter["estimate"]
+        for parameter in found["parameters"]
+        if parameter["side"] == "motor"
+    }
     assert values[f"Fvmm{n}"] == pytest.approx(3.0, abs=0.05)
     assert values[f"Fvm{n - 1}"] == pytest.approx(1.0, abs=0.05)
     assert values[f"Iamm{n}"] == pytest.approx(0.0, abs=0.05)
@@ -226,9 +312,13 @@ def test_sensor_and_motor_together(capsys, tmp_path):
     sensor = log(tmp_path / "sensor.csv", "scara", driven([0.2, 0.3, 0.1], behind))
 
     def motor(model, *state):
-        return driven([0.2, 0.3, 0.1], behind)(model, *state) + drive_torque(ahead, np.tile([0.5, 1.0, 2.0, 0.4], model.n_joints), *state)
+        return driven([0.2, 0.3, 0.1], behind)(model, *state) + drive_torque(
+            ahead, np.tile([0.5, 1.0, 2.0, 0.4], model.n_joints), *state
+        )
 
-    found = document(capsys, "channels", "scara", sensor, "--motor", log(tmp_path / "motor.csv", "scara", motor))
+    found = document(
+        capsys, "channels", "scara", sensor, "--motor", log(tmp_path / "motor.csv", "scara", motor)
+    )
     values = {parameter["name"]: parameter["estimate"] for parameter in found["parameters"]}
     assert values["Iam1"] == pytest.approx(0.5, abs=0.05)
     assert values["Fvm2"] == pytest.approx(1.0, abs=0.1)

@@ -32,12 +32,21 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     folder = tmp_path_factory.mktemp("logs")
     model = bundled_robot(ROBOT)
     ball = LinkInertia.from_com(MASS, [0.02, 0.0, 0.1], 0.01 * np.eye(3))
-    heavy = model.with_parameters(model.parameters + np.concatenate([np.zeros(50), ball.parameters]))
+    heavy = model.with_parameters(
+        model.parameters + np.concatenate([np.zeros(50), ball.parameters])
+    )
     for name, seed, robot in (("bare", 1, model), ("loaded", 2, heavy)):
         motion = random_fourier(model, seed, duration=25.0).sample(100.0)
-        tau = inverse_dynamics(robot, motion.q, motion.qd, motion.qdd) + 2.0 * motion.qd + 1.0 * np.sign(motion.qd)
+        tau = (
+            inverse_dynamics(robot, motion.q, motion.qd, motion.qdd)
+            + 2.0 * motion.qd
+            + 1.0 * np.sign(motion.qd)
+        )
         write(folder / f"{name}.csv", np.column_stack([motion.t, motion.q, tau]))
-        write(folder / f"{name}_motor.csv", np.column_stack([motion.t, motion.q, tau + 3.0 * motion.qd + 0.2 * motion.qdd]))
+        write(
+            folder / f"{name}_motor.csv",
+            np.column_stack([motion.t, motion.q, tau + 3.0 * motion.qd + 0.2 * motion.qdd]),
+        )
     return folder / "bare.csv", folder / "loaded.csv", folder / "bare_motor.csv"
 
 
@@ -45,7 +54,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
 def result(logs: tuple[Path, Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("result")
     with pytest.raises(SystemExit):
-        main(["identify", ROBOT, str(logs[0]), "--torque-source", "sensor", "--method", "wls", "--out", str(folder)])
+        main(
+            [
+                "identify",
+                ROBOT,
+                str(logs[0]),
+                "--torque-source",
+                "sensor",
+                "--method",
+                "wls",
+                "--out",
+                str(folder),
+            ]
+        )
     return folder / "result.json"
 
 
@@ -125,7 +146,18 @@ def test_the_payload_found_along_with_the_arm_is_among_the_files(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, logs: tuple[Path, Path, Path]
 ) -> None:
     bare, loaded, _ = logs
-    found = document(capsys, "identify", ROBOT, bare, "--torque-source", "sensor", "--payload", loaded, "--out", tmp_path / "out")
+    found = document(
+        capsys,
+        "identify",
+        ROBOT,
+        bare,
+        "--torque-source",
+        "sensor",
+        "--payload",
+        loaded,
+        "--out",
+        tmp_path / "out",
+    )
     written = json.loads(Path(found["files"]["payload"]).read_text())
     assert written["mass"] == found["payload"]["mass"]
     assert written["mass"]["estimate"] == pytest.approx(MASS, rel=0.02)
@@ -133,7 +165,10 @@ def test_the_payload_found_along_with_the_arm_is_among_the_files(
 
 @pytest.mark.parametrize(
     ("columns", "signs", "said"),
-    [((12, 11), (1, 1), "wrist_2_joint and wrist_3_joint look swapped"), ((11, 12), (1, -1), "wrist_3_joint alone has the opposite sign")],
+    [
+        ((12, 11), (1, 1), "wrist_2_joint and wrist_3_joint look swapped"),
+        ((11, 12), (1, -1), "wrist_3_joint alone has the opposite sign"),
+    ],
 )
 def test_wrists_that_only_the_known_arm_tells_apart_are_put_right(
     capsys: pytest.CaptureFixture[str],

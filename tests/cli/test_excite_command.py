@@ -43,10 +43,26 @@ FIELDS = {
         ("franka-panda", ("--collision", "skeleton:0.05", "--drive", "viscous")),
     ],
 )
-def test_json_has_the_promised_fields_and_the_file_holds_the_motion(capsys, tmp_path: Path, robot: str, options) -> None:
+def test_json_has_the_promised_fields_and_the_file_holds_the_motion(
+    capsys, tmp_path: Path, robot: str, options
+) -> None:
     file = tmp_path / "motion.csv"
     status, out, err = call(
-        capsys, "excite", robot, "--duration", 8, "--starts", 1, "--time-limit", 2, "--rate", 200, "--out", file, "--json", *options
+        capsys,
+        "excite",
+        robot,
+        "--duration",
+        8,
+        "--starts",
+        1,
+        "--time-limit",
+        2,
+        "--rate",
+        200,
+        "--out",
+        file,
+        "--json",
+        *options,
     )
     assert status == 0, err
     document = json.loads(out)
@@ -65,7 +81,19 @@ def test_json_has_the_promised_fields_and_the_file_holds_the_motion(capsys, tmp_
 
 def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
     status, out, _ = call(
-        capsys, "excite", "two-link", "--duration", 6, "--harmonics", 3, "--starts", 1, "--time-limit", 2, "--out", tmp_path / "m.csv"
+        capsys,
+        "excite",
+        "two-link",
+        "--duration",
+        6,
+        "--harmonics",
+        3,
+        "--starts",
+        1,
+        "--time-limit",
+        2,
+        "--out",
+        tmp_path / "m.csv",
     )
     assert status == 0
     for said in ("D-efficiency", "condition number", "nearest joint", "std err", "m.csv"):
@@ -88,8 +116,12 @@ def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
         (("--static", "0"), 2, "at least"),
     ],
 )
-def test_wrong_usage_is_one_message(capsys, tmp_path: Path, options, status: int, said: str) -> None:
-    found, out, err = call(capsys, "excite", "two-link", "--time-limit", 1, "--out", tmp_path / "m.csv", *options)
+def test_wrong_usage_is_one_message(
+    capsys, tmp_path: Path, options, status: int, said: str
+) -> None:
+    found, out, err = call(
+        capsys, "excite", "two-link", "--time-limit", 1, "--out", tmp_path / "m.csv", *options
+    )
     assert (found, out) == (status, "")
     assert said in err
     assert err.count("\n") == 1
@@ -101,8 +133,30 @@ def test_an_earlier_result_leaves_less_to_find(capsys, tmp_path: Path, time_limi
     """Also on a machine so slow that the time is up before the search begins."""
     log, folder = tmp_path / "log.csv", tmp_path / "first"
     for arguments in (
-        ("simulate", "two-link", "--engine", "inverse-dynamics", "--preset", "lab", "--duration", 10, "--rate", 250, "--out", log),
-        ("identify", "two-link", log, "--unchecked", "--drive", "viscous,coulomb,offset", "--out", folder),
+        (
+            "simulate",
+            "two-link",
+            "--engine",
+            "inverse-dynamics",
+            "--preset",
+            "lab",
+            "--duration",
+            10,
+            "--rate",
+            250,
+            "--out",
+            log,
+        ),
+        (
+            "identify",
+            "two-link",
+            log,
+            "--unchecked",
+            "--drive",
+            "viscous,coulomb,offset",
+            "--out",
+            folder,
+        ),
     ):
         assert call(capsys, *arguments)[0] == 0
     result = json.loads((folder / "result.json").read_text())
@@ -132,8 +186,16 @@ def test_an_earlier_result_leaves_less_to_find(capsys, tmp_path: Path, time_limi
 
 
 def test_options_of_motions_are_refused_for_standing_poses(capsys, tmp_path: Path) -> None:
-    for option in (("--focus", "m3"), ("--power", 50), ("--perturbed", 2), ("--criterion", "a"), ("--parametrisation", "bspline")):
-        status, _, err = call(capsys, "excite", "ur10e", "--static", 8, *option, "--out", tmp_path / "motion.csv")
+    for option in (
+        ("--focus", "m3"),
+        ("--power", 50),
+        ("--perturbed", 2),
+        ("--criterion", "a"),
+        ("--parametrisation", "bspline"),
+    ):
+        status, _, err = call(
+            capsys, "excite", "ur10e", "--static", 8, *option, "--out", tmp_path / "motion.csv"
+        )
         assert status == 2
         assert f"these options are for motions; leave out {option[0]}" in err
 
@@ -145,33 +207,60 @@ def test_options_that_would_do_nothing_are_refused(capsys, tmp_path: Path) -> No
         (("--given", tmp_path / "result.json", "--drive", "viscous"), "--drive"),
         (("--static", 8, "--drive", "viscous"), "--drive"),
     ):
-        status, out, err = call(capsys, "excite", "ur10e", *options, "--out", tmp_path / "motion.csv")
+        status, out, err = call(
+            capsys, "excite", "ur10e", *options, "--out", tmp_path / "motion.csv"
+        )
         assert (status, out) == (2, "")
         assert f"leave out {idle}" in err
     assert not list(tmp_path.iterdir())
 
 
-def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(capsys, tmp_path: Path) -> None:
+def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
+    capsys, tmp_path: Path
+) -> None:
     """Of the recorded torque, a column times its standard error, both RMS along the motion that was written."""
     file = tmp_path / "motion.csv"
-    status, out, err = call(capsys, "excite", "ur10e", "--duration", 8, "--time-limit", 1, "--rate", 500, "--out", file, "--json")
+    status, out, err = call(
+        capsys,
+        "excite",
+        "ur10e",
+        "--duration",
+        8,
+        "--time-limit",
+        1,
+        "--rate",
+        500,
+        "--out",
+        file,
+        "--json",
+    )
     assert status == 0, err
     model, document = load_robot("ur10e"), json.loads(out)
     drive = DriveSet.parse(document["drive"])
     state = read_motion(file, model).at(np.arange(0.0, 8.0, 0.002))
-    matrix = observation_matrix(model, *state, drive=drive, columns=find_base_parameters(model, drive).columns)
+    matrix = observation_matrix(
+        model, *state, drive=drive, columns=find_base_parameters(model, drive).columns
+    )
     size = np.sqrt((inverse_dynamics(model, *state) ** 2).sum(axis=1).mean())
-    found = [parameter["std_error"] * np.linalg.norm(column) for parameter, column in zip(document["parameters"], matrix.T, strict=True)]
+    found = [
+        parameter["std_error"] * np.linalg.norm(column)
+        for parameter, column in zip(document["parameters"], matrix.T, strict=True)
+    ]
     stated = [parameter["torque_effect"] for parameter in document["parameters"]]
     assert stated == pytest.approx(np.array(found) / np.sqrt(len(state[0])) / size, rel=0.01)
-    assert "of the torque" in call(capsys, "excite", "ur10e", "--duration", 8, "--time-limit", 1, "--out", file)[1]
+    assert (
+        "of the torque"
+        in call(capsys, "excite", "ur10e", "--duration", 8, "--time-limit", 1, "--out", file)[1]
+    )
 
 
 def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path: Path) -> None:
     file, base = tmp_path / "motion.csv", ("excite", "ur10e", "--duration", 8, "--time-limit", 1)
     status, out, err = call(capsys, *base, "--out", file, "--json")
     assert status == 0, err
-    (note,) = [note for note in json.loads(out)["notes"] if note.startswith("NOT CHECKED FOR COLLISIONS")]
+    (note,) = [
+        note for note in json.loads(out)["notes"] if note.startswith("NOT CHECKED FOR COLLISIONS")
+    ]
     model = load_robot("ur10e")
     motion = read_motion(file, model)
     (guard,) = watched(model, collision="skeleton")
@@ -179,5 +268,8 @@ def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path:
     stated = int(note.split()[-2 if distance < 0 else -5])
     assert ("runs into itself" in note) == (distance < 0)
     assert stated == pytest.approx(1000 * abs(distance), abs=3)
-    assert "NOT CHECKED FOR COLLISIONS" in call(capsys, "excite", "ur10e", "--static", 6, "--out", file)[1]
+    assert (
+        "NOT CHECKED FOR COLLISIONS"
+        in call(capsys, "excite", "ur10e", "--static", 6, "--out", file)[1]
+    )
     assert "NOT CHECKED" not in call(capsys, *base, "--collision", "skeleton", "--out", file)[1]

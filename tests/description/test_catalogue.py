@@ -12,7 +12,14 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics, mass_matrix
 from asbuilt.errors import DescriptionError
 
-EXPECTED = {"franka-panda": 7, "kuka-iiwa7-r800": 7, "puma-560": 6, "scara": 4, "two-link": 2, "ur10e": 6}
+EXPECTED = {
+    "franka-panda": 7,
+    "kuka-iiwa7-r800": 7,
+    "puma-560": 6,
+    "scara": 4,
+    "two-link": 2,
+    "ur10e": 6,
+}
 INCONSISTENT = {"puma-560": ("link 1: mass is 0 kg; it must be positive",)}
 
 
@@ -46,7 +53,16 @@ def test_every_mass_matrix_is_positive_definite(name):
 def test_the_iiwa_is_table_1_with_the_last_twist_corrected(shared):
     bundled, table = load_robot("kuka-iiwa7-r800"), load_robot(shared / "paper" / "table1.csv")
     assert np.array_equal(bundled.parameters, table.parameters)
-    assert dict(bundled.lengths) == dict(table.lengths) == {"b1": 0.34, "b3": 0.4, "b5": 0.4, "b7": 0.126}
+    assert (
+        dict(bundled.lengths)
+        == dict(table.lengths)
+        == {
+            "b1": 0.34,
+            "b3": 0.4,
+            "b5": 0.4,
+            "b7": 0.126,
+        }
+    )
     for ours, theirs in zip(bundled.joints[:6], table.joints[:6], strict=True):
         assert np.array_equal(ours.after, theirs.after)
     assert np.array_equal(bundled.joints[6].after[:3, :3], np.eye(3))
@@ -56,7 +72,9 @@ def test_the_iiwa_is_table_1_with_the_last_twist_corrected(shared):
         for row, link in zip(csv.DictReader(stream), table.links, strict=True):
             numbers = {key: float(value) for key, value in row.items()}
             assert link.inertia.mass == numbers["m"]
-            assert np.allclose(link.inertia.com, [numbers["rx"], numbers["ry"], numbers["rz"]], rtol=1e-14)
+            assert np.allclose(
+                link.inertia.com, [numbers["rx"], numbers["ry"], numbers["rz"]], rtol=1e-14
+            )
             c = [
                 [numbers["Ixx"], numbers["Ixy"], numbers["Izx"]],
                 [numbers["Ixy"], numbers["Iyy"], numbers["Iyz"]],
@@ -66,7 +84,10 @@ def test_the_iiwa_is_table_1_with_the_last_twist_corrected(shared):
 
 
 def test_the_smallest_pseudo_inertia_of_table_1_is_as_published():
-    smallest = min(np.linalg.eigvalsh(link.inertia.pseudo_inertia).min() for link in load_robot("kuka-iiwa7-r800").links)
+    smallest = min(
+        np.linalg.eigvalsh(link.inertia.pseudo_inertia).min()
+        for link in load_robot("kuka-iiwa7-r800").links
+    )
     assert f"{smallest:.1e}" == "8.4e-04"
 
 
@@ -74,7 +95,10 @@ def test_the_ur10e_needs_the_torques_of_the_manufacturers_urdf(shared):
     ours, theirs = load_robot("ur10e"), load_robot(shared / "models" / "ur10e.urdf")
     assert ours.joint_names == theirs.joint_names
     q, qd, qdd = np.random.default_rng(0).uniform(-2, 2, (3, 50, 6))
-    assert np.abs(inverse_dynamics(ours, q, qd, qdd) - inverse_dynamics(theirs, q, qd, qdd)).max() < 2e-9
+    assert (
+        np.abs(inverse_dynamics(ours, q, qd, qdd) - inverse_dynamics(theirs, q, qd, qdd)).max()
+        < 2e-9
+    )
     for a, b in zip(ours.joints, theirs.joints, strict=True):
         assert np.isclose(a.limits.velocity, b.limits.velocity)
         assert a.limits.torque == b.limits.torque
@@ -139,11 +163,15 @@ def test_unknown_bundled_name():
 
 
 def test_files_are_told_apart_by_content(tmp_path):
-    urdf = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="prismatic"><parent link="a"/><child link="b"/></joint></robot>'
+    urdf = (
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="prismatic"><parent'
+        ' link="a"/><child link="b"/></joint></robot>'
+    )
     (tmp_path / "robot.xml").write_text(urdf)
     assert load_robot(tmp_path / "robot.xml").joints[0].kind == "prismatic"
     (tmp_path / "gazebo.urdf").write_text(
-        "<?xml version='1.0'?><!-- <mujoco/> -->" + urdf.replace("</robot>", "<mujoco><compiler/></mujoco></robot>")
+        "<?xml version='1.0'?><!-- <mujoco/> -->"
+        + urdf.replace("</robot>", "<mujoco><compiler/></mujoco></robot>")
     )
     assert load_robot(tmp_path / "gazebo.urdf").n_joints == 1
     (tmp_path / "notes.xml").write_text("just text")
@@ -156,5 +184,9 @@ def test_files_are_told_apart_by_content(tmp_path):
 def test_zero_inertia_links_are_reported_only_if_given():
     model = load_robot("two-link")
     assert inconsistencies(
-        model.with_parameters(np.concatenate([LinkInertia.from_com(1, [0, 0, 0], np.diag([1, 1, 3])).parameters, np.zeros(10)]))
+        model.with_parameters(
+            np.concatenate(
+                [LinkInertia.from_com(1, [0, 0, 0], np.diag([1, 1, 3])).parameters, np.zeros(10)]
+            )
+        )
     ) == ("link 1: Ixx + Iyy < Izz by 1 kg m^2 (about the centre of mass)",)

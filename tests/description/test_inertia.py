@@ -14,9 +14,10 @@ from asbuilt.errors import InertiaError
 
 coordinates = st.floats(-2.0, 2.0)
 logarithms = st.lists(st.floats(-1.5, 1.5), min_size=10, max_size=10)
-placements = st.tuples(st.lists(coordinates, min_size=3, max_size=3), st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3)).map(
-    lambda given: placement(Rotation.from_rotvec(given[1]).as_matrix(), given[0])
-)
+placements = st.tuples(
+    st.lists(coordinates, min_size=3, max_size=3),
+    st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3),
+).map(lambda given: placement(Rotation.from_rotvec(given[1]).as_matrix(), given[0]))
 
 
 def cloud(rng: np.random.Generator, n: int = 30) -> tuple[np.ndarray, np.ndarray]:
@@ -25,7 +26,9 @@ def cloud(rng: np.random.Generator, n: int = 30) -> tuple[np.ndarray, np.ndarray
 
 def inertia_of(masses: np.ndarray, points: np.ndarray) -> LinkInertia:
     squared = np.einsum("n,ni,nj->ij", masses, points, points)
-    return LinkInertia.from_origin(masses.sum(), masses @ points, np.trace(squared) * np.eye(3) - squared)
+    return LinkInertia.from_origin(
+        masses.sum(), masses @ points, np.trace(squared) * np.eye(3) - squared
+    )
 
 
 @given(logarithms)
@@ -80,15 +83,21 @@ def test_two_bodies_add_and_part():
     together = inertia_of(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
     total = inertia_of(*first) + inertia_of(*second)
     assert np.allclose(total.parameters, together.parameters, atol=1e-12)
-    assert np.allclose((total - inertia_of(*second)).parameters, inertia_of(*first).parameters, atol=1e-12)
+    assert np.allclose(
+        (total - inertia_of(*second)).parameters, inertia_of(*first).parameters, atol=1e-12
+    )
 
 
 def test_log_cholesky_factor_is_upper_triangular_and_its_own_oracle():
     link = inertia_of(*cloud(np.random.default_rng(9)))
     alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = link.log_cholesky
-    U = np.exp(alpha) * np.array([[np.exp(d1), s12, s13, t1], [0, np.exp(d2), s23, t2], [0, 0, np.exp(d3), t3], [0, 0, 0, 1]])
+    U = np.exp(alpha) * np.array(
+        [[np.exp(d1), s12, s13, t1], [0, np.exp(d2), s23, t2], [0, 0, np.exp(d3), t3], [0, 0, 0, 1]]
+    )
     assert np.allclose(U @ U.T, link.pseudo_inertia)
-    assert np.allclose(np.linalg.inv(U.T), cholesky(np.linalg.inv(link.pseudo_inertia), lower=True), atol=1e-9)
+    assert np.allclose(
+        np.linalg.inv(U.T), cholesky(np.linalg.inv(link.pseudo_inertia), lower=True), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -97,7 +106,10 @@ def test_log_cholesky_factor_is_upper_triangular_and_its_own_oracle():
         (np.diag([0.01, 0.02, 0.0309]), "Ixx + Iyy < Izz by 0.0009 kg m^2"),
         (np.diag([0.0309, 0.02, 0.01]), "Iyy + Izz < Ixx by 0.0009 kg m^2"),
         (np.diag([-0.01, 0.02, 0.02]), "Ixx about the centre of mass is -0.01 kg m^2"),
-        ([[0.02, 0.015, 0], [0.015, 0.02, 0], [0, 0, 0.02]], "the largest exceeds the sum of the others by 0.01"),
+        (
+            [[0.02, 0.015, 0], [0.015, 0.02, 0], [0, 0, 0.02]],
+            "the largest exceeds the sum of the others by 0.01",
+        ),
     ],
 )
 def test_an_impossible_tensor_is_refused_with_a_reason(tensor, reason):
@@ -110,8 +122,12 @@ def test_an_impossible_tensor_is_refused_with_a_reason(tensor, reason):
 
 
 def test_masses_must_be_positive_but_nothing_is_nothing():
-    assert "mass is -1 kg" in (LinkInertia.from_com(-1.0, np.zeros(3), np.eye(3)).inconsistency() or "")
-    assert "mass is 0 kg" in (LinkInertia.from_com(0.0, np.zeros(3), np.eye(3)).inconsistency() or "")
+    assert "mass is -1 kg" in (
+        LinkInertia.from_com(-1.0, np.zeros(3), np.eye(3)).inconsistency() or ""
+    )
+    assert "mass is 0 kg" in (
+        LinkInertia.from_com(0.0, np.zeros(3), np.eye(3)).inconsistency() or ""
+    )
     assert LinkInertia.zero().is_consistent
 
 

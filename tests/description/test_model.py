@@ -45,7 +45,10 @@ def test_a_pedestal_that_is_no_placement_is_refused():
 
 
 def test_the_kind_of_a_joint_must_exist():
-    with pytest.raises(DescriptionError, match="joint 'elbow' is 'fixed'; known kinds: revolute, continuous, prismatic"):
+    with pytest.raises(
+        DescriptionError,
+        match="joint 'elbow' is 'fixed'; known kinds: revolute, continuous, prismatic",
+    ):
         Joint("elbow", "fixed", ROOT, np.eye(4), np.eye(4))
 
 
@@ -67,12 +70,17 @@ def test_limits_leave_something(limits, message):
 def test_frames_hang_on_links_that_exist():
     model = load_robot("two-link")
     frames = (Frame("tool", 2, np.eye(4)),)
-    with pytest.raises(DescriptionError, match="frame 'tool' is fixed to link index 2; the links are 0 to 1, and -1 for the root"):
+    with pytest.raises(
+        DescriptionError,
+        match="frame 'tool' is fixed to link index 2; the links are 0 to 1, and -1 for the root",
+    ):
         replace(model, frames=frames)
 
 
 def test_limits_are_given_one_per_joint():
-    with pytest.raises(DescriptionError, match="two-link has 2 joints, got 1 limits; give one per joint"):
+    with pytest.raises(
+        DescriptionError, match="two-link has 2 joints, got 1 limits; give one per joint"
+    ):
         load_robot("two-link").with_limits([JointLimits()])
 
 
@@ -88,7 +96,10 @@ def test_matrices_of_the_caller_stay_his_own():
         model.joints[0].before[0, 3] = 1.0
 
 
-@pytest.mark.parametrize("vector", [(0.0, 0.0, -9.81), (0.0, 0.0, 0.0), (0.0, 9.81, 0.0), (3.0, -4.0, 7.0), (1e-3, 0.0, 5.0)])
+@pytest.mark.parametrize(
+    "vector",
+    [(0.0, 0.0, -9.81), (0.0, 0.0, 0.0), (0.0, 9.81, 0.0), (3.0, -4.0, 7.0), (1e-3, 0.0, 5.0)],
+)
 def test_axes_across_a_vector(vector):
     axes = axes_across(vector)
     assert np.allclose(axes @ axes.T, np.eye(2), atol=1e-15)

@@ -49,9 +49,14 @@ def test_entries_at_the_border_are_snapped():
 @given(angles, angles, angles)
 @settings(max_examples=60, deadline=None)
 def test_rpy_agrees_with_scipy(roll, pitch, yaw):
-    R, truth = rotation_from_rpy([roll, pitch, yaw]), Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+    R, truth = (
+        rotation_from_rpy([roll, pitch, yaw]),
+        Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix(),
+    )
     from_whole = np.abs(truth - np.rint(truth))
-    assume(not np.any(np.abs(from_whole - 1e-12) < 1e-15))  # scipy's rounding decides whether what is snapped is off by more than 1e-12
+    assume(
+        not np.any(np.abs(from_whole - 1e-12) < 1e-15)
+    )  # scipy's rounding decides whether what is snapped is off by more than 1e-12
     assert np.allclose(R, truth, atol=1e-12)
     assert np.allclose(rotation_from_rpy(rpy_from_rotation(R)), R, atol=1e-9)
 
@@ -60,7 +65,9 @@ def test_rpy_agrees_with_scipy(roll, pitch, yaw):
 @settings(max_examples=60, deadline=None)
 def test_quaternion_agrees_with_scipy(wxyz):
     w, x, y, z = wxyz
-    assert np.allclose(rotation_from_quaternion(wxyz), Rotation.from_quat([x, y, z, w]).as_matrix(), atol=1e-12)
+    assert np.allclose(
+        rotation_from_quaternion(wxyz), Rotation.from_quat([x, y, z, w]).as_matrix(), atol=1e-12
+    )
 
 
 @given(st.tuples(angles, angles, angles).filter(lambda a: np.linalg.norm(a) > 1e-3))
@@ -85,4 +92,6 @@ def test_composition_stays_exact_and_inverts():
     T = composed(*[quarter] * 4)
     assert np.array_equal(T[:3, :3], np.eye(3))
     assert np.allclose(inverted(quarter) @ quarter, np.eye(4), atol=1e-15)
-    assert np.array_equal(snapped([[6e-17, 1 - 1e-16], [-1 + 1e-15, 0.5]]), [[0.0, 1.0], [-1.0, 0.5]])
+    assert np.array_equal(
+        snapped([[6e-17, 1 - 1e-16], [-1 + 1e-15, 0.5]]), [[0.0, 1.0], [-1.0, 0.5]]
+    )

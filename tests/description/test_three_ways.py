@@ -30,20 +30,41 @@ def rows_of(model: RobotModel, *, parents: list[int] | None = None) -> list[DHRo
         theta = np.arctan2(joint.before[1, 0], joint.before[0, 0])
         a, b = (model.lengths.get(f"{letter}{i + 1}", 0.0) for letter in "ab")
         parent = joint.parent if parents is None else parents[i]
-        rows.append(DHRow(a=a, b=b, alpha=float(alpha), theta=float(theta), kind=joint.kind, inertia=link.inertia, parent=parent))
+        rows.append(
+            DHRow(
+                a=a,
+                b=b,
+                alpha=float(alpha),
+                theta=float(theta),
+                kind=joint.kind,
+                inertia=link.inertia,
+                parent=parent,
+            )
+        )
     return rows
 
 
 def two_armed() -> list[DHRow]:
     rng = np.random.default_rng(11)
     parents = [ROOT, 0, 1, 2, 0, 4, 5, 6]
-    kinds = ["revolute", "revolute", "prismatic", "revolute", "revolute", "revolute", "continuous", "prismatic"]
+    kinds = [
+        "revolute",
+        "revolute",
+        "prismatic",
+        "revolute",
+        "revolute",
+        "revolute",
+        "continuous",
+        "prismatic",
+    ]
     rows = []
     for parent, kind in zip(parents, kinds, strict=True):
         a, b, theta = rng.uniform(-0.5, 0.5, 3)
         alpha = rng.choice([np.pi / 2, -np.pi / 2, 0.0, 0.3])
         inertia = LinkInertia.from_log_cholesky(rng.uniform(-1, 1, 10))
-        rows.append(DHRow(a=a, b=b, alpha=alpha, theta=theta, kind=kind, inertia=inertia, parent=parent))
+        rows.append(
+            DHRow(a=a, b=b, alpha=alpha, theta=theta, kind=kind, inertia=inertia, parent=parent)
+        )
     return rows
 
 
@@ -60,9 +81,12 @@ def modified_toml(rows: list[DHRow]) -> str:
         parent = f"link_{row.parent + 1}" if row.parent != ROOT else "root"
         text += (
             f'[[links]]\nname = "link_{i + 1}"\nparent = "{parent}"\nkind = "{row.kind}"\n'
-            f"dh = {{ a = {float(before.a)!r}, alpha = {float(before.alpha)!r}, d = {float(row.b)!r}, theta = {float(row.theta)!r} }}\n"
+            f"dh = {{ a = {float(before.a)!r}, alpha = {float(before.alpha)!r}, d ="
+            f" {float(row.b)!r}, theta = {float(row.theta)!r} }}\n"
             f"mass = {float(chi[9])!r}\nfirst_moment = {[float(x) for x in chi[6:9]]}\n"
-            f"inertia_about_origin = {{ {', '.join(f'{n} = {float(x)!r}' for n, x in zip(('Ixx', 'Ixy', 'Ixz', 'Iyy', 'Iyz', 'Izz'), chi, strict=False))} }}\n"
+            "inertia_about_origin = {"
+            f" {', '.join(f'{n} = {float(x)!r}' for n, x in zip(('Ixx', 'Ixy', 'Ixz', 'Iyy', 'Iyz', 'Izz'), chi, strict=False))}"
+            " }\n"
         )
     return text
 
@@ -78,13 +102,17 @@ def urdf_text(rows: list[DHRow], turned: bool) -> str:
         inertia = row.inertia.moved(C[i].T @ A[i])
         I = inertia.inertia_about_com
         parent = "base" if row.parent == ROOT else f"link_{row.parent + 1}"
-        tensor = " ".join(f'i{a}{b}="{float(I["xyz".index(a), "xyz".index(b)])!r}"' for a, b in ("xx", "xy", "xz", "yy", "yz", "zz"))
+        tensor = " ".join(
+            f'i{a}{b}="{float(I["xyz".index(a), "xyz".index(b)])!r}"'
+            for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
+        )
         text += (
-            f'<link name="link_{i + 1}"><inertial><origin xyz="{numbers(inertia.com)}"/><mass value="{inertia.mass!r}"/>'
-            f"<inertia {tensor}/></inertial></link>"
-            f'<joint name="joint_{i + 1}" type="{row.kind}"><parent link="{parent}"/><child link="link_{i + 1}"/>'
-            f'<origin xyz="{numbers(origin[:3, 3])}" rpy="{numbers(rpy_from_rotation(origin[:3, :3]))}"/>'
-            f'<axis xyz="{numbers(C[i][2, :3])}"/></joint>'
+            f'<link name="link_{i + 1}"><inertial><origin xyz="{numbers(inertia.com)}"/><mass'
+            f' value="{inertia.mass!r}"/><inertia {tensor}/></inertial></link><joint'
+            f' name="joint_{i + 1}" type="{row.kind}"><parent link="{parent}"/><child'
+            f' link="link_{i + 1}"/><origin xyz="{numbers(origin[:3, 3])}"'
+            f' rpy="{numbers(rpy_from_rotation(origin[:3, :3]))}"/><axis'
+            f' xyz="{numbers(C[i][2, :3])}"/></joint>'
         )
     return text + "</robot>"
 
@@ -96,7 +124,11 @@ def numbers(values) -> str:
 def poses(model: RobotModel, q: np.ndarray) -> list[np.ndarray]:
     result: list[np.ndarray] = []
     for joint, angle in zip(model.joints, q, strict=True):
-        motion = placement(rotation_z(angle)) if joint.is_revolute else placement(translation=(0, 0, angle))
+        motion = (
+            placement(rotation_z(angle))
+            if joint.is_revolute
+            else placement(translation=(0, 0, angle))
+        )
         above = np.eye(4) if joint.parent == ROOT else result[joint.parent]
         result.append(above @ joint.before @ motion @ joint.after)
     return result
@@ -117,7 +149,11 @@ def test_three_descriptions_need_the_same_torques(rows):
     q, qd, qdd = rng.uniform(-2, 2, (3, 50, n))
     expected = inverse_dynamics(standard, q, qd, qdd)
     scale = np.abs(expected).max()
-    for other in (robot_from_toml(modified_toml(rows)), read_urdf(urdf_text(rows, turned=False)), read_urdf(urdf_text(rows, turned=True))):
+    for other in (
+        robot_from_toml(modified_toml(rows)),
+        read_urdf(urdf_text(rows, turned=False)),
+        read_urdf(urdf_text(rows, turned=True)),
+    ):
         assert np.abs(inverse_dynamics(other, q, qd, qdd) - expected).max() <= 1e-12 * scale
 
 
@@ -128,7 +164,9 @@ def test_three_descriptions_put_the_links_in_the_same_places(rows):
     untouched = poses(read_urdf(urdf_text(rows, turned=False)), q)
     for row, T, M, U in zip(rows, standard, modified, untouched, strict=True):
         assert np.allclose(M @ distal(row), T, atol=1e-13)
-        assert np.allclose(U @ placement(rotation_z(row.theta), (0, 0, row.b)) @ distal(row), T, atol=1e-13)
+        assert np.allclose(
+            U @ placement(rotation_z(row.theta), (0, 0, row.b)) @ distal(row), T, atol=1e-13
+        )
 
 
 def test_bundled_dh_robots_survive_being_taken_apart():

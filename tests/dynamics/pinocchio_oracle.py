@@ -21,7 +21,10 @@ def pinocchio_model(model: RobotModel) -> pin.Model:
         if joint.parent == ROOT:
             parent, placement = 0, before
         else:
-            parent, placement = joint.parent + 1, pin.SE3(np.array(model.joints[joint.parent].after)) * before
+            parent, placement = (
+                joint.parent + 1,
+                pin.SE3(np.array(model.joints[joint.parent].after)) * before,
+            )
         kind = pin.JointModelRZ() if joint.is_revolute else pin.JointModelPZ()
         number = built.addJoint(parent, kind, placement, joint.name)
         assert number == i + 1
@@ -40,7 +43,9 @@ def placement(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
     """Draw a rotation uniformly."""
     x, y, z, w = (v / 1.0 for v in rng.normal(size=4))
-    return pin.Quaternion(np.array([x, y, z, w]) / np.sqrt(x * x + y * y + z * z + w * w)).toRotationMatrix()
+    return pin.Quaternion(
+        np.array([x, y, z, w]) / np.sqrt(x * x + y * y + z * z + w * w)
+    ).toRotationMatrix()
 
 
 def rotation_about_x(angle: float) -> np.ndarray:
@@ -51,11 +56,15 @@ def rotation_about_x(angle: float) -> np.ndarray:
 def random_inertia(rng: np.random.Generator) -> LinkInertia:
     """Draw a rigid body made of point masses, hence physically consistent."""
     masses, points = rng.uniform(0.1, 1.0, 6), rng.normal(scale=0.2, size=(6, 3))
-    tensor = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, points, strict=True))
+    tensor = sum(
+        m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, points, strict=True)
+    )
     return LinkInertia.from_origin(float(masses.sum()), masses @ points, tensor)
 
 
-def random_robot(rng: np.random.Generator, n_joints: int, *, chain: bool = False, style: str = "general") -> RobotModel:
+def random_robot(
+    rng: np.random.Generator, n_joints: int, *, chain: bool = False, style: str = "general"
+) -> RobotModel:
     """Draw a tree (or chain) of revolute and prismatic joints under gravity of any direction.
 
     `style` is "general" (any placement on both sides), "distal" (placements after the joint, turned about x) or "proximal" (before it).
@@ -65,13 +74,25 @@ def random_robot(rng: np.random.Generator, n_joints: int, *, chain: bool = False
         parent = i - 1 if chain else int(rng.integers(ROOT, i))
         sides = {"general": (True, True), "distal": (False, True), "proximal": (True, False)}[style]
         turns = [
-            random_rotation(rng) if style == "general" else rotation_about_x(rng.choice([0.0, np.pi / 2, rng.uniform(-3, 3)]))
+            (
+                random_rotation(rng)
+                if style == "general"
+                else rotation_about_x(rng.choice([0.0, np.pi / 2, rng.uniform(-3, 3)]))
+            )
             for _ in sides
         ]
         before, after = (
-            placement(turn, rng.normal(scale=0.5, size=3)) if used else np.eye(4) for used, turn in zip(sides, turns, strict=True)
+            placement(turn, rng.normal(scale=0.5, size=3)) if used else np.eye(4)
+            for used, turn in zip(sides, turns, strict=True)
         )
         kind = "revolute" if rng.uniform() < 0.7 else "prismatic"
-        joints.append(Joint(name=f"joint{i + 1}", kind=kind, parent=parent, before=before, after=after))
+        joints.append(
+            Joint(name=f"joint{i + 1}", kind=kind, parent=parent, before=before, after=after)
+        )
         links.append(Link(name=f"link{i + 1}", inertia=random_inertia(rng)))
-    return RobotModel(name="random", joints=tuple(joints), links=tuple(links), gravity=rng.normal(scale=7.0, size=3))
+    return RobotModel(
+        name="random",
+        joints=tuple(joints),
+        links=tuple(links),
+        gravity=rng.normal(scale=7.0, size=3),
+    )

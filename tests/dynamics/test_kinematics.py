@@ -23,9 +23,15 @@ def test_link_poses_and_jacobians_are_those_of_pinocchio(seed):
         pin.computeJointJacobians(peer, data, q[s])
         for i, joint in enumerate(model.joints):
             after = pin.SE3(np.array(joint.after))
-            np.testing.assert_allclose(poses[s, i], (data.oMi[i + 1] * after).homogeneous, atol=1e-12)
-            body = after.toActionMatrixInverse() @ pin.getJointJacobian(peer, data, i + 1, pin.ReferenceFrame.LOCAL)
-            np.testing.assert_allclose(jacobians[s, i], np.concatenate([body[3:], body[:3]]), atol=1e-12)
+            np.testing.assert_allclose(
+                poses[s, i], (data.oMi[i + 1] * after).homogeneous, atol=1e-12
+            )
+            body = after.toActionMatrixInverse() @ pin.getJointJacobian(
+                peer, data, i + 1, pin.ReferenceFrame.LOCAL
+            )
+            np.testing.assert_allclose(
+                jacobians[s, i], np.concatenate([body[3:], body[:3]]), atol=1e-12
+            )
 
 
 def test_one_sample_has_no_sample_axis():

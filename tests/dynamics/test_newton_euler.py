@@ -27,7 +27,9 @@ from asbuilt.errors import InertiaError, UsageError
 CASES = [(style, n) for style in ("general", "distal", "proximal") for n in (1, 2, 7, 12)]
 
 
-def drawn(seed: int, n: int, style: str = "general", samples: int = 9) -> tuple[RobotModel, np.ndarray, np.ndarray, np.ndarray]:
+def drawn(
+    seed: int, n: int, style: str = "general", samples: int = 9
+) -> tuple[RobotModel, np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     q, qd, qdd = rng.normal(scale=2.0, size=(3, samples, n))
     return random_robot(rng, n, style=style), q, qd, qdd
@@ -35,7 +37,9 @@ def drawn(seed: int, n: int, style: str = "general", samples: int = 9) -> tuple[
 
 def assert_close(found: np.ndarray, expected: np.ndarray) -> None:
     assert found.shape == np.shape(expected)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * max(1.0, float(np.abs(expected).max())))
+    np.testing.assert_allclose(
+        found, expected, rtol=0, atol=1e-12 * max(1.0, float(np.abs(expected).max()))
+    )
 
 
 @pytest.mark.parametrize(("style", "n"), CASES)
@@ -43,8 +47,14 @@ def test_inverse_dynamics_is_that_of_pinocchio(style, n):
     model, q, qd, qdd = drawn(n, n, style)
     peer = pinocchio_model(model)
     data = peer.createData()
-    assert_close(inverse_dynamics(model, q, qd, qdd), np.array([pin.rnea(peer, data, *state) for state in zip(q, qd, qdd, strict=True)]))
-    assert_close(gravity_torque(model, q), np.array([pin.computeGeneralizedGravity(peer, data, sample) for sample in q]))
+    assert_close(
+        inverse_dynamics(model, q, qd, qdd),
+        np.array([pin.rnea(peer, data, *state) for state in zip(q, qd, qdd, strict=True)]),
+    )
+    assert_close(
+        gravity_torque(model, q),
+        np.array([pin.computeGeneralizedGravity(peer, data, sample) for sample in q]),
+    )
 
 
 @pytest.mark.parametrize(("style", "n"), CASES)
@@ -52,7 +62,9 @@ def test_mass_matrix_is_the_torque_of_unit_accelerations_in_pinocchio(style, n):
     model, q, _, _ = drawn(n, n, style)
     weightless = pinocchio_model(model.with_gravity(np.zeros(3)))
     data, rest = weightless.createData(), np.zeros(n)
-    columns = [[pin.rnea(weightless, data, sample, rest, unit) for unit in np.eye(n)] for sample in q]
+    columns = [
+        [pin.rnea(weightless, data, sample, rest, unit) for unit in np.eye(n)] for sample in q
+    ]
     masses = mass_matrix(model, q)
     assert_close(masses, np.array(columns))
     np.testing.assert_array_equal(masses, np.swapaxes(masses, 1, 2))
@@ -70,7 +82,10 @@ def test_mass_matrix_of_a_chain_is_that_of_composite_bodies():
 def test_torque_is_the_sum_of_its_parts(seed):
     model, q, qd, qdd = drawn(seed, 6)
     inertial = np.einsum("sij,sj->si", mass_matrix(model, q), qdd)
-    assert_close(inertial + coriolis_torque(model, q, qd) + gravity_torque(model, q), inverse_dynamics(model, q, qd, qdd))
+    assert_close(
+        inertial + coriolis_torque(model, q, qd) + gravity_torque(model, q),
+        inverse_dynamics(model, q, qd, qdd),
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -79,7 +94,9 @@ def test_coriolis_matrix_gives_the_torque_and_is_half_the_mass_rate_but_for_a_sk
     factor, step = coriolis_matrix(model, q, qd), 1e-5
     assert_close(np.einsum("sij,sj->si", factor, qd), coriolis_torque(model, q, qd))
     mass_rate = (mass_matrix(model, q + step * qd) - mass_matrix(model, q - step * qd)) / (2 * step)
-    np.testing.assert_allclose(factor + np.swapaxes(factor, 1, 2), mass_rate, rtol=0, atol=1e-7 * np.abs(mass_rate).max())
+    np.testing.assert_allclose(
+        factor + np.swapaxes(factor, 1, 2), mass_rate, rtol=0, atol=1e-7 * np.abs(mass_rate).max()
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -89,7 +106,9 @@ def test_forward_dynamics_undoes_inverse_dynamics(seed):
     np.testing.assert_allclose(found, qdd, rtol=0, atol=1e-10)
     peer = pinocchio_model(model)
     np.testing.assert_allclose(
-        forward_dynamics(model, q[0], qd[0], qdd[0]), pin.aba(peer, peer.createData(), q[0], qd[0], qdd[0]), rtol=1e-9
+        forward_dynamics(model, q[0], qd[0], qdd[0]),
+        pin.aba(peer, peer.createData(), q[0], qd[0], qdd[0]),
+        rtol=1e-9,
     )
 
 
@@ -98,9 +117,15 @@ def test_energies_are_those_of_pinocchio():
     peer = pinocchio_model(model)
     data = peer.createData()
     assert_close(
-        kinetic_energy(model, q, qd), np.array([pin.computeKineticEnergy(peer, data, *state) for state in zip(q, qd, strict=True)])
+        kinetic_energy(model, q, qd),
+        np.array(
+            [pin.computeKineticEnergy(peer, data, *state) for state in zip(q, qd, strict=True)]
+        ),
     )
-    assert_close(potential_energy(model, q), np.array([pin.computePotentialEnergy(peer, data, sample) for sample in q]))
+    assert_close(
+        potential_energy(model, q),
+        np.array([pin.computePotentialEnergy(peer, data, sample) for sample in q]),
+    )
     assert kinetic_energy(model, q[0], qd[0]).shape == ()
 
 
@@ -111,7 +136,11 @@ def test_power_of_the_drives_is_the_rate_of_energy(seed):
 
     def moving(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         angle = t[:, None] * 2 + phase
-        return amplitude * np.sin(angle), 2 * amplitude * np.cos(angle), -4 * amplitude * np.sin(angle)
+        return (
+            amplitude * np.sin(angle),
+            2 * amplitude * np.cos(angle),
+            -4 * amplitude * np.sin(angle),
+        )
 
     nodes, weights = np.polynomial.legendre.leggauss(48)
     t = 0.75 * (nodes + 1)
@@ -127,12 +156,16 @@ def test_a_falling_arm_keeps_its_energy():
     model = replace(model, joints=tuple(replace(joint, kind="revolute") for joint in model.joints))
 
     def rate(_t: float, state: np.ndarray) -> np.ndarray:
-        return np.concatenate([state[3:], forward_dynamics(model, state[:3], state[3:], np.zeros(3))])
+        return np.concatenate(
+            [state[3:], forward_dynamics(model, state[:3], state[3:], np.zeros(3))]
+        )
 
     path = solve_ivp(rate, (0.0, 0.5), np.zeros(6), rtol=1e-10, atol=1e-11).y.T
     energy = kinetic_energy(model, path[:, :3], path[:, 3:]) + potential_energy(model, path[:, :3])
     assert np.abs(path[-1]).max() > 0.1
-    np.testing.assert_allclose(energy, energy[0], rtol=0, atol=1e-7 * kinetic_energy(model, path[:, :3], path[:, 3:]).max())
+    np.testing.assert_allclose(
+        energy, energy[0], rtol=0, atol=1e-7 * kinetic_energy(model, path[:, :3], path[:, 3:]).max()
+    )
 
 
 @pytest.mark.parametrize("samples", [0, 1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK])
@@ -149,19 +182,27 @@ def test_every_number_of_samples_gives_what_one_gives(samples):
 @pytest.mark.parametrize("threads", [2, 3, 64, None])
 def test_threads_do_not_change_a_bit(threads):
     model, q, qd, qdd = drawn(2, 4, samples=20011)
-    np.testing.assert_array_equal(inverse_dynamics(model, q, qd, qdd, threads=threads), inverse_dynamics(model, q, qd, qdd, threads=1))
+    np.testing.assert_array_equal(
+        inverse_dynamics(model, q, qd, qdd, threads=threads),
+        inverse_dynamics(model, q, qd, qdd, threads=1),
+    )
 
 
 def test_layout_of_the_arrays_in_memory_does_not_matter():
     model, q, qd, qdd = drawn(2, 4)
     expected = inverse_dynamics(model, q, qd, qdd)
     q.setflags(write=False)
-    np.testing.assert_array_equal(inverse_dynamics(model, q, np.asfortranarray(qd), qdd.tolist()), expected)
+    np.testing.assert_array_equal(
+        inverse_dynamics(model, q, np.asfortranarray(qd), qdd.tolist()), expected
+    )
 
 
 def test_parameters_replace_those_of_the_model():
     model, q, qd, qdd = drawn(4, 3)
-    assert_close(inverse_dynamics(model, q, qd, qdd, parameters=2 * model.parameters), 2 * inverse_dynamics(model, q, qd, qdd))
+    assert_close(
+        inverse_dynamics(model, q, qd, qdd, parameters=2 * model.parameters),
+        2 * inverse_dynamics(model, q, qd, qdd),
+    )
     with pytest.raises(UsageError, match="30 inertial parameters, got shape"):
         inverse_dynamics(model, q, qd, qdd, parameters=np.zeros(31))
 
@@ -171,7 +212,10 @@ def test_parameters_replace_those_of_the_model():
     [
         (lambda q: q[:, :2], r"q must have shape \(3,\) or \(n_samples, 3\).*got \(9, 2\)"),
         (lambda q: q[:4], r"shapes differ: q \(4, 3\), qd \(9, 3\)"),
-        (lambda q: np.where(np.arange(27).reshape(9, 3) == 16, np.nan, q), r"q of joint 'joint2' is nan at sample 5"),
+        (
+            lambda q: np.where(np.arange(27).reshape(9, 3) == 16, np.nan, q),
+            r"q of joint 'joint2' is nan at sample 5",
+        ),
         (lambda q: q[None], r"got \(1, 9, 3\)"),
     ],
 )
@@ -196,7 +240,11 @@ def test_other_parameters_are_those_of_another_robot():
         potential_energy: (q,),
     }
     for function, state in states.items():
-        np.testing.assert_array_equal(function(model, *state, parameters=chi), function(other, *state), err_msg=function.__name__)
+        np.testing.assert_array_equal(
+            function(model, *state, parameters=chi),
+            function(other, *state),
+            err_msg=function.__name__,
+        )
         with pytest.raises(UsageError, match=r"has 40 inertial parameters, got shape \(39,\)"):
             function(model, *state, parameters=chi[:39])
 

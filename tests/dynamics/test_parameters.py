@@ -31,7 +31,10 @@ def test_units_and_values_follow_the_joints():
     model = random_robot(np.random.default_rng(0), 2)
     kinds = ("revolute", "prismatic")
     drives = (DriveValues(viscous=0.5), DriveValues(armature=1.5))
-    joints = tuple(replace(joint, kind=kind, drive=value) for joint, kind, value in zip(model.joints, kinds, drives, strict=True))
+    joints = tuple(
+        replace(joint, kind=kind, drive=value)
+        for joint, kind, value in zip(model.joints, kinds, drives, strict=True)
+    )
     model, drive = replace(model, joints=joints), DriveSet.parse("armature,viscous")
     assert parameter_units(model, drive)[5:10] == ("kg m^2", "kg m", "kg m", "kg m", "kg")
     assert parameter_units(model, drive)[20:] == ("kg m^2", "N m s/rad", "kg", "N s/m")

@@ -35,7 +35,11 @@ def close(found, expected, scale):
 def test_regressor_times_parameters_is_inverse_dynamics(style, n):
     model, q, qd, qdd = drawn(n, n, style)
     torques = inverse_dynamics(model, q, qd, qdd)
-    close((observation_matrix(model, q, qd, qdd) @ model.parameters).reshape(-1, n), torques, np.abs(torques).max())
+    close(
+        (observation_matrix(model, q, qd, qdd) @ model.parameters).reshape(-1, n),
+        torques,
+        np.abs(torques).max(),
+    )
 
 
 @pytest.mark.parametrize(("style", "n"), CASES)
@@ -49,7 +53,11 @@ def test_every_column_is_that_of_pinocchio(style, n):
         for i, joint in enumerate(model.joints):
             after = pin.SE3(np.array(joint.after))
             theirs_about_links[:, i] = theirs[:, i] @ carried(after)
-        close(regressor(model, q[s], qd[s], qdd[s]), theirs_about_links.reshape(n, -1), np.abs(theirs).max())
+        close(
+            regressor(model, q[s], qd[s], qdd[s]),
+            theirs_about_links.reshape(n, -1),
+            np.abs(theirs).max(),
+        )
 
 
 def carried(after: pin.SE3) -> np.ndarray:
@@ -62,7 +70,18 @@ def carried(after: pin.SE3) -> np.ndarray:
         cross = np.dot(p, h) * np.eye(3) - np.outer(h, p)
         tensor = tensor + cross + cross.T + m * (p @ p * np.eye(3) - np.outer(p, p))
         moved = h + m * p
-        columns.append([m, *moved, tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]])
+        columns.append(
+            [
+                m,
+                *moved,
+                tensor[0, 0],
+                tensor[0, 1],
+                tensor[1, 1],
+                tensor[0, 2],
+                tensor[1, 2],
+                tensor[2, 2],
+            ]
+        )
     return np.array(columns).T
 
 
@@ -71,9 +90,13 @@ def test_drive_columns_follow_the_links_joint_by_joint():
     matrix = observation_matrix(model, q, qd, qdd, drive=ALL).reshape(9, 3, -1)
     expected = np.zeros((9, 3, 12))
     for k in range(3):
-        expected[:, k, 4 * k : 4 * k + 4] = np.stack([qdd[:, k], qd[:, k], np.sign(qd[:, k]), np.ones(9)], axis=1)
+        expected[:, k, 4 * k : 4 * k + 4] = np.stack(
+            [qdd[:, k], qd[:, k], np.sign(qd[:, k]), np.ones(9)], axis=1
+        )
     np.testing.assert_array_equal(matrix[:, :, 30:], expected)
-    np.testing.assert_array_equal(matrix[:, :, :30], observation_matrix(model, q, qd, qdd).reshape(9, 3, 30))
+    np.testing.assert_array_equal(
+        matrix[:, :, :30], observation_matrix(model, q, qd, qdd).reshape(9, 3, 30)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +125,10 @@ def test_one_sample_is_a_row_of_the_stack():
     model, q, qd, qdd = drawn(1, 3)
     matrix = observation_matrix(model, q, qd, qdd, drive=ALL)
     np.testing.assert_array_equal(regressor(model, q[4], qd[4], qdd[4], ALL), matrix[12:15])
-    assert regressor(model, q[4], qd[4], qdd[4], ALL).shape == (3, parameter_values(model, ALL).size)
+    assert regressor(model, q[4], qd[4], qdd[4], ALL).shape == (
+        3,
+        parameter_values(model, ALL).size,
+    )
     with pytest.raises(UsageError, match="observation_matrix takes many"):
         regressor(model, q, qd, qdd)
 
@@ -115,12 +141,18 @@ def test_joint_rows_put_back_in_place_are_the_observation_matrix(seed):
     columns = rng.permutation(60 + 6 * drive.columns_per_joint)[: rng.integers(1, 50)]
     rebuilt = np.zeros((BLOCK + 5, 6, columns.size))
     for k, (support, rows) in enumerate(
-        zip(joint_support(model, drive, columns), RegressorPlan.of(model, drive, columns).evaluate(q, qd, qdd), strict=True)
+        zip(
+            joint_support(model, drive, columns),
+            RegressorPlan.of(model, drive, columns).evaluate(q, qd, qdd),
+            strict=True,
+        )
     ):
         rebuilt[:, k, support] = rows.T
     whole = observation_matrix(model, q, qd, qdd, drive=drive)
     np.testing.assert_array_equal(rebuilt.reshape(-1, columns.size), whole[:, columns])
-    np.testing.assert_array_equal(observation_matrix(model, q, qd, qdd, drive=drive, columns=columns), whole[:, columns])
+    np.testing.assert_array_equal(
+        observation_matrix(model, q, qd, qdd, drive=drive, columns=columns), whole[:, columns]
+    )
 
 
 def test_support_leaves_out_links_a_joint_does_not_carry():
@@ -128,7 +160,9 @@ def test_support_leaves_out_links_a_joint_does_not_carry():
     for k, support in enumerate(joint_support(model, ALL, np.arange(80 + 32))):
         carried_links = {int(position) // 10 for position in support if position < 80}
         assert carried_links == {i for i in range(8) if k in model.ancestors(i)}
-        assert [int(position) for position in support if position >= 80] == list(range(80 + 4 * k, 84 + 4 * k))
+        assert [int(position) for position in support if position >= 80] == list(
+            range(80 + 4 * k, 84 + 4 * k)
+        )
 
 
 @pytest.mark.parametrize("samples", [0, 1, BLOCK - 1, BLOCK, BLOCK + 1, 4 * BLOCK + 3])
@@ -149,7 +183,9 @@ def test_reused_memory_and_cuts_do_not_change_a_bit(samples):
 def test_threads_do_not_change_a_bit(threads):
     model, q, qd, qdd = drawn(3, 4, samples=17003)
     plan = RegressorPlan.of(model, ALL)
-    for one, many in zip(plan.evaluate(q, qd, qdd), plan.evaluate(q, qd, qdd, threads=threads), strict=True):
+    for one, many in zip(
+        plan.evaluate(q, qd, qdd), plan.evaluate(q, qd, qdd, threads=threads), strict=True
+    ):
         np.testing.assert_array_equal(one, many)
     np.testing.assert_array_equal(plan.stack(q, qd, qdd), plan.stack(q, qd, qdd, threads=threads))
 
@@ -157,8 +193,12 @@ def test_threads_do_not_change_a_bit(threads):
 def test_samples_are_independent_of_their_order():
     model, q, qd, qdd = drawn(3, 4, samples=70)
     order = np.random.default_rng(0).permutation(70)
-    shuffled = observation_matrix(model, q[order], qd[order], qdd[order], drive=ALL).reshape(70, 4, -1)
-    np.testing.assert_array_equal(shuffled, observation_matrix(model, q, qd, qdd, drive=ALL).reshape(70, 4, -1)[order])
+    shuffled = observation_matrix(model, q[order], qd[order], qdd[order], drive=ALL).reshape(
+        70, 4, -1
+    )
+    np.testing.assert_array_equal(
+        shuffled, observation_matrix(model, q, qd, qdd, drive=ALL).reshape(70, 4, -1)[order]
+    )
 
 
 def test_spare_rows_are_left_to_the_caller():
@@ -166,7 +206,9 @@ def test_spare_rows_are_left_to_the_caller():
     plain, roomy = RegressorPlan.of(model, ALL), RegressorPlan.of(model, ALL, spare_rows=1)
     memory = roomy.buffer(40)
     memory[:] = -7.0
-    for bare, rows in zip(plain.evaluate(q, qd, qdd), roomy.evaluate(q, qd, qdd, memory), strict=True):
+    for bare, rows in zip(
+        plain.evaluate(q, qd, qdd), roomy.evaluate(q, qd, qdd, memory), strict=True
+    ):
         np.testing.assert_array_equal(rows[:-1], bare)
         np.testing.assert_array_equal(rows[-1], -7.0)
 
@@ -182,7 +224,12 @@ def test_rows_of_a_buffer_start_on_cache_lines_an_odd_number_of_lines_apart():
 
 @pytest.mark.parametrize(
     ("columns", "said"),
-    [([0, 30], "column 30 does not exist.*0 to 29"), ([-1], "column -1"), ([1, 1], "repeat"), ([0.5], "list of integers")],
+    [
+        ([0, 30], "column 30 does not exist.*0 to 29"),
+        ([-1], "column -1"),
+        ([1, 1], "repeat"),
+        ([0.5], "list of integers"),
+    ],
 )
 def test_wrong_columns_are_refused(columns, said):
     model, *_ = drawn(0, 3)
@@ -193,7 +240,11 @@ def test_wrong_columns_are_refused(columns, said):
 def test_wrong_memory_is_refused():
     model, q, qd, qdd = drawn(0, 3)
     plan = RegressorPlan.of(model)
-    for memory in (np.empty((plan.n_rows, 8)), np.empty((plan.n_rows - 1, 9)), np.empty((9, plan.n_rows)).T):
+    for memory in (
+        np.empty((plan.n_rows, 8)),
+        np.empty((plan.n_rows - 1, 9)),
+        np.empty((9, plan.n_rows)).T,
+    ):
         with pytest.raises(UsageError, match=f"{plan.n_rows} rows and at least 9 columns"):
             plan.evaluate(q, qd, qdd, memory)
     with pytest.raises(UsageError, match="must all have shape"):
@@ -202,5 +253,7 @@ def test_wrong_memory_is_refused():
 
 def test_no_columns_are_no_work():
     model, q, qd, qdd = drawn(0, 3)
-    assert [rows.shape for rows in RegressorPlan.of(model, NO_DRIVE, []).evaluate(q, qd, qdd)] == [(0, 9)] * 3
+    assert [rows.shape for rows in RegressorPlan.of(model, NO_DRIVE, []).evaluate(q, qd, qdd)] == [
+        (0, 9)
+    ] * 3
     assert observation_matrix(model, q, qd, qdd, columns=[]).shape == (27, 0)

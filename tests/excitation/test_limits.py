@@ -18,7 +18,9 @@ SILENT = DriveValues()
 
 def arm(limits: tuple[JointLimits, JointLimits], drive: DriveValues = SILENT) -> RobotModel:
     """A turning pendulum (horizontal axis, 2 kg at 0.5 m) that carries a slide of 1 kg along its own axis."""
-    pendulum = Joint("turn", "revolute", -1, placement(rotation_x(np.pi / 2)), np.eye(4), limits[0], drive)
+    pendulum = Joint(
+        "turn", "revolute", -1, placement(rotation_x(np.pi / 2)), np.eye(4), limits[0], drive
+    )
     slide = Joint("slide", "prismatic", 0, np.eye(4), np.eye(4), limits[1])
     links = (
         Link("one", LinkInertia.from_com(2.0, [0.5, 0, 0], np.zeros((3, 3)))),
@@ -47,7 +49,10 @@ def test_torque_is_checked_with_weight_inertia_and_the_described_drive() -> None
     motion = QuinticMotion.between([0.0, 0.0], [1.0, 0.0], 2.0)
     q, qd, qdd = motion.at(np.linspace(0, 2, 2001))
     rigid = 0.5 * qdd[:, 0] + 2.0 * 9.81 * 0.5 * np.cos(q[:, 0])
-    for drive, extra in ((DriveValues(), 0.0), (DriveValues(viscous=3.0, coulomb=2.0), 3.0 * qd[:, 0] + 2.0 * np.sign(qd[:, 0]))):
+    for drive, extra in (
+        (DriveValues(), 0.0),
+        (DriveValues(viscous=3.0, coulomb=2.0), 3.0 * qd[:, 0] + 2.0 * np.sign(qd[:, 0])),
+    ):
         margin = check_motion(arm(LIMITS, drive), motion).worst["torque"]
         assert margin is not None
         assert margin.joint == "turn"
@@ -61,7 +66,10 @@ def test_violations_are_named_with_time_value_limit_and_cure() -> None:
     assert report.worst_margin["velocity"] == pytest.approx(1 - 1.5 / 0.5)
     with pytest.raises(
         MotionError,
-        match=r"of turn is .* rad/s.* at t = 0\.\d+ s, beyond its limit of .*slow the motion down: motion.slowed\(.*more limits",
+        match=(
+            r"of turn is .* rad/s.* at t = 0\.\d+ s, beyond its limit of .*slow the motion down:"
+            r" motion.slowed\(.*more limits"
+        ),
     ) as caught:
         report.raise_if_violated()
     # The named factor cures everything but the position.
@@ -73,7 +81,9 @@ def test_violations_are_named_with_time_value_limit_and_cure() -> None:
 
 
 def test_a_limit_may_be_reached_exactly() -> None:
-    motion = PointToPointMotion.within([[-1.0, -0.3], [2.0, 0.3]], velocity=[1.5, 0.5], acceleration=[5.0, 1.0])
+    motion = PointToPointMotion.within(
+        [[-1.0, -0.3], [2.0, 0.3]], velocity=[1.5, 0.5], acceleration=[5.0, 1.0]
+    )
     model = arm((JointLimits(-1.0, 2.0, 1.5, 5.0), JointLimits(-0.3, 0.3, 0.5, 1.0)))
     report = check_motion(model, motion)
     assert report.is_respected
@@ -82,11 +92,15 @@ def test_a_limit_may_be_reached_exactly() -> None:
 
 def test_the_end_between_two_samples_is_checked() -> None:
     motion = QuinticMotion.between([0.0, 0.0], [2.5, 0.0], 1.95)
-    assert check_motion(arm(LIMITS), motion, rate=1.0).worst_margin["position"] == pytest.approx(-0.5 / 1.5)
+    assert check_motion(arm(LIMITS), motion, rate=1.0).worst_margin["position"] == pytest.approx(
+        -0.5 / 1.5
+    )
 
 
 def test_unknown_limits_are_not_reported() -> None:
-    report = check_motion(arm((JointLimits(), JointLimits())), QuinticMotion.between([0.0, 0.0], [9.0, 9.0], 0.1))
+    report = check_motion(
+        arm((JointLimits(), JointLimits())), QuinticMotion.between([0.0, 0.0], [9.0, 9.0], 0.1)
+    )
     assert set(report.worst_margin.values()) == {None}
     assert str(report) == "the description gives no limits"
 
@@ -97,7 +111,9 @@ def test_the_number_of_joints_must_fit() -> None:
 
 
 def test_assumed_bounds_fill_what_is_unknown() -> None:
-    bounds = MotionBounds.assumed(arm((JointLimits(), JointLimits(lower=0.2, velocity=2.0))), fraction=0.5)
+    bounds = MotionBounds.assumed(
+        arm((JointLimits(), JointLimits(lower=0.2, velocity=2.0))), fraction=0.5
+    )
     np.testing.assert_allclose(bounds.lower, [-np.pi / 2, 0.45])
     np.testing.assert_allclose(bounds.upper, [np.pi / 2, 0.95])
     np.testing.assert_allclose(bounds.velocity, [0.75, 1.0])
@@ -110,7 +126,9 @@ def test_assumed_bounds_fill_what_is_unknown() -> None:
 def test_random_motions_respect_every_limit_and_use_them(generator: object, seed: int) -> None:
     model = arm((JointLimits(-1.0, 2.0, 1.5, 5.0, 60.0, 14.0), JointLimits(-0.3, 0.3, 0.5)))
     if generator is random_point_to_point:
-        model = model.with_limits([JointLimits(-1.0, 2.0, 1.5, 5.0, torque=14.0), model.joints[1].limits])
+        model = model.with_limits(
+            [JointLimits(-1.0, 2.0, 1.5, 5.0, torque=14.0), model.joints[1].limits]
+        )
     motion = generator(model, seed)  # type: ignore[operator]
     report = check_motion(model, motion)
     assert report.is_respected
@@ -125,11 +143,17 @@ def test_random_motion_without_torque_limit_attains_the_fraction_exactly() -> No
     motion = random_fourier(model, 4, fraction=0.8)
     for j, limit in enumerate(joint.limits for joint in model.joints):
         low, high = motion.extremes(0)
-        used = [(high - low)[j] / (limit.upper - limit.lower), motion.peaks(1)[j] / limit.velocity, motion.peaks(2)[j] / limit.acceleration]
+        used = [
+            (high - low)[j] / (limit.upper - limit.lower),
+            motion.peaks(1)[j] / limit.velocity,
+            motion.peaks(2)[j] / limit.acceleration,
+        ]
         assert max(used) == pytest.approx(0.8, abs=1e-9)
 
 
-@pytest.mark.parametrize("arguments", [{"n_harmonics": 1}, {"periods": 0}, {"fraction": 0.0}, {"duration": -1.0}])
+@pytest.mark.parametrize(
+    "arguments", [{"n_harmonics": 1}, {"periods": 0}, {"fraction": 0.0}, {"duration": -1.0}]
+)
 def test_senseless_random_motions_are_refused(arguments: dict[str, float]) -> None:
     with pytest.raises(MotionError):
         random_fourier(arm(LIMITS), 1, **arguments)  # type: ignore[arg-type]
@@ -138,7 +162,9 @@ def test_senseless_random_motions_are_refused(arguments: dict[str, float]) -> No
 def test_a_robot_too_weak_for_its_weight_is_refused() -> None:
     model = arm((JointLimits(-0.1, 0.1, 1.5, 5.0, torque=0.5), JointLimits(-0.3, 0.3, 0.5)))
     for generator in (random_fourier, random_point_to_point):
-        with pytest.raises(MotionError, match=r"no random motion within the torque limits \(0.5, inf\)"):
+        with pytest.raises(
+            MotionError, match=r"no random motion within the torque limits \(0.5, inf\)"
+        ):
             generator(model, 1)
 
 

@@ -48,7 +48,9 @@ def test_flipping_twice_gives_the_recording_back() -> None:
     again = recording.flipped().flipped()
     np.testing.assert_array_equal(again.tau, recording.tau)
     np.testing.assert_array_equal(recording.flipped().extra["tau_ext"], -recording.extra["tau_ext"])
-    np.testing.assert_array_equal(recording.flipped().extra["temperature"], recording.extra["temperature"])
+    np.testing.assert_array_equal(
+        recording.flipped().extra["temperature"], recording.extra["temperature"]
+    )
 
 
 def test_reordering_moves_whole_joints() -> None:
@@ -81,7 +83,10 @@ def test_between_is_half_open() -> None:
         ({"t": np.zeros(0)}, "at least one time"),
         ({"joint_names": ("a", "b")}, "3 columns in q but 2 joint names"),
         ({"joint_names": ("a", "b", "a")}, "joint name 'a' is used 2 times"),
-        ({"torque_source": "guess"}, "torque_source 'guess' is not one of sensor, motor, current, unknown"),
+        (
+            {"torque_source": "guess"},
+            "torque_source 'guess' is not one of sensor, motor, current, unknown",
+        ),
         ({"extra": {"tau_ext": np.zeros((3, 3))}}, "tau_ext has shape"),
         ({"q": [["x"] * 3] * 50}, "q is not an array of numbers"),
     ],
@@ -92,7 +97,10 @@ def test_impossible_recordings_are_refused(change: dict, message: str) -> None:
         Recording(**(good | change))
 
 
-@pytest.mark.parametrize(("gain", "message"), [([1, 2], "2 gains for 3 joints"), ([1, 0, 2], "not zero"), (float("nan"), "finite")])
+@pytest.mark.parametrize(
+    ("gain", "message"),
+    [([1, 2], "2 gains for 3 joints"), ([1, 0, 2], "not zero"), (float("nan"), "finite")],
+)
 def test_impossible_gains_are_refused(gain: object, message: str) -> None:
     with pytest.raises(RecordingError, match=message):
         three_joints().scaled(gain)

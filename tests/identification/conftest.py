@@ -55,7 +55,9 @@ def real_bodies(prior, rng, spread=0.1):
     return chi
 
 
-def make_trial(robot, drive=FULL, *, noise=0.0, seed=0, duration=20.0, spread=0.1, chi=None, rate=25.0):
+def make_trial(
+    robot, drive=FULL, *, noise=0.0, seed=0, duration=20.0, spread=0.1, chi=None, rate=25.0
+):
     """A robot with real bodies of its own, and what a motion of it with white noise (a fraction of each joint's torque) tells."""
     rng = np.random.default_rng(seed)
     model = load_robot(robot) if isinstance(robot, str) else robot
@@ -63,7 +65,9 @@ def make_trial(robot, drive=FULL, *, noise=0.0, seed=0, duration=20.0, spread=0.
     prior = cad_prior(model, base.drive)
     chi = real_bodies(prior, rng, spread) if chi is None else chi
     motion = random_fourier(model, rng=rng, duration=duration).sample(rate)
-    W = observation_matrix(model, motion.q, motion.qd, motion.qdd, drive=base.drive, columns=base.columns)
+    W = observation_matrix(
+        model, motion.q, motion.qd, motion.qdd, drive=base.drive, columns=base.columns
+    )
     tau = (W @ base.values(chi)).reshape(motion.q.shape)
     tau = tau + noise * np.sqrt(np.mean(tau**2, axis=0)) * rng.normal(size=tau.shape)
     samples = Samples(

@@ -22,10 +22,16 @@ def arm(scale=1.0):
     """Three links that bodies of uniform density could have."""
     rng = np.random.default_rng(3)
     rows = []
-    for a, alpha, b, mass in [(0.0, np.pi / 2, 0.3, 6.0), (0.35, 0.0, 0.0, 4.0), (0.25, -np.pi / 2, 0.1, 2.0)]:
+    for a, alpha, b, mass in [
+        (0.0, np.pi / 2, 0.3, 6.0),
+        (0.35, 0.0, 0.0, 4.0),
+        (0.25, -np.pi / 2, 0.1, 2.0),
+    ]:
         half = rng.uniform(0.05, 0.2, 3)
         inertia = LinkInertia.from_com(
-            scale * mass, rng.uniform(-0.1, 0.1, 3), scale * mass / 3 * (np.sum(half**2) * np.eye(3) - np.diag(half**2))
+            scale * mass,
+            rng.uniform(-0.1, 0.1, 3),
+            scale * mass / 3 * (np.sum(half**2) * np.eye(3) - np.diag(half**2)),
         )
         rows.append(DHRow(a=a, alpha=alpha, b=b, inertia=inertia))
     return robot_from_dh(rows, name="three links", gravity=[0.0, 0.0, -9.81])
@@ -39,7 +45,18 @@ def truth(base, model, scale=1.0):
     return base.values(chi)
 
 
-def recording(model, base, beta, *, noise=0.0, seconds=24.0, seed=0, still=(), source="recording", parallel=True):
+def recording(
+    model,
+    base,
+    beta,
+    *,
+    noise=0.0,
+    seconds=24.0,
+    seed=0,
+    still=(),
+    source="recording",
+    parallel=True,
+):
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, seconds, 1.0 / RATE)
     q, qd, qdd = (np.zeros((len(t), 3)) for _ in range(3))
@@ -52,11 +69,21 @@ def recording(model, base, beta, *, noise=0.0, seconds=24.0, seed=0, still=(), s
             q[:, k] += a * np.sin(w * t + phase)
             qd[:, k] += a * w * np.cos(w * t + phase)
             qdd[:, k] -= a * w * w * np.sin(w * t + phase)
-    tau = (observation_matrix(model, q, qd, qdd, drive=DRIVE, columns=base.columns) @ beta).reshape(q.shape)
+    tau = (observation_matrix(model, q, qd, qdd, drive=DRIVE, columns=base.columns) @ beta).reshape(
+        q.shape
+    )
     tau = tau + noise * rng.normal(size=tau.shape) * [1.0, 2.0, 0.5]
     names = model.joint_names
     return Samples(
-        t, q, qd, qdd, tau, rate=RATE, joint_names=names, source=source, parallel=design_parallel_filter(6.0, RATE, 2) if parallel else None
+        t,
+        q,
+        qd,
+        qdd,
+        tau,
+        rate=RATE,
+        joint_names=names,
+        source=source,
+        parallel=design_parallel_filter(6.0, RATE, 2) if parallel else None,
     )
 
 

@@ -23,8 +23,12 @@ def test_errors_are_those_of_predicting_the_samples() -> None:
         predicted = predict_torque(result.model, result.base, other, samples)
         np.testing.assert_allclose(errors, np.sqrt(np.mean(predicted.error**2, axis=0)), rtol=1e-7)
     predicted = predict_torque(result.model, result.base, result.estimates, held)
-    np.testing.assert_allclose(found.identified, np.sqrt(np.mean(predicted.error**2, axis=0)), rtol=1e-6)
-    np.testing.assert_allclose(found.torque, np.sqrt(np.mean(predicted.measured**2, axis=0)), rtol=1e-9)
+    np.testing.assert_allclose(
+        found.identified, np.sqrt(np.mean(predicted.error**2, axis=0)), rtol=1e-6
+    )
+    np.testing.assert_allclose(
+        found.torque, np.sqrt(np.mean(predicted.measured**2, axis=0)), rtol=1e-9
+    )
 
 
 def test_the_joint_that_suffers_is_named() -> None:
@@ -47,7 +51,13 @@ def test_worse_than_cad_is_said() -> None:
 
 
 def test_nothing_is_said_without_evidence() -> None:
-    assert stand_in(replace(identified("ur10e", "f"), evidence=None), np.zeros(identified("ur10e", "f").n_base)) is None
+    assert (
+        stand_in(
+            replace(identified("ur10e", "f"), evidence=None),
+            np.zeros(identified("ur10e", "f").n_base),
+        )
+        is None
+    )
 
 
 def test_document_and_table() -> None:

@@ -24,13 +24,22 @@ from asbuilt.workflow.study import StudyOptions, run_study
 def identified() -> tuple[IdentificationResult, SimulatedRecording]:
     model = bundled_robot("ur10e")
     robot = VirtualRobot.preset("lab", model, rng=1).logging(250.0)
-    learned = [robot.record(random_fourier(model, k, duration=15.0, n_harmonics=5 + k), rng=k).recording for k in range(2)]
+    learned = [
+        robot.record(random_fourier(model, k, duration=15.0, n_harmonics=5 + k), rng=k).recording
+        for k in range(2)
+    ]
     study = run_study(model, learned, options=StudyOptions(drive=robot.drive, checked=False))
-    clean = replace(robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=50.0, accelerations=True))
-    return study.result, replace(clean.record(random_fourier(model, 9, duration=5.0)), truth=robot.truth)
+    clean = replace(
+        robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=50.0, accelerations=True)
+    )
+    return study.result, replace(
+        clean.record(random_fourier(model, 9, duration=5.0)), truth=robot.truth
+    )
 
 
-def test_a_lab_recording_leads_back_to_the_truth(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+def test_a_lab_recording_leads_back_to_the_truth(
+    identified: tuple[IdentificationResult, SimulatedRecording],
+) -> None:
     recovery = compare_with_truth(*identified)
     assert len(recovery.names) == 36 + 18
     assert recovery.within(2.0) > 0.85
@@ -42,7 +51,9 @@ def test_a_lab_recording_leads_back_to_the_truth(identified: tuple[Identificatio
     assert recovery.torque_error < 2e-3
 
 
-def test_errors_are_those_of_the_parameters(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+def test_errors_are_those_of_the_parameters(
+    identified: tuple[IdentificationResult, SimulatedRecording],
+) -> None:
     """A truth moved by one parameter's worth of standard errors is missed by as many."""
     result, simulated = identified
     before = compare_with_truth(result, simulated)
@@ -54,19 +65,32 @@ def test_errors_are_those_of_the_parameters(identified: tuple[IdentificationResu
     assert after.deviations[k] == pytest.approx(before.deviations[k] - 3.0, abs=1e-6)
 
 
-def test_what_cannot_be_compared_is_refused(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+def test_what_cannot_be_compared_is_refused(
+    identified: tuple[IdentificationResult, SimulatedRecording],
+) -> None:
     result, simulated = identified
-    with pytest.raises(ResultError, match=r"drive terms viscous,coulomb,offset, the truth .* and viscous"):
+    with pytest.raises(
+        ResultError, match=r"drive terms viscous,coulomb,offset, the truth .* and viscous"
+    ):
         compare_with_truth(result, replace(simulated, drive=DriveSet.parse("viscous")))
-    with pytest.raises(ResultError, match="has no velocities and accelerations; record with DataLogger"):
-        compare_with_truth(result, replace(simulated, recording=replace(simulated.recording, qdd=None)))
+    with pytest.raises(
+        ResultError, match="has no velocities and accelerations; record with DataLogger"
+    ):
+        compare_with_truth(
+            result, replace(simulated, recording=replace(simulated.recording, qdd=None))
+        )
 
 
-def test_a_dropped_parameter_has_no_error_to_lie_within(identified: tuple[IdentificationResult, SimulatedRecording]) -> None:
+def test_a_dropped_parameter_has_no_error_to_lie_within(
+    identified: tuple[IdentificationResult, SimulatedRecording],
+) -> None:
     result, simulated = identified
     whole = compare_with_truth(result, simulated)
     k = int(np.argmax(np.abs(whole.deviations)))
-    gone = [replace(p, std_error=np.nan, textbook_std_error=np.nan, dropped=True) if j == k else p for j, p in enumerate(result.parameters)]
+    gone = [
+        replace(p, std_error=np.nan, textbook_std_error=np.nan, dropped=True) if j == k else p
+        for j, p in enumerate(result.parameters)
+    ]
     recovery = compare_with_truth(replace(result, parameters=tuple(gone)), simulated)
     assert np.isnan(recovery.deviations[k])
     others = np.delete(np.abs(whole.deviations), k)

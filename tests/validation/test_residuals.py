@@ -22,7 +22,9 @@ def test_autocorrelation_agrees_with_direct_sums() -> None:
     e = coloured(300, 0.7, 0)
     runs = ((0, 120), (120, 300))
     d = e - e.mean()
-    direct = [sum(d[i] * d[i + k] for a, b in runs for i in range(a, b - k)) / (d @ d) for k in range(11)]
+    direct = [
+        sum(d[i] * d[i + k] for a, b in runs for i in range(a, b - k)) / (d @ d) for k in range(11)
+    ]
     np.testing.assert_allclose(autocorrelation(e, runs, 10), direct, atol=1e-12)
 
 
@@ -97,9 +99,16 @@ def test_velocity_curve_keeps_directions_apart() -> None:
     curve = velocity_curve(qd, np.sign(qd) + 0.1 * qd, bins=20)
     assert np.array_equal(np.isnan(curve.median), curve.count < 3)
     assert np.all(curve.velocity[np.isnan(curve.median)] > 1.0)
-    curve = VelocityCurve(*(values[curve.count >= 3] for values in (curve.velocity, curve.lower, curve.median, curve.upper, curve.count)))
+    curve = VelocityCurve(
+        *(
+            values[curve.count >= 3]
+            for values in (curve.velocity, curve.lower, curve.median, curve.upper, curve.count)
+        )
+    )
     assert np.all(np.sign(curve.median) == np.sign(curve.velocity))
-    np.testing.assert_allclose(curve.median, np.sign(curve.velocity) + 0.1 * curve.velocity, atol=0.02)
+    np.testing.assert_allclose(
+        curve.median, np.sign(curve.velocity) + 0.1 * curve.velocity, atol=0.02
+    )
     assert curve.count.sum() == 5000
     assert np.all(curve.lower <= curve.median)
     assert np.all(curve.median <= curve.upper)

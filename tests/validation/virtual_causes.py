@@ -29,11 +29,17 @@ TILT = (1.0, -0.5)
 """Degrees about x and y."""
 
 
-def recorded(robot: str, causes: str, *, seed: int = 1, friction: tuple[float, ...] = FRICTION) -> Recording:
+def recorded(
+    robot: str, causes: str, *, seed: int = 1, friction: tuple[float, ...] = FRICTION
+) -> Recording:
     """Log a robot with these causes: letters of `pftgl` for payload, friction, tilt, gain, links."""
     model = load_robot(robot)
     n = model.n_joints
-    machine = InstalledRobot.ideal(model).with_drive(DriveSet(), ()).with_noise(SensorNoise(torque_noise=0.1))
+    machine = (
+        InstalledRobot.ideal(model)
+        .with_drive(DriveSet(), ())
+        .with_noise(SensorNoise(torque_noise=0.1))
+    )
     if "l" in causes:
         machine = machine.with_perturbed_links(0.1, 4)
     if "p" in causes:
@@ -41,18 +47,31 @@ def recorded(robot: str, causes: str, *, seed: int = 1, friction: tuple[float, .
     if "t" in causes:
         machine = machine.tilted(*np.deg2rad(TILT))
     if "f" in causes:
-        machine = machine.with_drive(DriveSet.parse("viscous,coulomb"), np.tile(friction, n) if len(friction) == 2 else friction)
-    recording = machine.record(random_fourier(model, rng=3, duration=30.0), 100.0, rng=seed).recording
+        machine = machine.with_drive(
+            DriveSet.parse("viscous,coulomb"),
+            np.tile(friction, n) if len(friction) == 2 else friction,
+        )
+    recording = machine.record(
+        random_fourier(model, rng=3, duration=30.0), 100.0, rng=seed
+    ).recording
     return recording.scaled([GAINS.get(k, 1.0) for k in range(n)]) if "g" in causes else recording
 
 
 @cache
 def identified(
-    robot: str, causes: str, *, seed: int = 1, friction: tuple[float, ...] = FRICTION, drive: str = "viscous,coulomb,offset"
+    robot: str,
+    causes: str,
+    *,
+    seed: int = 1,
+    friction: tuple[float, ...] = FRICTION,
+    drive: str = "viscous,coulomb,offset",
 ) -> IdentificationResult:
     """Identify it with the usual drive terms; every third 2 s block is held out and judges."""
     model = load_robot(robot)
     base = find_base_parameters(model, DriveSet.parse(drive))
-    train, held = hold_out(prepare_samples(recorded(robot, causes, seed=seed, friction=friction), SignalChain()), "blocks:2s:3")
+    train, held = hold_out(
+        prepare_samples(recorded(robot, causes, seed=seed, friction=friction), SignalChain()),
+        "blocks:2s:3",
+    )
     result = identify(model, train, base=base)
     return replace(result, evidence=gather_evidence(model, base, [train], [held]))

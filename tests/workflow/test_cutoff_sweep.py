@@ -25,13 +25,19 @@ DRIVE = DriveSet.parse("viscous,coulomb,offset")
 def recording() -> Recording:
     model = load_robot("ur10e")
     noise = SensorNoise(encoder_counts=2.0**13, torque_noise=0.5)
-    robot = InstalledRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], 6)).with_noise(noise)
-    return robot.record(random_fourier(model, rng=1, duration=24.0, n_harmonics=8), 200.0, rng=2).recording
+    robot = (
+        InstalledRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], 6)).with_noise(noise)
+    )
+    return robot.record(
+        random_fourier(model, rng=1, duration=24.0, n_harmonics=8), 200.0, rng=2
+    ).recording
 
 
 @pytest.fixture(scope="module")
 def sweep(recording: Recording) -> CutoffSweep:
-    return sweep_cutoffs(load_robot("ur10e"), [recording], drive=DRIVE, cutoffs=[0.6, 3.0, 6.0, 30.0])
+    return sweep_cutoffs(
+        load_robot("ur10e"), [recording], drive=DRIVE, cutoffs=[0.6, 3.0, 6.0, 30.0]
+    )
 
 
 def test_too_high_a_cutoff_costs(sweep: CutoffSweep) -> None:
@@ -53,13 +59,22 @@ def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
 
 def test_a_statistic_that_is_not_known_is_a_dash(sweep: CutoffSweep) -> None:
     """At a low cutoff the stretches held out may be shorter than half a period."""
-    unknown = replace(sweep, trials=(replace(sweep.trials[0], durbin_watson=np.nan), *sweep.trials[1:]))
+    unknown = replace(
+        sweep, trials=(replace(sweep.trials[0], durbin_watson=np.nan), *sweep.trials[1:])
+    )
     assert "nan" not in unknown.table().as_text()
-    assert json.loads(json.dumps(unknown.as_document(), allow_nan=False))["trials"][0]["durbin_watson"] is None
+    assert (
+        json.loads(json.dumps(unknown.as_document(), allow_nan=False))["trials"][0]["durbin_watson"]
+        is None
+    )
 
 
 def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
-    study = run_study(load_robot("ur10e"), [recording], options=StudyOptions(drive=DRIVE, sweep_cutoff=True, holdout="last:0.3"))
+    study = run_study(
+        load_robot("ur10e"),
+        [recording],
+        options=StudyOptions(drive=DRIVE, sweep_cutoff=True, holdout="last:0.3"),
+    )
     assert study.cutoffs is not None
     assert any(study.cutoffs.why in note for note in study.result.notes)
 
@@ -67,11 +82,15 @@ def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
 def test_cutoffs_tried_are_apart(recording: Recording) -> None:
     """Else two would be written over each other in the figure: the highest is bounded by the sampling rate."""
     slow = recording.between(0.0, 12.0)
-    tried = np.array([trial.cutoff for trial in sweep_cutoffs(load_robot("ur10e"), [slow], drive=DRIVE).trials])
+    tried = np.array(
+        [trial.cutoff for trial in sweep_cutoffs(load_robot("ur10e"), [slow], drive=DRIVE).trials]
+    )
     assert np.all(tried[1:] / tried[:-1] > 1.15)
     assert tried[-1] <= 0.2 * slow.rate + 1e-9
 
 
 def test_recording_too_short_for_any_cutoff_is_refused(recording: Recording) -> None:
     with pytest.raises(RecordingError, match="no cutoff"):
-        sweep_cutoffs(load_robot("ur10e"), [recording.between(0.0, 0.5)], drive=DRIVE, cutoffs=[0.5])
+        sweep_cutoffs(
+            load_robot("ur10e"), [recording.between(0.0, 0.5)], drive=DRIVE, cutoffs=[0.5]
+        )

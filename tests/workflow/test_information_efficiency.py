@@ -18,13 +18,22 @@ from asbuilt.workflow.information_efficiency import recorded_information
 @pytest.fixture(scope="module")
 def recording() -> Recording:
     model = load_robot("two-link")
-    return InstalledRobot.ideal(model).record(random_fourier(model, rng=1, duration=10.0, n_harmonics=8), 200.0).recording
+    return (
+        InstalledRobot.ideal(model)
+        .record(random_fourier(model, rng=1, duration=10.0, n_harmonics=8), 200.0)
+        .recording
+    )
 
 
 def test_wide_motion_carries_more_than_timid_motion(recording: Recording) -> None:
     model = load_robot("two-link")
     wide = recorded_information(model, recording)
-    timid = recorded_information(model, Recording(recording.t, 0.05 * recording.q, recording.tau, joint_names=recording.joint_names))
+    timid = recorded_information(
+        model,
+        Recording(
+            recording.t, 0.05 * recording.q, recording.tau, joint_names=recording.joint_names
+        ),
+    )
     assert 0.0 < timid.efficiency.d_efficiency < 0.2 * wide.efficiency.d_efficiency < 1.0
     assert set(wide.too_little) <= set(timid.too_little)
 
@@ -32,7 +41,10 @@ def test_wide_motion_carries_more_than_timid_motion(recording: Recording) -> Non
 def test_a_standing_joint_is_named(recording: Recording) -> None:
     q = recording.q.copy()
     q[:, 1] = 0.3
-    standing = recorded_information(load_robot("two-link"), Recording(recording.t, q, recording.tau, joint_names=recording.joint_names))
+    standing = recorded_information(
+        load_robot("two-link"),
+        Recording(recording.t, q, recording.tau, joint_names=recording.joint_names),
+    )
     assert recording.joint_names[1] in standing.too_little
     assert standing.efficiency.d_efficiency == 0.0
     assert "moved too little" in standing.as_text().lower()
@@ -50,10 +62,20 @@ def test_it_says_how_a_joint_held_back(recording: Recording) -> None:
     bounds = MotionBounds.assumed(model)
     travel = np.ptp(recording.q, axis=0) / np.minimum(bounds.upper - bounds.lower, 2 * np.pi)
     np.testing.assert_allclose(wide.travel, travel, rtol=0.02)
-    slow = recorded_information(model, Recording(10.0 * recording.t, recording.q, recording.tau, joint_names=recording.joint_names))
+    slow = recorded_information(
+        model,
+        Recording(
+            10.0 * recording.t, recording.q, recording.tau, joint_names=recording.joint_names
+        ),
+    )
     np.testing.assert_allclose(slow.top_speed, wide.top_speed / 10, rtol=0.05)
     assert "slowly" in slow.as_text()
-    small = recorded_information(model, Recording(recording.t, 0.02 * recording.q, recording.tau, joint_names=recording.joint_names))
+    small = recorded_information(
+        model,
+        Recording(
+            recording.t, 0.02 * recording.q, recording.tau, joint_names=recording.joint_names
+        ),
+    )
     assert "small range" in small.as_text()
 
 
@@ -66,4 +88,6 @@ def test_the_worst_parameter_is_that_of_least_information(recording: Recording) 
         assert worst is not None
         own = [p for p, name in enumerate(base.names) if name.endswith(str(k + 1))]
         assert worst in own
-        assert found.std_error_ratios[k] == pytest.approx(1 / np.sqrt(min(found.efficiency.by_parameter[own])))
+        assert found.std_error_ratios[k] == pytest.approx(
+            1 / np.sqrt(min(found.efficiency.by_parameter[own]))
+        )

@@ -25,26 +25,42 @@ def model():
 
 
 def logged(robot, path):
-    recording = robot.record(random_fourier(robot.model, rng=1, duration=40.0), 250.0, rng=2).recording
-    columns = {"t": recording.t} | {f"q_{k}": recording.q[:, k] for k in range(7)} | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+    recording = robot.record(
+        random_fourier(robot.model, rng=1, duration=40.0), 250.0, rng=2
+    ).recording
+    columns = (
+        {"t": recording.t}
+        | {f"q_{k}": recording.q[:, k] for k in range(7)}
+        | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+    )
     pl.DataFrame(columns).write_parquet(path)
     return path
 
 
 @pytest.fixture(scope="module")
 def log(model, tmp_path_factory):
-    return logged(InstalledRobot.typical(model, rng=1), tmp_path_factory.mktemp("logs") / "run.parquet")
+    return logged(
+        InstalledRobot.typical(model, rng=1), tmp_path_factory.mktemp("logs") / "run.parquet"
+    )
 
 
 def test_study_of_a_stream_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
     chain = SignalChain().resolved(whole)
-    options = StudyOptions(chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3")
+    options = StudyOptions(
+        chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3"
+    )
     one = run_study(model, [whole], options=options)
-    other = run_study(model, [RecordingStream(log, {"model": model}, chunk_samples=4000)], options=options)
+    other = run_study(
+        model, [RecordingStream(log, {"model": model}, chunk_samples=4000)], options=options
+    )
     size = np.abs(one.result.estimates).max()
     np.testing.assert_allclose(other.result.estimates, one.result.estimates, atol=0.02 * size)
-    np.testing.assert_allclose(other.validations[0].metrics_as_built.rms, one.validations[0].metrics_as_built.rms, rtol=0.02)
+    np.testing.assert_allclose(
+        other.validations[0].metrics_as_built.rms,
+        one.validations[0].metrics_as_built.rms,
+        rtol=0.02,
+    )
     np.testing.assert_allclose(other.result.n_samples, one.result.n_samples, rtol=0.02)
 
 
@@ -57,10 +73,18 @@ def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
 
 def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch, capsys, tmp_path):
     """The same verdict within what choosing the filters by the beginning alone makes; nothing is read as a whole."""
-    result = document(capsys, "identify", "kuka-iiwa7-r800", log, "--out", tmp_path)["files"]["result"]
+    result = document(capsys, "identify", "kuka-iiwa7-r800", log, "--out", tmp_path)["files"][
+        "result"
+    ]
     tool = LinkInertia.from_com(1.5, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005]))
-    loaded = logged(InstalledRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet")
-    commands = (("validate", result, log), ("validate", "kuka-iiwa7-r800", log), ("payload", result, loaded))
+    loaded = logged(
+        InstalledRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet"
+    )
+    commands = (
+        ("validate", result, log),
+        ("validate", "kuka-iiwa7-r800", log),
+        ("payload", result, loaded),
+    )
     whole = [document(capsys, *command) for command in commands]
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
     monkeypatch.setattr(long_recordings, "read_recording", None)

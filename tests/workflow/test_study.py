@@ -41,7 +41,10 @@ torque = "14-19"
 def recordings() -> list[Recording]:
     model = load_robot("scara")
     robot = InstalledRobot.typical(model, rng=5)
-    return [robot.record(random_fourier(model, rng=seed, duration=10.0), 200.0, rng=seed).recording for seed in (1, 2)]
+    return [
+        robot.record(random_fourier(model, rng=seed, duration=10.0), 200.0, rng=seed).recording
+        for seed in (1, 2)
+    ]
 
 
 def test_drive_terms_follow_the_torque_source() -> None:
@@ -52,12 +55,17 @@ def test_drive_terms_follow_the_torque_source() -> None:
 
 def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording]) -> None:
     options = StudyOptions(holdout="blocks:1s:3")
-    study = run_study(load_robot("scara"), recordings[:1], validation=recordings[1:], options=options)
+    study = run_study(
+        load_robot("scara"), recordings[:1], validation=recordings[1:], options=options
+    )
     assert len(study.validations) == len(study.result.validation) == 2
     assert "held out" in study.validations[0].source
     assert np.array_equal(study.result.cad.rms, study.validations[0].metrics_cad.rms)
     assert len(study.checks) == 2
-    assert study.result.validation[1].relative_error < 0.5 * study.validations[1].metrics_cad.relative_error
+    assert (
+        study.result.validation[1].relative_error
+        < 0.5 * study.validations[1].metrics_cad.relative_error
+    )
 
 
 def test_without_held_out_data_the_result_says_so(recordings: list[Recording]) -> None:
@@ -67,14 +75,23 @@ def test_without_held_out_data_the_result_says_so(recordings: list[Recording]) -
 
 
 def test_a_motion_too_poor_for_its_parameters_is_called_so(recordings: list[Recording]) -> None:
-    short = [replace(recordings[0], **{name: getattr(recordings[0], name)[:150] for name in ("t", "q", "tau")})]
-    study = run_study(load_robot("scara"), short, validation=recordings[1:], options=StudyOptions(checked=False))
+    short = [
+        replace(
+            recordings[0],
+            **{name: getattr(recordings[0], name)[:150] for name in ("t", "q", "tau")},
+        )
+    ]
+    study = run_study(
+        load_robot("scara"), short, validation=recordings[1:], options=StudyOptions(checked=False)
+    )
     assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
 
 
 def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording]) -> None:
     """One block of time can be fitted or judged by, not both."""
-    brief = replace(recordings[0], **{name: getattr(recordings[0], name)[:400] for name in ("t", "q", "tau")})
+    brief = replace(
+        recordings[0], **{name: getattr(recordings[0], name)[:400] for name in ("t", "q", "tau")}
+    )
     study = run_study(load_robot("scara"), [brief], options=StudyOptions(checked=False))
     said = {warning.code: warning.message for warning in study.result.warnings}
     assert study.result.evidence is None
@@ -97,10 +114,19 @@ def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Re
 
 
 def study_of(
-    shared: Path, robot: str, logs: list[str], options: StudyOptions, *, validation: list[str] | None = None, **reading: object
+    shared: Path,
+    robot: str,
+    logs: list[str],
+    options: StudyOptions,
+    *,
+    validation: list[str] | None = None,
+    **reading: object,
 ) -> Study:
     model = load_robot(shared / "models" / robot)
-    read = [read_recordings([shared / "data" / log for log in names], model=model, **reading) for names in (logs, validation or [])]  # type: ignore[arg-type]
+    read = [
+        read_recordings([shared / "data" / log for log in names], model=model, **reading)
+        for names in (logs, validation or [])
+    ]  # type: ignore[arg-type]
     return run_study(model, read[0], validation=read[1], options=options)
 
 
@@ -111,29 +137,53 @@ def recorded_rms(study: Study) -> list[np.ndarray]:
 def test_med7_beats_the_manufacturers_model(shared: Path) -> None:
     """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m (tau - tau_ext of the file)."""
     options = StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), holdout="blocks:5s:3")
-    study = study_of(shared, "lbrstack_med7.urdf", ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"], options, rate=100.0, flip_torque=True)
-    assert np.all(study.validations[0].metrics_as_built.rms < [0.72, 1.01, 0.43, 0.78, 0.26, 0.22, 0.27])
+    study = study_of(
+        shared,
+        "lbrstack_med7.urdf",
+        ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"],
+        options,
+        rate=100.0,
+        flip_torque=True,
+    )
+    assert np.all(
+        study.validations[0].metrics_as_built.rms < [0.72, 1.01, 0.43, 0.78, 0.26, 0.22, 0.27]
+    )
 
 
 def test_med7_with_flipped_torque_is_refused(shared: Path) -> None:
     with pytest.raises(RecordingError, match="--flip-torque"):
         study_of(
-            shared, "lbrstack_med7.urdf", ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"], StudyOptions(holdout="last:0.3"), rate=100.0
+            shared,
+            "lbrstack_med7.urdf",
+            ["lbr_med7/measurements_with_ext_tau_1_dgr.csv"],
+            StudyOptions(holdout="last:0.3"),
+            rate=100.0,
         )
 
 
 def test_short_med7_recording_is_said_not_to_generalise(shared: Path) -> None:
     study = study_of(
-        shared, "lbrstack_med7.urdf", ["lbr_med7/measurements.csv"], StudyOptions(holdout="last:0.3"), rate=100.0, flip_torque=True
+        shared,
+        "lbrstack_med7.urdf",
+        ["lbr_med7/measurements.csv"],
+        StudyOptions(holdout="last:0.3"),
+        rate=100.0,
+        flip_torque=True,
     )
     assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
 
 
 def test_lwr4_beats_plain_least_squares(shared: Path) -> None:
     study = study_of(
-        shared, "kuka_lwr4.urdf", ["kuka_lwr4/measurements_1.npz"], StudyOptions(), validation=["kuka_lwr4/measurements_2.npz"]
+        shared,
+        "kuka_lwr4.urdf",
+        ["kuka_lwr4/measurements_1.npz"],
+        StudyOptions(),
+        validation=["kuka_lwr4/measurements_2.npz"],
     )
-    assert np.all(study.validations[0].metrics_as_built.rms <= [0.31, 0.27, 0.28, 0.185, 0.25, 0.2, 0.19])
+    assert np.all(
+        study.validations[0].metrics_as_built.rms <= [0.31, 0.27, 0.28, 0.185, 0.25, 0.2, 0.19]
+    )
 
 
 def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
@@ -153,50 +203,87 @@ def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
         assert np.all(validation.metrics_as_built.rms < validation.metrics_cad.rms)
     said = {warning.code: warning.message for warning in study.result.warnings}
     assert "wrist_2_joint" in said["error_at_standstill"]
-    assert "wrist_2_joint" not in said.get("does_not_generalise", "")  # what static friction explains is no fault of the recording
+    assert "wrist_2_joint" not in said.get(
+        "does_not_generalise", ""
+    )  # what static friction explains is no fault of the recording
 
 
 @pytest.mark.parametrize(("roll", "said"), [(0.0, False), (0.02, True)])
 def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None:
     model, drive = load_robot("kuka-iiwa7-r800"), DriveSet.parse("viscous,coulomb,offset")
-    robot = InstalledRobot.ideal(model).with_drive(drive, np.tile([0.5, 0.8, 0.1], 7)).tilted(roll, 0.0)
-    recording = robot.record(random_fourier(model, rng=1, duration=20.0, n_harmonics=8), 200.0).recording
-    study = run_study(model, [recording], options=StudyOptions(drive=drive, holdout="blocks:2s:3", checked=False))
+    robot = (
+        InstalledRobot.ideal(model).with_drive(drive, np.tile([0.5, 0.8, 0.1], 7)).tilted(roll, 0.0)
+    )
+    recording = robot.record(
+        random_fourier(model, rng=1, duration=20.0, n_harmonics=8), 200.0
+    ).recording
+    study = run_study(
+        model, [recording], options=StudyOptions(drive=drive, holdout="blocks:2s:3", checked=False)
+    )
     assert ("mounting_askew" in {warning.code for warning in study.result.warnings}) is said
 
 
 def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
-    model, drive, tilt = load_robot("kuka-iiwa7-r800"), DriveSet.parse("viscous,coulomb,offset"), 0.05
+    model, drive, tilt = (
+        load_robot("kuka-iiwa7-r800"),
+        DriveSet.parse("viscous,coulomb,offset"),
+        0.05,
+    )
     robot = (
         InstalledRobot.ideal(model)
         .with_drive(drive, np.tile([0.5, 0.8, 0.1], 7))
         .with_noise(SensorNoise(torque_noise=0.02))
         .tilted(tilt, 0.0)
     )
-    recording = robot.record(random_fourier(model, rng=1, duration=30.0, n_harmonics=8), 100.0, rng=1).recording
-    study = run_study(model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False))
+    recording = robot.record(
+        random_fourier(model, rng=1, duration=30.0, n_harmonics=8), 100.0, rng=1
+    ).recording
+    study = run_study(
+        model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False)
+    )
     warnings = {warning.code: warning.message for warning in study.result.warnings}
     assert {"bodies_strained", "bodies_refused"} & set(warnings)
     assert "--mounting estimate" in warnings["mounting_askew"]
-    found = re.search(r"gravity is turned by (-?[\d.]+) \+- [\d.]+ deg about x and (-?[\d.]+)", warnings["mounting_askew"])
+    found = re.search(
+        r"gravity is turned by (-?[\d.]+) \+- [\d.]+ deg about x and (-?[\d.]+)",
+        warnings["mounting_askew"],
+    )
     assert found is not None
-    np.testing.assert_allclose(np.abs([float(angle) for angle in found.groups()]), [np.rad2deg(tilt), 0.0], atol=0.15)
-    mended = run_study(model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"))
+    np.testing.assert_allclose(
+        np.abs([float(angle) for angle in found.groups()]), [np.rad2deg(tilt), 0.0], atol=0.15
+    )
+    mended = run_study(
+        model,
+        [recording],
+        options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"),
+    )
     assert mended.result.physically_consistent
-    assert not {"bodies_strained", "bodies_refused", "mounting_askew"} & {warning.code for warning in mended.result.warnings}
+    assert not {"bodies_strained", "bodies_refused", "mounting_askew"} & {
+        warning.code for warning in mended.result.warnings
+    }
 
 
 @pytest.mark.parametrize(("left", "said"), [(0.9995, False), (0.9, True)])
-def test_a_tilt_that_explains_nothing_is_not_spoken_of(left: float, said: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tilt_that_explains_nothing_is_not_spoken_of(
+    left: float, said: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """However sure the angle is: bodies that follow the torque as badly when the robot stands so are refused for another reason."""
     model, drive = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
     robot = InstalledRobot.ideal(model).with_noise(SensorNoise(torque_noise=0.02))
-    samples = prepare_samples(robot.record(random_fourier(model, rng=1, duration=10.0), 100.0, rng=1).recording)
+    samples = prepare_samples(
+        robot.record(random_fourier(model, rng=1, duration=10.0), 100.0, rng=1).recording
+    )
     result = identify(model, samples, drive=drive)
     result = replace(result, warnings=(IdentificationWarning("bodies_refused", "no bodies"),))
     angle = np.deg2rad(0.1)
     stands = Mounting(
-        model, np.eye(3)[:2], np.array([angle, 0.0]), (0.01 * angle) ** 2 * np.eye(2), model.gravity, np.ones(2), np.full(2, left)
+        model,
+        np.eye(3)[:2],
+        np.array([angle, 0.0]),
+        (0.01 * angle) ** 2 * np.eye(2),
+        model.gravity,
+        np.ones(2),
+        np.full(2, left),
     )
     assert stands.is_askew
     assert stands.relief == pytest.approx(1.0 - left)

@@ -8,12 +8,19 @@ from typing import Any
 
 import pytest
 
-FLAGS = "headless=new no-sandbox disable-dev-shm-usage disable-background-networking disable-component-update disable-sync no-first-run"
+FLAGS = (
+    "headless=new no-sandbox disable-dev-shm-usage disable-background-networking"
+    " disable-component-update disable-sync no-first-run"
+)
 
 
 def chromium(profile: Path, flags: str, **logs: str) -> Any:
     """Start a browser with more flags and a level for each log, or skip the test where there is none."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    browser = (
+        shutil.which("chromium")
+        or shutil.which("chromium-browser")
+        or shutil.which("google-chrome")
+    )
     driver = shutil.which("chromedriver")
     if browser is None or driver is None:
         pytest.skip("Chromium and chromedriver are not installed")

@@ -13,7 +13,12 @@ from asbuilt.description.model import DriveValues, RobotModel
 
 
 def pinocchio_torques(
-    urdf: str, joints: tuple[str, ...], gravity: np.ndarray, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+    urdf: str,
+    joints: tuple[str, ...],
+    gravity: np.ndarray,
+    q: np.ndarray,
+    qd: np.ndarray,
+    qdd: np.ndarray,
 ) -> np.ndarray:
     """Read a URDF with Pinocchio and return the torques of the named joints, (N, n)."""
     model = pin.buildModelFromXML(urdf)
@@ -26,12 +31,16 @@ def pinocchio_torques(
         place, rate, change = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
         rate[at], change[at] = qd[k], qdd[k]
         for value, joint in zip(q[k], known, strict=True):
-            place[joint.idx_q : joint.idx_q + joint.nq] = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            place[joint.idx_q : joint.idx_q + joint.nq] = (
+                [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            )
         torques[k] = pin.rnea(model, data, place, rate, change)[at]
     return torques
 
 
-def mujoco_torques(mjcf: str, joints: tuple[str, ...], q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+def mujoco_torques(
+    mjcf: str, joints: tuple[str, ...], q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
+) -> np.ndarray:
     """Read an MJCF with MuJoCo and return its inverse dynamics, drives included, (N, n)."""
     model = mujoco.MjModel.from_xml_string(mjcf)
     data = mujoco.MjData(model)
@@ -49,7 +58,9 @@ def as_if_identified(model: RobotModel, seed: int, *, drives: bool = True) -> Ro
     rng = np.random.default_rng(seed)
     links = []
     for link in model.links:
-        added = LinkInertia.from_com(rng.uniform(0.2, 2.0), rng.uniform(-0.05, 0.05, 3), np.diag(rng.uniform(0.01, 0.015, 3)))
+        added = LinkInertia.from_com(
+            rng.uniform(0.2, 2.0), rng.uniform(-0.05, 0.05, 3), np.diag(rng.uniform(0.01, 0.015, 3))
+        )
         links.append(replace(link, inertia=link.inertia + added, inertia_known=True, parts=()))
     joints = [
         replace(joint, drive=DriveValues(armature=rng.uniform(0.1, 1.0), viscous=rng.uniform(0.1, 2.0), coulomb=rng.uniform(0.1, 20.0), offset=rng.normal()))
@@ -58,11 +69,14 @@ def as_if_identified(model: RobotModel, seed: int, *, drives: bool = True) -> Ro
     return replace(model, links=tuple(links), joints=tuple(joints) if drives else model.joints)
 
 
-def drive_torques(model: RobotModel, qd: np.ndarray, qdd: np.ndarray, *, offset: bool) -> np.ndarray:
+def drive_torques(
+    model: RobotModel, qd: np.ndarray, qdd: np.ndarray, *, offset: bool
+) -> np.ndarray:
     """Return armature, viscous and Coulomb friction, and the offset where asked for, (N, n)."""
     values = [joint.drive for joint in model.joints]
     armature, viscous, coulomb, constant = (
-        np.array([getattr(value, key) or 0.0 for value in values]) for key in ("armature", "viscous", "coulomb", "offset")
+        np.array([getattr(value, key) or 0.0 for value in values])
+        for key in ("armature", "viscous", "coulomb", "offset")
     )
     return armature * qdd + viscous * qd + coulomb * np.sign(qd) + offset * constant
 
@@ -74,6 +88,11 @@ def two_armed(seed: int = 5) -> RobotModel:
     rng = np.random.default_rng(seed)
     model = random_robot(rng, 8)
     parents = (-1, 0, 1, 2, 3, 1, 5, 6)
-    joints = tuple(replace(joint, parent=parent) for joint, parent in zip(model.joints, parents, strict=True))
-    joints = (replace(joints[0], kind="prismatic"), *(replace(joint, kind="revolute") for joint in joints[1:]))
+    joints = tuple(
+        replace(joint, parent=parent) for joint, parent in zip(model.joints, parents, strict=True)
+    )
+    joints = (
+        replace(joints[0], kind="prismatic"),
+        *(replace(joint, kind="revolute") for joint in joints[1:]),
+    )
     return replace(model, name="two-armed", joints=joints)

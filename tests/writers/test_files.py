@@ -17,7 +17,9 @@ def test_writes_text_and_bytes_and_makes_folders(tmp_path: Path) -> None:
     assert [p.name for p in target.parent.iterdir()] == ["x.txt"]
 
 
-def test_an_interrupted_write_leaves_the_old_file_and_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_write_leaves_the_old_file_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     target = tmp_path / "x.txt"
     atomic_write(target, "old")
 
@@ -60,7 +62,9 @@ def test_keeps_the_mode_of_the_file_it_replaces(tmp_path: Path) -> None:
     assert atomic_write(tmp_path / "y", "new").stat().st_mode & 0o777 == 0o666 & ~mask
 
 
-def test_a_place_is_looked_at_without_being_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_place_is_looked_at_without_being_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     check_writable(tmp_path / "a" / "b")
     check_writable(Path("somewhere/below/here"))
     assert not list(tmp_path.iterdir())

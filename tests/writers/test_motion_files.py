@@ -23,12 +23,17 @@ def test_round_trip_is_exact(tmp_path: Path) -> None:
     back = read_motion(path)
     assert back.joint_names == NAMES
     assert back.duration == trajectory.t[-1]
-    for mine, theirs in zip(back.at(trajectory.t), (trajectory.q, trajectory.qd, trajectory.qdd), strict=True):
+    for mine, theirs in zip(
+        back.at(trajectory.t), (trajectory.q, trajectory.qd, trajectory.qdd), strict=True
+    ):
         np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-11)
-    np.testing.assert_array_equal(np.genfromtxt(path, delimiter=",", skip_header=1)[:, 1:4], trajectory.q)
+    np.testing.assert_array_equal(
+        np.genfromtxt(path, delimiter=",", skip_header=1)[:, 1:4], trajectory.q
+    )
     assert (
         path.read_text().splitlines()[0]
-        == "t,q_shoulder,q_elbow,q_joint 3,qd_shoulder,qd_elbow,qd_joint 3,qdd_shoulder,qdd_elbow,qdd_joint 3"
+        == "t,q_shoulder,q_elbow,q_joint 3,qd_shoulder,qd_elbow,qd_joint"
+        " 3,qdd_shoulder,qdd_elbow,qdd_joint 3"
     )
     again = write_motion(tmp_path / "again.csv", trajectory, NAMES)
     assert again.read_bytes() == path.read_bytes()

@@ -19,11 +19,18 @@ from asbuilt.writers.recording_files import write_simulation
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])
 @pytest.mark.parametrize("preset", PRESETS)
-def test_the_log_says_what_its_torques_are_and_the_robot_is_the_one_that_moved(name: str, preset: str, tmp_path: Path) -> None:
+def test_the_log_says_what_its_torques_are_and_the_robot_is_the_one_that_moved(
+    name: str, preset: str, tmp_path: Path
+) -> None:
     model = bundled_robot(name)
-    simulated = VirtualRobot.preset(preset, model, rng=1).record(random_fourier(model, 2, duration=1.0), rng=3)
+    simulated = VirtualRobot.preset(preset, model, rng=1).record(
+        random_fourier(model, 2, duration=1.0), rng=3
+    )
     files = write_simulation(tmp_path / "run.csv", simulated)
-    assert read_recording(files["recording"], model=model).torque_source == simulated.recording.torque_source
+    assert (
+        read_recording(files["recording"], model=model).torque_source
+        == simulated.recording.torque_source
+    )
     moved = load_robot(str(files["robot"]))
     np.testing.assert_allclose(moved.parameters, simulated.model.parameters, rtol=0, atol=1e-15)
     np.testing.assert_allclose(moved.gravity, simulated.model.gravity)
@@ -37,5 +44,8 @@ def test_the_robot_file_beside_a_log_survives(tmp_path: Path) -> None:
     arm = tmp_path / "arm.toml"
     arm.write_text("kept = true\n")
     model = bundled_robot("two-link")
-    write_simulation(tmp_path / "arm.csv", InstalledRobot.typical(model, rng=1).record(random_fourier(model, 1, duration=1.0), rng=1))
+    write_simulation(
+        tmp_path / "arm.csv",
+        InstalledRobot.typical(model, rng=1).record(random_fourier(model, 1, duration=1.0), rng=1),
+    )
     assert arm.read_text() == "kept = true\n"

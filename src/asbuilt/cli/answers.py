@@ -29,7 +29,13 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    bar = Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True)
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
     tasks: dict[str, Any] = {}
 
     def report(what: str, fraction: float) -> None:
@@ -44,10 +50,19 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield report
 
 
-def listed_files(files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None) -> str:
+def listed_files(
+    files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None
+) -> str:
     """Return the lines that say which files were written and what is to be known of them, empty where none were."""
     if not files:
         return ""
     from asbuilt.writers.files import file_lines
 
-    return "\n".join(["", "", "written:", *file_lines(files, notes or {}, max((*(len(kind) for kind in files), 11)))])
+    return "\n".join(
+        [
+            "",
+            "",
+            "written:",
+            *file_lines(files, notes or {}, max((*(len(kind) for kind in files), 11))),
+        ]
+    )

@@ -18,7 +18,10 @@ from asbuilt.errors import AsbuiltError, UsageError
 
 app = typer.Typer(
     name="asbuilt",
-    help="The dynamic model of a robot arm as built, from its description and a recording of its motion and torque.",
+    help=(
+        "The dynamic model of a robot arm as built, from its description and a recording of its"
+        " motion and torque."
+    ),
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -76,7 +79,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except Exception as problem:
         if os.environ.get("ASBUILT_TRACEBACK"):
             raise
-        _fail(f"this should not have happened ({type(problem).__name__}: {problem}); ASBUILT_TRACEBACK=1 shows where, please report it", 1)
+        _fail(
+            f"this should not have happened ({type(problem).__name__}: {problem});"
+            " ASBUILT_TRACEBACK=1 shows where, please report it",
+            1,
+        )
 
 
 def _fail(message: str, status: int) -> None:

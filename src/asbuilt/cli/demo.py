@@ -70,7 +70,9 @@ class Demo:
     seconds: float
 
 
-def run_demo(folder: Path, *, progress: Progress | None = None, search_seconds: float = SEARCH_SECONDS) -> Demo:
+def run_demo(
+    folder: Path, *, progress: Progress | None = None, search_seconds: float = SEARCH_SECONDS
+) -> Demo:
     """Run the story and write its files below `folder`."""
     report = progress or (lambda what, fraction: None)
     started = time.perf_counter()
@@ -80,7 +82,12 @@ def run_demo(folder: Path, *, progress: Progress | None = None, search_seconds: 
         report("design a motion", min((time.perf_counter() - started) / search_seconds, 1.0))
 
     report("design a motion", 0.0)
-    design = design_motion(model, drive, DesignOptions(size=5, duration=20.0, seed=SEED, time_limit=search_seconds), progress=searched)
+    design = design_motion(
+        model,
+        drive,
+        DesignOptions(size=5, duration=20.0, seed=SEED, time_limit=search_seconds),
+        progress=searched,
+    )
     report("record the robot", 0.0)
     training = _recorded(model, design.motion, SEED, "designed motion")
     test = _recorded(model, random_fourier(model, SEED, n_harmonics=4), SEED + 1, "another motion")
@@ -100,7 +107,12 @@ def run_demo(folder: Path, *, progress: Progress | None = None, search_seconds: 
     }
     export, refusal = None, ""
     try:
-        export = export_result(study.result, urdf=folder / "as_built.urdf", mjcf=folder / "as_built.xml", c=folder / "as_built.c")
+        export = export_result(
+            study.result,
+            urdf=folder / "as_built.urdf",
+            mjcf=folder / "as_built.xml",
+            c=folder / "as_built.c",
+        )
         files |= export.files
     except AsbuiltError as problem:
         refusal = str(problem)
@@ -124,7 +136,11 @@ def _recorded(model: RobotModel, motion: Motion, seed: int, name: str) -> Simula
     try:
         simulated = _virtual_robot(model).record(motion, seed)
     except MissingExtraError:
-        simulated = InstalledRobot.typical(model, rng=SEED).with_tool(GRIPPER, at="flange").record(motion, rng=seed)
+        simulated = (
+            InstalledRobot.typical(model, rng=SEED)
+            .with_tool(GRIPPER, at="flange")
+            .record(motion, rng=seed)
+        )
     recording: Recording = replace(simulated.recording, source=name)
     return replace(simulated, recording=recording)
 
@@ -136,7 +152,9 @@ def _virtual_robot(model: RobotModel) -> VirtualRobot:
 def _recovered(model: RobotModel, study: Study) -> Recovery | None:
     """Hold the result against the parameters of the robot that moved, along a motion of its own and without its sensors."""
     robot = _virtual_robot(model)
-    bare = replace(robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True))
+    bare = replace(
+        robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)
+    )
     try:
         clean = bare.record(random_fourier(model, SEED + 1), SEED)
     except MissingExtraError:
@@ -147,24 +165,53 @@ def _recovered(model: RobotModel, study: Study) -> Recovery | None:
 def demo_text(story: Demo) -> str:
     """Return the one screen with which the demo ends."""
     result, design, held = story.study.result, story.design, story.study.validations[0]
-    efficiency = "" if design.d_efficiency is None else f", {share(design.d_efficiency, 0)} of the attainable information"
-    consistent = {True: "real bodies can have these parameters", False: "NO real bodies have these parameters", None: "consistency unknown"}
+    efficiency = (
+        ""
+        if design.d_efficiency is None
+        else f", {share(design.d_efficiency, 0)} of the attainable information"
+    )
+    consistent = {
+        True: "real bodies can have these parameters",
+        False: "NO real bodies have these parameters",
+        None: "consistency unknown",
+    }
     causes, folder = story.causes, story.files["report"].parent
     costly = [int(k) for k in np.argsort(-causes.rms_cad)[:JOINTS_EXPLAINED]]
     lines = [
-        f"asbuilt demo: {story.model.name} with a gripper of {GRIPPER.mass:g} kg, other links, friction and sensor noise that its CAD model does not know",
+        (
+            f"asbuilt demo: {story.model.name} with a gripper of {GRIPPER.mass:g} kg, other links,"
+            " friction and sensor noise that its CAD model does not know"
+        ),
         "",
-        f"designed    {design.motion.duration:g} s of motion in {design.solve_seconds:.0f} s: scaled condition number "
-        f"{significant(design.scaled_condition_number)}{efficiency}; every limit kept on a 1 kHz grid",
+        (
+            f"designed    {design.motion.duration:g} s of motion in {design.solve_seconds:.0f} s:"
+            f" scaled condition number {significant(design.scaled_condition_number)}{efficiency};"
+            " every limit kept on a 1 kHz grid"
+        ),
         *_told("recorded", "; ".join(story.training.recording.notes)),
-        f"identified  {result.rank} of {result.n_base} parameters by {result.method} from {result.n_samples} samples; {consistent[result.physically_consistent]}",
+        (
+            f"identified  {result.rank} of {result.n_base} parameters by {result.method} from"
+            f" {result.n_samples} samples; {consistent[result.physically_consistent]}"
+        ),
         *_truth_told(story.recovery),
-        f"predicted   another motion: torque error CAD {share(held.metrics_cad.relative_error)}, as built {share(held.metrics_as_built.relative_error)}",
+        (
+            "predicted   another motion: torque error CAD"
+            f" {share(held.metrics_cad.relative_error)}, as built"
+            f" {share(held.metrics_as_built.relative_error)}"
+        ),
         "",
         stacked([story.study.comparison.torque_table()]),
         f"Why CAD is off, at the {len(costly)} joints where it costs most:",
-        *(line for k in costly for line in _told(f"  {causes.joint_names[k]}", causes.sentences[k].partition(": ")[2])),
-        *_told("", f"The gripper has {GRIPPER.mass:g} kg; links that are lighter or heavier than in CAD look like less or more of it."),
+        *(
+            line
+            for k in costly
+            for line in _told(f"  {causes.joint_names[k]}", causes.sentences[k].partition(": ")[2])
+        ),
+        *_told(
+            "",
+            f"The gripper has {GRIPPER.mass:g} kg; links that are lighter or heavier than in CAD"
+            " look like less or more of it.",
+        ),
         "",
         *_told("exported", story.refusal or "URDF, MJCF and C code give the identified torques"),
         *_told("files", ", ".join(path.name for path in story.files.values())),
@@ -177,13 +224,20 @@ def _truth_told(recovery: Recovery | None) -> list[str]:
     if recovery is None:
         return []
     return [
-        f"truth       {round(recovery.within(2.0) * len(recovery.names))} of {len(recovery.names)} parameters lie within 2 standard errors of it; torque without "
-        f"sensor noise: CAD {share(recovery.cad_error)} off, as built {share(recovery.torque_error, 2)}"
+        f"truth       {round(recovery.within(2.0) * len(recovery.names))} of {len(recovery.names)}"
+        " parameters lie within 2 standard errors of it; torque without sensor noise: CAD"
+        f" {share(recovery.cad_error)} off, as built {share(recovery.torque_error, 2)}"
     ]
 
 
 def _told(label: str, text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<12}", subsequent_indent=" " * 12, break_on_hyphens=False)
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=f"{label:<12}",
+        subsequent_indent=" " * 12,
+        break_on_hyphens=False,
+    )
 
 
 def demo_document(story: Demo) -> dict[str, Any]:
@@ -192,14 +246,18 @@ def demo_document(story: Demo) -> dict[str, Any]:
         "excite": excite_document(story.design, {}),
         "simulate": simulate_document(story.training, {}),
         "identify": identify_document(story.study.result),
-        "compare": story.study.comparison.as_document() | {"attribution": story.causes.as_document()},
-        "truth": None
-        if story.recovery is None
-        else {
-            "within_2_sigma": story.recovery.within(2.0),
-            "torque_error": story.recovery.torque_error,
-            "cad_error": story.recovery.cad_error,
-        },
+        "compare": (
+            story.study.comparison.as_document() | {"attribution": story.causes.as_document()}
+        ),
+        "truth": (
+            None
+            if story.recovery is None
+            else {
+                "within_2_sigma": story.recovery.within(2.0),
+                "torque_error": story.recovery.torque_error,
+                "cad_error": story.recovery.cad_error,
+            }
+        ),
         "export": None if story.export is None else story.export.as_document(),
         "files": path_texts(story.files),
         "seconds": story.seconds,

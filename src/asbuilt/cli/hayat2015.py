@@ -32,12 +32,22 @@ class PublishedParameter:
     def coefficients(self, standard_names: Sequence[str]) -> Array:
         """Return the expression as a row of coefficients of the standard parameters, shape (n_standard,)."""
         row = np.zeros(len(standard_names))
-        for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(self.expression):
-            name = f"I{axes}{inertia_link}" if inertia_link else f"m{axis}{moment_link}" if moment_link else f"m{mass_link}"
+        for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(
+            self.expression
+        ):
+            name = (
+                f"I{axes}{inertia_link}"
+                if inertia_link
+                else f"m{axis}{moment_link}"
+                if moment_link
+                else f"m{mass_link}"
+            )
             row[standard_names.index(name)] = (-1.0 if sign == "-" else 1.0) * float(factor or 1.0)
         unread = _TERM.sub("", self.expression).strip()
         if unread:
-            raise ValueError(f"row {self.id} of Table 2: cannot read {unread!r} in {self.expression!r}")
+            raise ValueError(
+                f"row {self.id} of Table 2: cannot read {unread!r} in {self.expression!r}"
+            )
         return row
 
 
@@ -70,7 +80,9 @@ def published() -> Paper:
     >>> len(paper.parameters), paper.parameters[0].expression
     (43, 'I1yy + I2zz')
     """
-    facts = tomllib.loads(files("asbuilt.cli").joinpath("hayat2015.toml").read_text(encoding="utf-8"))
+    facts = tomllib.loads(
+        files("asbuilt.cli").joinpath("hayat2015.toml").read_text(encoding="utf-8")
+    )
     return Paper(
         parameters=tuple(PublishedParameter(**row) for row in facts["table2"]),
         table3_joints=tuple(facts["table3"]["joints"]),

@@ -40,17 +40,33 @@ def identify(
     validate: Judges = None,
     holdout: Holdout = None,
     drive: Drive = None,
-    method: Annotated[str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")] = "auto",
+    method: Annotated[
+        str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")
+    ] = "auto",
     undetermined: Annotated[
-        str, typer.Option("--undetermined", "--prior", metavar="HOW", help="what no motion excites: cad (keep at CAD, named) or refuse")
+        str,
+        typer.Option(
+            "--undetermined",
+            "--prior",
+            metavar="HOW",
+            help="what no motion excites: cad (keep at CAD, named) or refuse",
+        ),
     ] = "cad",
     payload: Annotated[
-        list[Path] | None, typer.Option("--payload", metavar="LOG", help="a recording under load: what does the flange carry?")
+        list[Path] | None,
+        typer.Option(
+            "--payload", metavar="LOG", help="a recording under load: what does the flange carry?"
+        ),
     ] = None,
     mounting: Annotated[
         str,
         typer.Option(
-            "--mounting", metavar="HOW", help="gravity points as in the description (cad), or its direction is found too (estimate)"
+            "--mounting",
+            metavar="HOW",
+            help=(
+                "gravity points as in the description (cad), or its direction is found too"
+                " (estimate)"
+            ),
         ),
     ] = "cad",
     errors: Annotated[
@@ -58,7 +74,11 @@ def identify(
         typer.Option(
             "--errors",
             metavar="KIND",
-            help="standard errors: blocks (from time blocks, by formula), bootstrap (time blocks drawn again and again) or textbook (residuals taken as independent: too small where they are not)",
+            help=(
+                "standard errors: blocks (from time blocks, by formula), bootstrap (time blocks"
+                " drawn again and again) or textbook (residuals taken as independent: too small"
+                " where they are not)"
+            ),
         ),
     ] = "blocks",
     unchecked: Unchecked = False,
@@ -84,20 +104,34 @@ def identify(
         sweep_cutoff=swept,
         errors=one_of("--errors", errors, ERROR_KINDS),
         holdout=holdout,
-        unexcited=one_of("--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}),
+        unexcited=one_of(
+            "--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}
+        ),
         mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
         checked=not unchecked,
     )
     with progress_bar() as report:
         report("read", 0.0)
-        recordings, others, loaded = (reading.open(model, logs) for logs in (log, validate, payload))
+        recordings, others, loaded = (
+            reading.open(model, logs) for logs in (log, validate, payload)
+        )
         study = run_study(model, recordings, validation=others, options=options, progress=report)
         carried = (
-            run_payload_study(study.result, loaded, chain=options.chain, holdout=options.holdout, checked=options.checked)
+            run_payload_study(
+                study.result,
+                loaded,
+                chain=options.chain,
+                holdout=options.holdout,
+                checked=options.checked,
+            )
             if loaded
             else None
         )
-        files, notes = write_study(out, study, payload=carried, command=sys.argv[1:]) if out is not None else ({}, {})
+        files, notes = (
+            write_study(out, study, payload=carried, command=sys.argv[1:])
+            if out is not None
+            else ({}, {})
+        )
     answer(
         as_json,
         lambda: study_document(study, files, notes, carried),
@@ -108,7 +142,12 @@ def identify(
 def validate(
     result: Annotated[
         str,
-        typer.Argument(metavar="RESULT|ROBOT", help="a result.json that `asbuilt identify --out` wrote, or a robot, judged as described"),
+        typer.Argument(
+            metavar="RESULT|ROBOT",
+            help=(
+                "a result.json that `asbuilt identify --out` wrote, or a robot, judged as described"
+            ),
+        ),
     ],
     log: Logs,
     *,
@@ -134,44 +173,82 @@ def validate(
     distinct_logs(log)
     if Path(result).suffix.lower() != ".json":
         if out is not None:
-            raise UsageError("validate --out writes the predictions of a result; of a robot as described there is only the table")
+            raise UsageError(
+                "validate --out writes the predictions of a result; of a robot as described there"
+                " is only the table"
+            )
         model = described_robot(result)
         recordings = reading.open(model, log)
         if not unchecked:
             refuse_spoilt(model, recordings)
-        errors = [validate_description(model, prepare_logged(recording, filtering.chain())) for recording in recordings]
-        answer(as_json, lambda: described_document(model, errors), lambda: described_torque_table(model, errors).as_text())
+        errors = [
+            validate_description(model, prepare_logged(recording, filtering.chain()))
+            for recording in recordings
+        ]
+        answer(
+            as_json,
+            lambda: described_document(model, errors),
+            lambda: described_torque_table(model, errors).as_text(),
+        )
         return
     identified = read_result(Path(result))
     recordings, chain = reading.open(identified.model, log), filtering.chain()
     if not unchecked:
         refuse_spoilt(identified.model, recordings)
-    validations = [predict(identified, prepare_logged(recording, chain)) for recording in recordings]
+    validations = [
+        predict(identified, prepare_logged(recording, chain)) for recording in recordings
+    ]
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
     answer(
         as_json,
         lambda: validate_document(identified, validations, files=files),
-        lambda: comparison.torque_table().as_text() + "\n" + comparison.verdict() + listed_files(files),
+        lambda: (
+            comparison.torque_table().as_text() + "\n" + comparison.verdict() + listed_files(files)
+        ),
     )
 
 
 def compare(
     result: Result,
     *,
-    cad: Annotated[str | None, typer.Option("--cad", metavar="ROBOT", help="another description of the same robot to compare with")] = None,
+    cad: Annotated[
+        str | None,
+        typer.Option(
+            "--cad", metavar="ROBOT", help="another description of the same robot to compare with"
+        ),
+    ] = None,
     cad_tolerance: Annotated[
         str | None,
-        typer.Option("--cad-tolerance", metavar="5%", help="how well CAD knows masses, centres and inertias: one fraction or three"),
+        typer.Option(
+            "--cad-tolerance",
+            metavar="5%",
+            help="how well CAD knows masses, centres and inertias: one fraction or three",
+        ),
     ] = None,
     other: Annotated[
-        Path | None, typer.Option("--with", metavar="RESULT2", help="a later result of the same robot: what changed since RESULT")
+        Path | None,
+        typer.Option(
+            "--with",
+            metavar="RESULT2",
+            help="a later result of the same robot: what changed since RESULT",
+        ),
     ] = None,
     controller: Annotated[
-        Path | None, typer.Option("--controller", metavar="LOG", help="a recording with tau_ext: compare with the controller's own model")
+        Path | None,
+        typer.Option(
+            "--controller",
+            metavar="LOG",
+            help="a recording with tau_ext: compare with the controller's own model",
+        ),
     ] = None,
     holdout: Annotated[
-        str | None, typer.Option("--holdout", metavar="RULE", help="what of --controller to judge by (default: blocks:5s:3)")
+        str | None,
+        typer.Option(
+            "--holdout",
+            metavar="RULE",
+            help="what of --controller to judge by (default: blocks:5s:3)",
+        ),
     ] = None,
     unchecked: Unchecked = False,
     reading: Reading,
@@ -195,7 +272,9 @@ def compare(
 
     identified, files = read_result(result), {}
     if sum(choice is not None for choice in (cad, other, controller)) > 1:
-        raise UsageError("--cad, --with and --controller are three different comparisons; give one of them")
+        raise UsageError(
+            "--cad, --with and --controller are three different comparisons; give one of them"
+        )
     if controller is None:
         refuse_idle(
             "how a log is read, and what of it is held out, goes with --controller LOG",
@@ -209,7 +288,11 @@ def compare(
     if other is not None:
         drift = compare_results(identified, read_result(other), labels=(str(result), str(other)))
         files = write_drift(out, drift) if out is not None else {}
-        answer(as_json, lambda: with_files(drift.as_document(), files), lambda: drift.as_text() + listed_files(files))
+        answer(
+            as_json,
+            lambda: with_files(drift.as_document(), files),
+            lambda: drift.as_text() + listed_files(files),
+        )
         return
     if controller is not None:
         recording = reading.read(identified.model, [controller])[0]
@@ -217,16 +300,28 @@ def compare(
             refuse_spoilt(identified.model, [recording])
         beside = compare_with_controller(identified, recording, holdout=holdout or "blocks:5s:3")
         files = write_drift(out, beside) if out is not None else {}
-        answer(as_json, lambda: with_files(beside.as_document(), files), lambda: beside.as_text() + listed_files(files))
+        answer(
+            as_json,
+            lambda: with_files(beside.as_document(), files),
+            lambda: beside.as_text() + listed_files(files),
+        )
         return
     design = None if cad is None else described_robot(cad)
     verdict = CadVerdict(
-        compare_with(identified, design, tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance)),
+        compare_with(
+            identified,
+            design,
+            tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance),
+        ),
         attribute(identified, design) if identified.evidence is not None else None,
         determination(identified),
     )
     files = write_comparison(out, identified, verdict) if out is not None else {}
-    answer(as_json, lambda: with_files(verdict.as_document(), files), lambda: verdict.as_text() + listed_files(files))
+    answer(
+        as_json,
+        lambda: with_files(verdict.as_document(), files),
+        lambda: verdict.as_text() + listed_files(files),
+    )
 
 
 def payload(
@@ -234,18 +329,29 @@ def payload(
     log: Logs,
     *,
     unloaded: Annotated[
-        list[Path] | None, typer.Option("--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more")
+        list[Path] | None,
+        typer.Option(
+            "--unloaded", metavar="LOG", help="a recording of the bare arm; repeat for more"
+        ),
     ] = None,
     validate: Judges = None,
     holdout: Holdout = None,
     frame: Carrier = None,
-    arm: Annotated[str, typer.Option("--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen")] = "refined",
+    arm: Annotated[
+        str,
+        typer.Option(
+            "--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen"
+        ),
+    ] = "refined",
     gain_uncertainty: Annotated[
         str | None,
         typer.Option(
             "--gain-uncertainty",
             metavar="7%|P1,P2,...",
-            help="how well torque per ampere is known, for all joints or each (default: 7% for currents, 5% for motor torques, 0 for sensors)",
+            help=(
+                "how well torque per ampere is known, for all joints or each (default: 7% for"
+                " currents, 5% for motor torques, 0 for sensors)"
+            ),
         ),
     ] = None,
     unchecked: Unchecked = False,
@@ -273,5 +379,13 @@ def payload(
         gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
         checked=not unchecked,
     )
-    files = {"payload": write_json(out / "payload.json", payload_document(found))} if out is not None else {}
-    answer(as_json, lambda: payload_document(found, files), lambda: payload_text(found) + listed_files(files))
+    files = (
+        {"payload": write_json(out / "payload.json", payload_document(found))}
+        if out is not None
+        else {}
+    )
+    answer(
+        as_json,
+        lambda: payload_document(found, files),
+        lambda: payload_text(found) + listed_files(files),
+    )

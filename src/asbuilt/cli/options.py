@@ -38,31 +38,73 @@ def writable_file(file: Path | None) -> Path | None:
     return file
 
 
-Robot = Annotated[str, typer.Argument(metavar="ROBOT", help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file")]
-RobotOrResult = Annotated[
-    str, typer.Argument(metavar="ROBOT|RESULT", help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote")
+Robot = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT",
+        help="a bundled robot (see `asbuilt robots`) or a .urdf, .xml, .toml or .csv file",
+    ),
 ]
-Logs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags")]
-Result = Annotated[Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")]
+RobotOrResult = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT|RESULT",
+        help="a bundled robot, a robot file, or a result.json that `asbuilt identify --out` wrote",
+    ),
+]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG...", help="recordings: .csv .parquet .npz .mat .h5 or ROS 2 bags"),
+]
+Result = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="a result.json that `asbuilt identify --out` wrote")
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything random")]
-AsJson = Annotated[bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")]
-Out = Annotated[Path | None, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "--out", metavar="DIR", help="folder for the files to write", callback=writable_folder
+    ),
+]
 Judges = Annotated[
-    list[Path] | None, typer.Option("--validate", metavar="LOG", help="a recording of the same kind to judge by; repeat for more")
+    list[Path] | None,
+    typer.Option(
+        "--validate",
+        metavar="LOG",
+        help="a recording of the same kind to judge by; repeat for more",
+    ),
 ]
 Holdout = Annotated[
-    str | None, typer.Option("--holdout", metavar="RULE", help="blocks:5s:3 (every third 5 s block) or last:0.3, to judge by")
+    str | None,
+    typer.Option(
+        "--holdout",
+        metavar="RULE",
+        help="blocks:5s:3 (every third 5 s block) or last:0.3, to judge by",
+    ),
 ]
-Unchecked = Annotated[bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")]
+Unchecked = Annotated[
+    bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")
+]
 Carrier = Annotated[
-    str | None, typer.Option("--frame", metavar="NAME", help="link or frame that carries the payload (default: the flange)")
+    str | None,
+    typer.Option(
+        "--frame",
+        metavar="NAME",
+        help="link or frame that carries the payload (default: the flange)",
+    ),
 ]
 Drive = Annotated[
     str | None,
     typer.Option(
         "--drive",
         metavar="LIST",
-        help="terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives), none, or for identify auto (auto,spring: chosen, with a spring)",
+        help=(
+            "terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives),"
+            " none, or for identify auto (auto,spring: chosen, with a spring)"
+        ),
     ),
 ]
 
@@ -71,18 +113,33 @@ Drive = Annotated[
 class Reading:
     """The options that say how logs are read."""
 
-    rate: Annotated[float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps")] = None
-    flip_torque: Annotated[bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")] = False
+    rate: Annotated[
+        float | None,
+        typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps"),
+    ] = None
+    flip_torque: Annotated[
+        bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")
+    ] = False
     gain: Annotated[
         str | None,
         typer.Option(
             "--gain",
             metavar="G1,G2,...",
-            help="torque per logged unit, one for all joints or one each; stands in place of the sheet's gains",
+            help=(
+                "torque per logged unit, one for all joints or one each; stands in place of the"
+                " sheet's gains"
+            ),
         ),
     ] = None
-    torque_source: Annotated[str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")] = None
-    sheet: Annotated[Path | None, typer.Option("--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs")] = None
+    torque_source: Annotated[
+        str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")
+    ] = None
+    sheet: Annotated[
+        Path | None,
+        typer.Option(
+            "--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs"
+        ),
+    ] = None
 
     def read(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording]:
         """Return the recordings of a robot, none where no logs are given."""
@@ -90,7 +147,9 @@ class Reading:
 
         return read_recordings(logs or [], **self._options(model))
 
-    def open(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording | RecordingStream]:
+    def open(
+        self, model: RobotModel, logs: Sequence[Path] | None
+    ) -> list[Recording | RecordingStream]:
         """Return the recordings of a robot, those too long to be held as streams."""
         from asbuilt.experiment.logs.long_recordings import open_recordings
 
@@ -99,7 +158,10 @@ class Reading:
     @property
     def given(self) -> dict[str, bool]:
         """Which of these options were given, by name."""
-        return {f"--{field.name.replace('_', '-')}": getattr(self, field.name) != field.default for field in fields(self)}
+        return {
+            f"--{field.name.replace('_', '-')}": getattr(self, field.name) != field.default
+            for field in fields(self)
+        }
 
     def _options(self, model: RobotModel) -> ReadingOptions:
         from asbuilt.experiment.recording import TORQUE_SOURCES
@@ -110,7 +172,11 @@ class Reading:
             "rate": self.rate,
             "flip_torque": self.flip_torque,
             "gain": number_list("--gain", self.gain) or None,
-            "torque_source": None if self.torque_source is None else one_of("--torque-source", self.torque_source, TORQUE_SOURCES),
+            "torque_source": (
+                None
+                if self.torque_source is None
+                else one_of("--torque-source", self.torque_source, TORQUE_SOURCES)
+            ),
         }
 
 
@@ -123,11 +189,19 @@ class Filtering:
         typer.Option(
             "--cutoff",
             metavar="HZ",
-            help="low-pass cutoff (default: chosen from the recording); of identify also auto: held-out torque judges",
+            help=(
+                "low-pass cutoff (default: chosen from the recording); of identify also auto:"
+                " held-out torque judges"
+            ),
         ),
     ] = None
-    decimate: Annotated[int | None, typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering")] = None
-    preset: Annotated[str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")] = "default"
+    decimate: Annotated[
+        int | None,
+        typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering"),
+    ] = None
+    preset: Annotated[
+        str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")
+    ] = "default"
 
     def chain(self) -> SignalChain:
         """Return the named signal chain, with the cutoff and decimation given in place of its own."""
@@ -135,19 +209,27 @@ class Filtering:
 
         chain = SignalChain.preset(self.preset)
         cutoff = chain.cutoff if self.cutoff is None else positive_number("--cutoff", self.cutoff)
-        return replace(chain, cutoff=cutoff, decimate=chain.decimate if self.decimate is None else self.decimate)
+        return replace(
+            chain,
+            cutoff=cutoff,
+            decimate=chain.decimate if self.decimate is None else self.decimate,
+        )
 
 
 def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command as typer wants it: in place of each parameter that is a group of options (`Reading`, `Filtering`), the options of that group."""
     hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, type[Any]] = {name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)}
+    groups: dict[str, type[Any]] = {
+        name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)
+    }
     parameters = []
     for name, parameter in inspect.signature(command).parameters.items():
         if name in groups:
             parameters += _spread_out(groups[name])
         else:
-            parameters.append(parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY))
+            parameters.append(
+                parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY)
+            )
 
     @functools.wraps(command)
     def spread(**given: Any) -> None:
@@ -163,7 +245,12 @@ def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
 def _spread_out(group: type[Any]) -> list[inspect.Parameter]:
     hints = get_type_hints(group, include_extras=True)
     return [
-        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name])
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=hints[field.name],
+        )
         for field in fields(group)
     ]
 
@@ -192,7 +279,8 @@ def read_result(path: Path) -> IdentificationResult:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as problem:
         raise ResultError(
-            f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt identify --out DIR` writes"
+            f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt"
+            " identify --out DIR` writes"
         ) from None
     try:
         return IdentificationResult.from_json(text)
@@ -217,7 +305,10 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
         values = (math.nan,)
     if not all(map(math.isfinite, values)) or len(values) != (count or len(values)):
         example = ",".join(map(str, range(1, (count or 3) + 1)))
-        raise UsageError(f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for example {option} {example}")
+        raise UsageError(
+            f"{option} takes {count or 'finite'} numbers separated by commas, got {text!r}; for"
+            f" example {option} {example}"
+        )
     return values
 
 

@@ -38,7 +38,11 @@ def check(
     *,
     reading: Reading,
     information: Annotated[
-        bool, typer.Option("--information/--no-information", help="say how much of the attainable information it carries (takes a second)")
+        bool,
+        typer.Option(
+            "--information/--no-information",
+            help="say how much of the attainable information it carries (takes a second)",
+        ),
     ] = True,
     as_json: AsJson = False,
 ) -> None:
@@ -59,7 +63,8 @@ def check(
         as_json,
         lambda: check_document(model, checks, carried),
         lambda: "\n\n".join(
-            found.as_text() + (f"\n{part.as_text()}" if part is not None else "") for found, part in zip(checks, carried, strict=True)
+            found.as_text() + (f"\n{part.as_text()}" if part is not None else "")
+            for found, part in zip(checks, carried, strict=True)
         ),
     )
     if not all(found.ok for found in checks):
@@ -69,11 +74,19 @@ def check(
 def gains(
     robot: Robot,
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the bare arm")],
-    loaded: Annotated[list[Path], typer.Option("--loaded", metavar="LOG", help="a recording with the payload; repeat for more")],
+    loaded: Annotated[
+        list[Path],
+        typer.Option(
+            "--loaded", metavar="LOG", help="a recording with the payload; repeat for more"
+        ),
+    ],
     mass: Annotated[float, typer.Option("--mass", metavar="KG", help="mass of the payload")],
     *,
     com: Annotated[
-        str | None, typer.Option("--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known")
+        str | None,
+        typer.Option(
+            "--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known"
+        ),
     ] = None,
     frame: Carrier = None,
     drive: Drive = None,
@@ -114,22 +127,43 @@ def gains(
 
 def channels(
     robot: Robot,
-    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")],
-    motor: Annotated[list[Path], typer.Option("--motor", metavar="LOG", help="the same with motor torques, in the same order")],
+    log: Annotated[
+        list[Path], typer.Argument(metavar="LOG...", help="recordings of the joint torque sensors")
+    ],
+    motor: Annotated[
+        list[Path],
+        typer.Option(
+            "--motor", metavar="LOG", help="the same with motor torques, in the same order"
+        ),
+    ],
     *,
     motor_gain: Annotated[
-        str | None, typer.Option("--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors")
+        str | None,
+        typer.Option(
+            "--motor-gain", metavar="G1,G2,...", help="torque per logged unit of the motors"
+        ),
     ] = None,
-    motor_sheet: Annotated[Path | None, typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs")] = None,
+    motor_sheet: Annotated[
+        Path | None,
+        typer.Option("--motor-sheet", metavar="FILE", help="recording sheet of the motor logs"),
+    ] = None,
     drive: Annotated[
-        str | None, typer.Option("--drive", metavar="LIST", help="drive terms behind the sensors (default: viscous,coulomb,offset)")
+        str | None,
+        typer.Option(
+            "--drive",
+            metavar="LIST",
+            help="drive terms behind the sensors (default: viscous,coulomb,offset)",
+        ),
     ] = None,
     motor_drive: Annotated[
         str | None,
         typer.Option(
             "--motor-drive",
             metavar="LIST",
-            help="drive terms before the sensors (default: armature,viscous,coulomb,offset, and those of coupled motors)",
+            help=(
+                "drive terms before the sensors (default: armature,viscous,coulomb,offset, and"
+                " those of coupled motors)"
+            ),
         ),
     ] = None,
     unchecked: Unchecked = False,
@@ -146,7 +180,9 @@ def channels(
 
     model = described_robot(robot)
     sensors = replace(reading, torque_source=reading.torque_source or "sensor").read(model, log)
-    motors = replace(reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet).read(model, motor)
+    motors = replace(
+        reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet
+    ).read(model, motor)
     if not unchecked:
         refuse_spoilt(model, [*sensors, *motors])
     chain = filtering.chain().resolved(*sensors)
@@ -162,36 +198,77 @@ def channels(
 def simulate(
     robot: RobotOrResult,
     motion: Annotated[
-        Path | None, typer.Argument(metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given")
+        Path | None,
+        typer.Argument(
+            metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given"
+        ),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option("--preset", metavar="NAME", help="the robot and its sensors: ideal (where none is named), lab or factory")
+        str | None,
+        typer.Option(
+            "--preset",
+            metavar="NAME",
+            help="the robot and its sensors: ideal (where none is named), lab or factory",
+        ),
     ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="NAME=VALUE", help="change what the preset says, such as backlash=2e-4 or feedforward=none; repeat for more"
+            "--set",
+            metavar="NAME=VALUE",
+            help=(
+                "change what the preset says, such as backlash=2e-4 or feedforward=none; repeat for"
+                " more"
+            ),
         ),
     ] = None,
     tool: Annotated[
-        str | None, typer.Option("--tool", metavar="KG@X,Y,Z", help="a ball of this mass, its centre in the axes of --at [m]")
+        str | None,
+        typer.Option(
+            "--tool",
+            metavar="KG@X,Y,Z",
+            help="a ball of this mass, its centre in the axes of --at [m]",
+        ),
     ] = None,
     at: Annotated[
-        str | None, typer.Option("--at", metavar="NAME", help="link or frame that carries the tool (default: the flange)")
+        str | None,
+        typer.Option(
+            "--at", metavar="NAME", help="link or frame that carries the tool (default: the flange)"
+        ),
     ] = None,
     free: Annotated[
         str | None,
-        typer.Option("--free", metavar="HOW", help="no motion, let go: drop (at rest), free (without friction), step (of a controller)"),
+        typer.Option(
+            "--free",
+            metavar="HOW",
+            help=(
+                "no motion, let go: drop (at rest), free (without friction), step (of a controller)"
+            ),
+        ),
     ] = None,
-    start: Annotated[str | None, typer.Option("--start", metavar="Q1,Q2,...", help="pose in which --free begins [rad, m]")] = None,
+    start: Annotated[
+        str | None,
+        typer.Option("--start", metavar="Q1,Q2,...", help="pose in which --free begins [rad, m]"),
+    ] = None,
     engine: Annotated[
-        str, typer.Option("--engine", metavar="NAME", help="mujoco (controlled, in physics) or inverse-dynamics (follows exactly)")
+        str,
+        typer.Option(
+            "--engine",
+            metavar="NAME",
+            help="mujoco (controlled, in physics) or inverse-dynamics (follows exactly)",
+        ),
     ] = "mujoco",
     rate: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="sampling rate of the recording (default: the preset's)")
+        float | None,
+        typer.Option(
+            "--rate", metavar="HZ", help="sampling rate of the recording (default: the preset's)"
+        ),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option("--duration", metavar="S", help="length of the random motion (20) or of --free (3)")
+        float | None,
+        typer.Option(
+            "--duration", metavar="S", help="length of the random motion (20) or of --free (3)"
+        ),
     ] = None,
     seed: Seed = 0,
     out: Annotated[
@@ -228,7 +305,13 @@ def simulate(
             write_free_motion,
         )
 
-        given = {"MOTION": motion, "--preset": preset, "--set": settings, "--rate": rate, "--engine inverse-dynamics": engine != "mujoco"}
+        given = {
+            "MOTION": motion,
+            "--preset": preset,
+            "--set": settings,
+            "--rate": rate,
+            "--engine inverse-dynamics": engine != "mujoco",
+        }
         refuse_idle(
             "--free lets the robot go as it is described, without controller and sensors",
             {name: bool(value) for name, value in given.items()},
@@ -241,14 +324,22 @@ def simulate(
             start=number_list("--start", start) or None,
         )
         files = write_free_motion(out or Path("free.csv"), freed)
-        answer(as_json, lambda: free_motion_document(freed, files), lambda: free_motion_text(freed) + listed_files(files))
+        answer(
+            as_json,
+            lambda: free_motion_document(freed, files),
+            lambda: free_motion_text(freed) + listed_files(files),
+        )
         return
     if start is not None:
         raise UsageError("--start is for --free; a motion starts where its file says")
     if motion is not None and duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
     seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
-    moved = read_motion(motion, model) if motion is not None else random_fourier(model, rng=seed, duration=seconds)
+    moved = (
+        read_motion(motion, model)
+        if motion is not None
+        else random_fourier(model, rng=seed, duration=seconds)
+    )
     if engine == "mujoco":
         from asbuilt.experiment.virtual.settings import with_settings
         from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
@@ -256,13 +347,26 @@ def simulate(
         virtual = VirtualRobot.preset(kind, model, rng=seed, tool=carried, at=place).logging(rate)
         virtual = with_settings(virtual, settings or ())
         with progress_bar() as report:
-            simulated = virtual.record(moved, rng=seed, progress=lambda fraction: report("move", fraction))
+            simulated = virtual.record(
+                moved, rng=seed, progress=lambda fraction: report("move", fraction)
+            )
     else:
         if kind == "factory" or settings:
             what = "--set" if settings else "preset 'factory'"
-            raise UsageError(f"--engine inverse-dynamics knows no {what}; it has the presets ideal and lab as they are")
-        machine = InstalledRobot.typical(model, rng=seed) if kind == "lab" else InstalledRobot.ideal(model)
+            raise UsageError(
+                f"--engine inverse-dynamics knows no {what}; it has the presets ideal and lab as"
+                " they are"
+            )
+        machine = (
+            InstalledRobot.typical(model, rng=seed)
+            if kind == "lab"
+            else InstalledRobot.ideal(model)
+        )
         machine = machine if carried is None else machine.with_tool(carried, place)
         simulated = machine.record(moved, 1000.0 if rate is None else rate, rng=seed)
     files = write_simulation(out or Path("recording.csv"), simulated)
-    answer(as_json, lambda: simulate_document(simulated, files), lambda: "; ".join(simulated.recording.notes) + listed_files(files))
+    answer(
+        as_json,
+        lambda: simulate_document(simulated, files),
+        lambda: "; ".join(simulated.recording.notes) + listed_files(files),
+    )

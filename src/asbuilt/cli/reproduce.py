@@ -117,14 +117,26 @@ def reproduce(progress: Progress | None = None) -> Reproduction:
     test = robot.record(_test_motion(model, rng), RATE, rng=SEED + 1).recording
     report("motions and recordings", 1.0)
     rigid = _study(
-        model, training, test, StudyOptions(drive=DriveSet(), method="ols", chain=SignalChain.preset("paper2015"), checked=False)
+        model,
+        training,
+        test,
+        StudyOptions(
+            drive=DriveSet(), method="ols", chain=SignalChain.preset("paper2015"), checked=False
+        ),
     )
-    full = _study(model, training, test, StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), checked=False))
+    full = _study(
+        model,
+        training,
+        test,
+        StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), checked=False),
+    )
     return Reproduction(
         model=model,
         paper=paper,
         parameters=parameters,
-        ids_equal=sum(int(ours) == theirs.id for ours, theirs in zip(base.ids, paper.parameters, strict=True)),
+        ids_equal=sum(
+            int(ours) == theirs.id for ours, theirs in zip(base.ids, paper.parameters, strict=True)
+        ),
         mismatches_with_printed_alpha=_mismatches_with_printed_alpha(model, base, paper),
         cad_margin=margins[0],
         robot_margin=margins[1],
@@ -139,7 +151,12 @@ def installed_robot(model: RobotModel) -> tuple[InstalledRobot, tuple[str, ...]]
     """Return the virtual installed iiwa and, in sentences, what its CAD model does not know of it."""
     typical = InstalledRobot.typical(model, rng=SEED)
     gripper = LinkInertia.from_com(0.9, [0.01, -0.005, 0.05], np.diag([0.0014, 0.0012, 0.0007]))
-    robot = InstalledRobot.ideal(model).with_drive(typical.drive, typical.drive_values).with_noise(typical.noise).with_tool(gripper)
+    robot = (
+        InstalledRobot.ideal(model)
+        .with_drive(typical.drive, typical.drive_values)
+        .with_noise(typical.noise)
+        .with_tool(gripper)
+    )
     return robot, (
         "a 0.9 kg gripper at the flange",
         f"friction and armature in every joint ({typical.drive})",
@@ -155,16 +172,31 @@ def _identified_from_simulation(model: RobotModel) -> Array:
     motion = QuinticMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration)
     moved = motion.sample(100.0)
     tau = simulate_recording(model, motion, rate=100.0).tau
-    samples = Samples(moved.t, moved.q, moved.qd, moved.qdd, tau, rate=100.0, joint_names=model.joint_names, source="quintic motion")
+    samples = Samples(
+        moved.t,
+        moved.q,
+        moved.qd,
+        moved.qdd,
+        tau,
+        rate=100.0,
+        joint_names=model.joint_names,
+        source="quintic motion",
+    )
     return identify(model, samples, method="ols").estimates
 
 
-def _table_2(model: RobotModel, base: BaseParameters, paper: Paper, simulated: Array) -> tuple[ReproducedParameter, ...]:
+def _table_2(
+    model: RobotModel, base: BaseParameters, paper: Paper, simulated: Array
+) -> tuple[ReproducedParameter, ...]:
     values = base.values(model.parameters)
     rounding = _table_1_rounding(model, base)
     rows = []
     for k, row in enumerate(paper.parameters):
-        same = bool(np.allclose(row.coefficients(base.standard_names), base.regrouping[k], rtol=0, atol=1e-12))
+        same = bool(
+            np.allclose(
+                row.coefficients(base.standard_names), base.regrouping[k], rtol=0, atol=1e-12
+            )
+        )
         tolerance = float(rounding[k]) + _half_digit(row.cad)
         rows.append(
             ReproducedParameter(
@@ -187,7 +219,11 @@ def _table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
     total = np.zeros(base.n_base)
     parameters = np.array(model.parameters)
     for i, link in enumerate(model.links):
-        com, inertia, mass = np.array(link.inertia.com), np.array(link.inertia.inertia_about_com), link.inertia.mass
+        com, inertia, mass = (
+            np.array(link.inertia.com),
+            np.array(link.inertia.inertia_about_com),
+            link.inertia.mass,
+        )
 
         def effect(changed: LinkInertia, i: int = i) -> Array:
             moved = parameters.copy()
@@ -212,7 +248,10 @@ def _mismatches_with_printed_alpha(model: RobotModel, base: BaseParameters, pape
     """Count the CAD values of Table 2 that link 7 with alpha_7 as printed in Table 1 would not give."""
     offsets = [model.lengths.get(f"b{i + 1}", 0.0) for i in range(model.n_joints)]
     twists = [90.0, -90.0, -90.0, 90.0, 90.0, -90.0, paper.alpha_7_printed]
-    rows = [DHRow(b=b, alpha=np.deg2rad(alpha), inertia=link.inertia) for b, alpha, link in zip(offsets, twists, model.links, strict=True)]
+    rows = [
+        DHRow(b=b, alpha=np.deg2rad(alpha), inertia=link.inertia)
+        for b, alpha, link in zip(offsets, twists, model.links, strict=True)
+    ]
     printed = robot_from_dh(rows, name="as printed")
     other = find_base_parameters(printed)
     if other.n_base != base.n_base:
@@ -228,7 +267,9 @@ def _training_motion(model: RobotModel, bounds: MotionBounds, rng: np.random.Gen
     spline = SplineMotion.within(points, velocity=bounds.velocity, acceleration=bounds.acceleration)
     poses = rng.uniform(bounds.lower, bounds.upper, size=(12, model.n_joints))
     poses[0] = spline.end
-    point_to_point = QuinticMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration)
+    point_to_point = QuinticMotion.within(
+        poses, velocity=bounds.velocity, acceleration=bounds.acceleration
+    )
     return Concatenated([spline, point_to_point])
 
 
@@ -238,4 +279,9 @@ def _test_motion(model: RobotModel, rng: np.random.Generator) -> Motion:
 
 
 def _study(model: RobotModel, training: Recording, test: Recording, options: StudyOptions) -> Study:
-    return run_study(model, [prepare_samples(training, options.chain)], validation=[prepare_samples(test, options.chain)], options=options)
+    return run_study(
+        model,
+        [prepare_samples(training, options.chain)],
+        validation=[prepare_samples(test, options.chain)],
+        options=options,
+    )

@@ -15,7 +15,10 @@ from asbuilt.writers.figures.figure_style import save_figure
 from asbuilt.writers.figures.figures import torque_figure
 from asbuilt.writers.files import atomic_write, path_texts
 
-SOURCE = "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator: Comparison between CAD and Actual Parameters, iNaCoMM 2015-94"
+SOURCE = (
+    "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator: Comparison"
+    " between CAD and Actual Parameters, iNaCoMM 2015-94"
+)
 FIGURE_JOINTS = slice(0, 4)
 VISIBLE = 5e-7
 """Difference of a CAD value [SI] from which it is mentioned."""
@@ -27,8 +30,22 @@ def table_1(redone: Reproduction) -> Table:
     for k, (joint, link) in enumerate(zip(redone.model.joints, redone.model.links, strict=True)):
         com = " ".join(f"{value:.6g}" for value in link.inertia.com + 0.0)
         alpha = float(np.rad2deg(np.arctan2(joint.after[2, 1], joint.after[2, 2])))
-        remark = f"paper prints {redone.paper.alpha_7_printed:g}" if k == redone.model.n_joints - 1 else ""
-        rows.append((k + 1, redone.model.lengths.get(f"b{k + 1}", 0.0), 0.0, alpha, link.inertia.mass, com, remark))
+        remark = (
+            f"paper prints {redone.paper.alpha_7_printed:g}"
+            if k == redone.model.n_joints - 1
+            else ""
+        )
+        rows.append(
+            (
+                k + 1,
+                redone.model.lengths.get(f"b{k + 1}", 0.0),
+                0.0,
+                alpha,
+                link.inertia.mass,
+                com,
+                remark,
+            )
+        )
     columns = (
         Column("link", align="right"),
         Column("b", "m", "decimal"),
@@ -39,10 +56,13 @@ def table_1(redone: Reproduction) -> Table:
         Column("remark"),
     )
     note = (
-        f"With alpha_7 = {redone.paper.alpha_7_printed:g} deg as printed, {redone.mismatches_with_printed_alpha} of {len(redone.parameters)} rows of Table 2 "
-        "would differ; with 0 all agree."
+        f"With alpha_7 = {redone.paper.alpha_7_printed:g} deg as printed,"
+        f" {redone.mismatches_with_printed_alpha} of {len(redone.parameters)} rows of Table 2 would"
+        " differ; with 0 all agree."
     )
-    return Table(columns, tuple(rows), title="Table 1. KUKA LBR iiwa 7 R800 from CAD", notes=(note,))
+    return Table(
+        columns, tuple(rows), title="Table 1. KUKA LBR iiwa 7 R800 from CAD", notes=(note,)
+    )
 
 
 def table_2(redone: Reproduction) -> Table:
@@ -72,15 +92,36 @@ def table_2(redone: Reproduction) -> Table:
         Column("simulated", align="decimal", style=".9f"),
         Column("robot, paper", align="decimal", style=".9f"),
     )
-    misprints = [str(k) for k, row in enumerate(redone.parameters, start=1) if row.printed != row.corrected]
-    rounded = [str(k) for k, row in enumerate(redone.parameters, start=1) if abs(row.cad_ours - row.cad_printed) > VISIBLE]
+    misprints = [
+        str(k) for k, row in enumerate(redone.parameters, start=1) if row.printed != row.corrected
+    ]
+    rounded = [
+        str(k)
+        for k, row in enumerate(redone.parameters, start=1)
+        if abs(row.cad_ours - row.cad_printed) > VISIBLE
+    ]
     notes = (
-        f"{redone.ids_equal} of {len(rows)} ids, {redone.n_same_expressions} of {len(rows)} expressions and {redone.n_same_values} of {len(rows)} CAD values are "
-        f"the paper's. Expressions: as corrected in row{'s' if len(misprints) > 1 else ''} {', '.join(misprints)}, which the paper misprints.",
-        f"Values agree within what the rounding of Table 1 allows; rows {', '.join(rounded)} differ visibly, by at most {redone.largest_difference:.1e}.",
-        "'simulated': quintic motions, noise-free torque, least squares, as in section 3.1 of the paper.",
-        f"Physical consistency: best attainable smallest eigenvalue of the links' pseudo-inertias {redone.cad_margin:.3g} for the CAD column and "
-        f"{redone.robot_margin:.3g} for the robot column, so {'NO real bodies have' if redone.robot_margin < 0 else 'real bodies can have'} the paper's robot column.",
+        (
+            f"{redone.ids_equal} of {len(rows)} ids, {redone.n_same_expressions} of {len(rows)}"
+            f" expressions and {redone.n_same_values} of {len(rows)} CAD values are the paper's."
+            f" Expressions: as corrected in row{'s' if len(misprints) > 1 else ''}"
+            f" {', '.join(misprints)}, which the paper misprints."
+        ),
+        (
+            f"Values agree within what the rounding of Table 1 allows; rows {', '.join(rounded)}"
+            f" differ visibly, by at most {redone.largest_difference:.1e}."
+        ),
+        (
+            "'simulated': quintic motions, noise-free torque, least squares, as in section 3.1 of"
+            " the paper."
+        ),
+        (
+            "Physical consistency: best attainable smallest eigenvalue of the links'"
+            f" pseudo-inertias {redone.cad_margin:.3g} for the CAD column and"
+            f" {redone.robot_margin:.3g} for the robot column, so"
+            f" {'NO real bodies have' if redone.robot_margin < 0 else 'real bodies can have'} the"
+            " paper's robot column."
+        ),
     )
     return Table(columns, rows, title="Table 2. Base parameters", notes=notes)
 
@@ -97,21 +138,40 @@ def table_3(redone: Reproduction) -> Table:
         ("virtual robot", "identified as in the paper", *rigid.metrics_as_built.rms[pick].tolist()),
         ("virtual robot", "identified with friction", *full.metrics_as_built.rms[pick].tolist()),
     )
-    columns = (Column("robot"), Column("parameters"), *(Column(f"joint {k}", "N m", "decimal", ".4f") for k in joints))
+    columns = (
+        Column("robot"),
+        Column("parameters"),
+        *(Column(f"joint {k}", "N m", "decimal", ".4f") for k in joints),
+    )
     notes = (
-        "The recordings behind the paper's Table 3 and Figures 3 and 4 are not public. They cannot be reproduced, only repeated: here on a virtual installed "
-        f"robot, the iiwa of Table 1 with {'; '.join(redone.installed)}, none of which its CAD model knows.",
-        f"Spline and point-to-point motion, {redone.n_logged} samples at 1 kHz (the paper: {redone.paper.samples}), its signal chain (Butterworth of order 2 at 7 Hz both ways, "
-        "central differences, decimation by 10), least squares; judged on another point-to-point motion.",
-        "'with friction': the same recordings through the default chain, weighted least squares, viscous, Coulomb and offset terms.",
+        (
+            "The recordings behind the paper's Table 3 and Figures 3 and 4 are not public. They"
+            " cannot be reproduced, only repeated: here on a virtual installed robot, the iiwa of"
+            f" Table 1 with {'; '.join(redone.installed)}, none of which its CAD model knows."
+        ),
+        (
+            f"Spline and point-to-point motion, {redone.n_logged} samples at 1 kHz (the paper:"
+            f" {redone.paper.samples}), its signal chain (Butterworth of order 2 at 7 Hz both ways,"
+            " central differences, decimation by 10), least squares; judged on another"
+            " point-to-point motion."
+        ),
+        (
+            "'with friction': the same recordings through the default chain, weighted least"
+            " squares, viscous, Coulomb and offset terms."
+        ),
     )
     return Table(columns, rows, title="Table 3. RMS torque error on the test motion", notes=notes)
 
 
 def reproduction_text(redone: Reproduction) -> str:
     """Return what `asbuilt reproduce` prints."""
-    tables = "\n".join(table.as_text() for table in (table_1(redone), table_2(redone), table_3(redone)))
-    return f"{SOURCE}\n\n{tables}\nFigures 3 and 4: torque of joints 1 to 4 on the test motion, CAD and identified; --out DIR draws them.\n"
+    tables = "\n".join(
+        table.as_text() for table in (table_1(redone), table_2(redone), table_3(redone))
+    )
+    return (
+        f"{SOURCE}\n\n{tables}\nFigures 3 and 4: torque of joints 1 to 4 on the test motion, CAD"
+        " and identified; --out DIR draws them.\n"
+    )
 
 
 def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
@@ -126,7 +186,9 @@ def write_reproduction(folder: Path, redone: Reproduction) -> dict[str, Path]:
     }
     predictions = ((validation.predicted_cad, "CAD"), (validation.predicted, "identified"))
     for (kind, title), (predicted, label) in zip(titles.items(), predictions, strict=True):
-        files[kind] = save_figure(_figure(validation, predicted, title, label), folder / f"{kind}.png")
+        files[kind] = save_figure(
+            _figure(validation, predicted, title, label), folder / f"{kind}.png"
+        )
     return files
 
 
@@ -136,7 +198,10 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
     return {
         "source": SOURCE,
         "robot": redone.model.name,
-        "table1": {"alpha_7_printed": redone.paper.alpha_7_printed, "rows_missed_as_printed": redone.mismatches_with_printed_alpha},
+        "table1": {
+            "alpha_7_printed": redone.paper.alpha_7_printed,
+            "rows_missed_as_printed": redone.mismatches_with_printed_alpha,
+        },
         "table2": {
             "ids_equal": redone.ids_equal,
             "expressions_equal": redone.n_same_expressions,
@@ -161,7 +226,10 @@ def reproduction_document(redone: Reproduction, files: Mapping[str, Path]) -> di
         },
         "table3": {
             "joints": list(redone.paper.table3_joints),
-            "paper": {"cad": list(redone.paper.table3_cad), "robot": list(redone.paper.table3_robot)},
+            "paper": {
+                "cad": list(redone.paper.table3_cad),
+                "robot": list(redone.paper.table3_robot),
+            },
             "virtual": {
                 "installed": list(redone.installed),
                 "n_samples": redone.n_logged,

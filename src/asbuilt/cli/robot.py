@@ -57,27 +57,44 @@ def base(robot: Robot, drive: Drive = "none", as_json: AsJson = False) -> None:
     model = described_robot(robot)
     found = find_base_parameters(model, DriveSet.parse(drive or "none"))
     answer(
-        as_json, lambda: base_document(found, model), lambda: base_table(found, model).as_text() + "\n" + standard_table(found).as_text()
+        as_json,
+        lambda: base_document(found, model),
+        lambda: base_table(found, model).as_text() + "\n" + standard_table(found).as_text(),
     )
 
 
 def view(
     robot: RobotOrResult,
-    motion: Annotated[Path | None, typer.Argument(metavar="[MOTION]", help="motion or recording as CSV (t, q_*, ...) to play")] = None,
+    motion: Annotated[
+        Path | None,
+        typer.Argument(metavar="[MOTION]", help="motion or recording as CSV (t, q_*, ...) to play"),
+    ] = None,
     save: Annotated[
         Path | None,
         typer.Option(
             "--save",
             metavar="FILE",
-            help="write a page of its own (.html), a picture (.png) or an animation (.gif .webp) instead",
+            help=(
+                "write a page of its own (.html), a picture (.png) or an animation (.gif .webp)"
+                " instead"
+            ),
             callback=writable_file,
         ),
     ] = None,
     style: Annotated[
-        str, typer.Option("--style", metavar="NAME", help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton")
+        str,
+        typer.Option(
+            "--style",
+            metavar="NAME",
+            help="of pictures: auto, rendered (MuJoCo, OpenGL) or skeleton",
+        ),
     ] = "auto",
-    port: Annotated[int, typer.Option("--port", help="port of the page, the next free one where it is taken")] = 8080,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="open the page in a browser")] = True,
+    port: Annotated[
+        int, typer.Option("--port", help="port of the page, the next free one where it is taken")
+    ] = 8080,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
+    ] = True,
     as_json: AsJson = False,
 ) -> None:
     """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids; Ctrl-C ends it."""
@@ -98,7 +115,11 @@ def view(
                 style=one_of("--style", style, ("auto", "rendered", "skeleton")),
                 progress=lambda done: report("draw", done),
             )
-        answer(as_json, lambda: {**about, "files": {"picture": str(written)}}, lambda: listed_files({"picture": written}))
+        answer(
+            as_json,
+            lambda: {**about, "files": {"picture": str(written)}},
+            lambda: listed_files({"picture": written}),
+        )
         return
     from asbuilt.writers.pictures.viewer import Viewer
 
@@ -106,9 +127,15 @@ def view(
     try:
         if save is not None:
             files = {"page": atomic_write(save, page.page().encode())}
-            answer(as_json, lambda: {**about, "files": path_texts(files)}, lambda: listed_files(files))
+            answer(
+                as_json, lambda: {**about, "files": path_texts(files)}, lambda: listed_files(files)
+            )
             return
-        answer(as_json, lambda: {**about, "url": page.url}, lambda: f"{model.name} at {page.url}; Ctrl-C ends it")
+        answer(
+            as_json,
+            lambda: {**about, "url": page.url},
+            lambda: f"{model.name} at {page.url}; Ctrl-C ends it",
+        )
         if browser:
             import webbrowser
 
@@ -121,22 +148,57 @@ def view(
 
 def export(
     result: Result,
-    urdf: Annotated[Path | None, typer.Option("--urdf", metavar="FILE", help="the URDF it was identified with, as built")] = None,
-    mjcf: Annotated[Path | None, typer.Option("--mjcf", metavar="FILE", help="a model for MuJoCo")] = None,
-    toml: Annotated[Path | None, typer.Option("--toml", metavar="FILE", help="a robot file of asbuilt")] = None,
-    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it")] = None,
+    urdf: Annotated[
+        Path | None,
+        typer.Option("--urdf", metavar="FILE", help="the URDF it was identified with, as built"),
+    ] = None,
+    mjcf: Annotated[
+        Path | None, typer.Option("--mjcf", metavar="FILE", help="a model for MuJoCo")
+    ] = None,
+    toml: Annotated[
+        Path | None, typer.Option("--toml", metavar="FILE", help="a robot file of asbuilt")
+    ] = None,
+    c: Annotated[
+        Path | None,
+        typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it"),
+    ] = None,
     original: Annotated[
-        Path | None, typer.Option("--original", metavar="FILE", help="the URDF to edit (default: where the robot was read from)")
+        Path | None,
+        typer.Option(
+            "--original",
+            metavar="FILE",
+            help="the URDF to edit (default: where the robot was read from)",
+        ),
     ] = None,
     nearest: Annotated[
         bool,
-        typer.Option("--nearest", help="where no real bodies and drives have the identified parameters, write the nearest that can be"),
+        typer.Option(
+            "--nearest",
+            help=(
+                "where no real bodies and drives have the identified parameters, write the nearest"
+                " that can be"
+            ),
+        ),
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="with --nearest: write it though it predicts the recordings badly")] = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="with --nearest: write it though it predicts the recordings badly"
+        ),
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Write the identified robot for other software."""
     from asbuilt.writers.models.export import export_result
 
-    exported = export_result(read_result(result), urdf=urdf, mjcf=mjcf, toml=toml, c=c, original=original, nearest=nearest, force=force)
+    exported = export_result(
+        read_result(result),
+        urdf=urdf,
+        mjcf=mjcf,
+        toml=toml,
+        c=c,
+        original=original,
+        nearest=nearest,
+        force=force,
+    )
     answer(as_json, exported.as_document, exported.as_text)

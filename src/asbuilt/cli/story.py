@@ -23,13 +23,20 @@ def reproduce(out: Out = None, as_json: AsJson = False) -> None:
     with progress_bar() as report:
         redone = redo(progress=report)
         files = write_reproduction(out, redone) if out is not None else {}
-    answer(as_json, lambda: reproduction_document(redone, files), lambda: reproduction_text(redone) + listed_files(files))
+    answer(
+        as_json,
+        lambda: reproduction_document(redone, files),
+        lambda: reproduction_text(redone) + listed_files(files),
+    )
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder for the files to write", callback=writable_folder)] = Path(
-        "asbuilt-demo"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="DIR", help="folder for the files to write", callback=writable_folder
+        ),
+    ] = Path("asbuilt-demo"),
     as_json: AsJson = False,
 ) -> None:
     """Run the whole story on bundled data: move, record, identify, validate, compare, export, report."""

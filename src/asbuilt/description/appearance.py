@@ -90,7 +90,13 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
         axis = joint.after[2, :3]
         origin = -joint.after[:3, :3].T @ joint.after[:3, 3]
         if joint.is_revolute:
-            yield Solid(k, "housing", origin - 1.25 * radius * axis, origin + 1.25 * radius * axis, 1.12 * radius)
+            yield Solid(
+                k,
+                "housing",
+                origin - 1.25 * radius * axis,
+                origin + 1.25 * radius * axis,
+                1.12 * radius,
+            )
         else:
             travel = joint.limits.upper - joint.limits.lower
             back = travel if np.isfinite(travel) else TRAVEL
@@ -119,6 +125,9 @@ def _distances(model: RobotModel) -> Array:
     for k, joint in enumerate(model.joints):
         before = 0.0 if joint.parent == ROOT else along[joint.parent]
         own = np.linalg.norm(joint.before[:3, 3]) + np.linalg.norm(joint.after[:3, 3])
-        tip = max((np.linalg.norm(frame.placement[:3, 3]) for frame in model.frames if frame.link == k), default=0.0)
+        tip = max(
+            (np.linalg.norm(frame.placement[:3, 3]) for frame in model.frames if frame.link == k),
+            default=0.0,
+        )
         along[k] = before + own + tip
     return along

@@ -13,7 +13,13 @@ _FOLDER = files("asbuilt.description") / "robots"
 
 def robot_names() -> tuple[str, ...]:
     """Return the names of the bundled robots, sorted."""
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in _FOLDER.iterdir() if entry.name.endswith(".toml")))
+    return tuple(
+        sorted(
+            entry.name.removesuffix(".toml")
+            for entry in _FOLDER.iterdir()
+            if entry.name.endswith(".toml")
+        )
+    )
 
 
 def bundled_robot(name: str) -> RobotModel:
@@ -22,14 +28,23 @@ def bundled_robot(name: str) -> RobotModel:
     >>> bundled_robot("kuka-iiwa7-r800").n_joints
     7
     """
-    from asbuilt.description.formats.toml import robot_from_toml  # noqa: PLC0415 - pydantic loads when a robot is read, not when names are listed
+    from asbuilt.description.formats.toml import (
+        robot_from_toml,
+    )  # noqa: PLC0415 - pydantic loads when a robot is read, not when names are listed
 
     if name not in robot_names():
-        raise DescriptionError(f"there is no bundled robot {name!r}{nearest(name)}; bundled are {', '.join(robot_names())}")
-    return robot_from_toml((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), source=f"bundled robot {name}")
+        raise DescriptionError(
+            f"there is no bundled robot {name!r}{nearest(name)}; bundled are"
+            f" {', '.join(robot_names())}"
+        )
+    return robot_from_toml(
+        (_FOLDER / f"{name}.toml").read_text(encoding="utf-8"), source=f"bundled robot {name}"
+    )
 
 
 def nearest(name: str) -> str:
     """Return `" (did you mean 'puma-560'?)"` for the bundled robot nearest in spelling, or an empty text."""
-    matches = difflib.get_close_matches(name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4)
+    matches = difflib.get_close_matches(
+        name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4
+    )
     return f" (did you mean {matches[0]!r}?)" if matches else ""

@@ -34,7 +34,10 @@ class LinkInertia:
     def __post_init__(self) -> None:
         parameters = np.array(self.parameters, dtype=np.float64)
         if parameters.shape != (10,):
-            raise InertiaError(f"inertial parameters must be 10 numbers ({' '.join(PARAMETER_NAMES)}), got shape {parameters.shape}")
+            raise InertiaError(
+                f"inertial parameters must be 10 numbers ({' '.join(PARAMETER_NAMES)}), got shape"
+                f" {parameters.shape}"
+            )
         if not np.all(np.isfinite(parameters)):
             bad = PARAMETER_NAMES[int(np.argmin(np.isfinite(parameters)))]
             raise InertiaError(f"inertial parameter {bad} is not finite: {parameters.tolist()}")
@@ -57,7 +60,9 @@ class LinkInertia:
         """Build from mass [kg], first moment `m c` [kg m] and the 3 x 3 inertia about the link origin [kg m^2]."""
         h = np.asarray(first_moment, dtype=np.float64)
         i = np.asarray(inertia, dtype=np.float64)
-        return cls(np.array([i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2], h[0], h[1], h[2], mass]))
+        return cls(
+            np.array([i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2], h[0], h[1], h[2], mass])
+        )
 
     @classmethod
     def zero(cls) -> LinkInertia:
@@ -112,7 +117,10 @@ class LinkInertia:
             raise InertiaError(f"a pseudo-inertia is a 4 x 4 matrix, got shape {J.shape}")
         asymmetry = float(np.abs(J - J.T).max())
         if asymmetry > CONSISTENCY_TOLERANCE * max(float(np.abs(J).max()), np.finfo(float).tiny):
-            raise InertiaError(f"a pseudo-inertia is symmetric; this one differs from its transpose by {asymmetry:.3g}")
+            raise InertiaError(
+                "a pseudo-inertia is symmetric; this one differs from its transpose by"
+                f" {asymmetry:.3g}"
+            )
         return cls(_parameters_of(J))
 
     @property
@@ -127,10 +135,24 @@ class LinkInertia:
             U = np.linalg.cholesky(flipped)[::-1, ::-1]
         except np.linalg.LinAlgError:
             reason = self.inconsistency() or "its mass lies in a plane, on a line or in a point"
-            raise InertiaError(f"log-Cholesky parameters exist only for positive definite pseudo-inertias; {reason}") from None
+            raise InertiaError(
+                "log-Cholesky parameters exist only for positive definite pseudo-inertias;"
+                f" {reason}"
+            ) from None
         scale = U[3, 3]
         S = U / scale
-        return np.array([np.log(scale), *np.log(np.diag(S)[:3]), S[0, 1], S[1, 2], S[0, 2], S[0, 3], S[1, 3], S[2, 3]])
+        return np.array(
+            [
+                np.log(scale),
+                *np.log(np.diag(S)[:3]),
+                S[0, 1],
+                S[1, 2],
+                S[0, 2],
+                S[0, 3],
+                S[1, 3],
+                S[2, 3],
+            ]
+        )
 
     @classmethod
     def from_log_cholesky(cls, theta: ArrayLike) -> LinkInertia:
@@ -140,10 +162,18 @@ class LinkInertia:
         """
         values = np.asarray(theta, dtype=np.float64)
         if values.shape != (10,):
-            raise InertiaError(f"log-Cholesky parameters are 10 numbers (alpha d1 d2 d3 s12 s23 s13 t1 t2 t3), got shape {values.shape}")
+            raise InertiaError(
+                "log-Cholesky parameters are 10 numbers (alpha d1 d2 d3 s12 s23 s13 t1 t2 t3), got"
+                f" shape {values.shape}"
+            )
         alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = values
         U = np.exp(alpha) * np.array(
-            [[np.exp(d1), s12, s13, t1], [0.0, np.exp(d2), s23, t2], [0.0, 0.0, np.exp(d3), t3], [0.0, 0.0, 0.0, 1.0]]
+            [
+                [np.exp(d1), s12, s13, t1],
+                [0.0, np.exp(d2), s23, t2],
+                [0.0, 0.0, np.exp(d3), t3],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
         )
         return cls(_parameters_of(U @ U.T))
 
@@ -156,7 +186,9 @@ class LinkInertia:
         """Build from `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz`, the inverse of `to_pinocchio_order`; raises `InertiaError` for another shape."""
         given = np.asarray(parameters, dtype=np.float64)
         if given.shape != (10,):
-            raise InertiaError(f"Pinocchio's dynamic parameters are 10 numbers, got shape {given.shape}")
+            raise InertiaError(
+                f"Pinocchio's dynamic parameters are 10 numbers, got shape {given.shape}"
+            )
         ordered = np.empty(10)
         ordered[_PINOCCHIO_ORDER] = given
         return cls(ordered)
@@ -189,18 +221,25 @@ class LinkInertia:
         moments = dict(zip(("Ixx", "Iyy", "Izz"), np.diag(tensor), strict=True))
         for name, moment in moments.items():
             if moment < -slack:
-                return f"{name} about the centre of mass is {moment:.3g} kg m^2; it must not be negative"
+                return (
+                    f"{name} about the centre of mass is {moment:.3g} kg m^2; it must not be"
+                    " negative"
+                )
         for one, two, three in _TRIANGLES:
             excess = moments[three] - moments[one] - moments[two]
             if excess > slack:
                 return f"{one} + {two} < {three} by {excess:.2g} kg m^2 (about the centre of mass)"
         small, middle, large = self.principal_moments
         if small < -slack:
-            return f"a principal moment of inertia about the centre of mass is {small:.3g} kg m^2; it must not be negative"
+            return (
+                f"a principal moment of inertia about the centre of mass is {small:.3g} kg m^2; it"
+                " must not be negative"
+            )
         if large - small - middle > slack:
             return (
-                f"of the principal moments about the centre of mass ({small:.4g}, {middle:.4g}, {large:.4g} kg m^2) "
-                f"the largest exceeds the sum of the others by {large - small - middle:.2g}"
+                f"of the principal moments about the centre of mass ({small:.4g}, {middle:.4g},"
+                f" {large:.4g} kg m^2) the largest exceeds the sum of the others by"
+                f" {large - small - middle:.2g}"
             )
         return None
 
@@ -226,7 +265,18 @@ def pseudo_inertias(parameters: ArrayLike) -> Array:
 def _parameters_of(pseudo_inertia: Array) -> Array:
     J = pseudo_inertia
     a, b, c = J[..., 0, 0], J[..., 1, 1], J[..., 2, 2]
-    entries = (b + c, -J[..., 0, 1], -J[..., 0, 2], a + c, -J[..., 1, 2], a + b, J[..., 0, 3], J[..., 1, 3], J[..., 2, 3], J[..., 3, 3])
+    entries = (
+        b + c,
+        -J[..., 0, 1],
+        -J[..., 0, 2],
+        a + c,
+        -J[..., 1, 2],
+        a + b,
+        J[..., 0, 3],
+        J[..., 1, 3],
+        J[..., 2, 3],
+        J[..., 3, 3],
+    )
     return np.stack(entries, axis=-1)
 
 

@@ -15,7 +15,9 @@ NO_LETTERS: Letters = ((), (), ())
 """The letters of a translation that is zero."""
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_TERM = re.compile(rf"\s*(?P<sign>[+-])?\s*(?:(?P<factor>{_NUMBER})\s*\*\s*)?(?P<letter>[A-Za-z_]\w*)\s*")
+_TERM = re.compile(
+    rf"\s*(?P<sign>[+-])?\s*(?:(?P<factor>{_NUMBER})\s*\*\s*)?(?P<letter>[A-Za-z_]\w*)\s*"
+)
 
 
 def named(letters: Letters | None) -> Letters | None:
@@ -33,10 +35,15 @@ def parsed_length(text: str, lengths: Mapping[str, float]) -> tuple[tuple[float,
     while position < len(text):
         match = _TERM.match(text, position)
         if match is None or (terms and match["sign"] is None):
-            raise DescriptionError(f"the length {text!r} is not a sum of named lengths such as 'L1' or '-0.5*L1 + L2'")
+            raise DescriptionError(
+                f"the length {text!r} is not a sum of named lengths such as 'L1' or '-0.5*L1 + L2'"
+            )
         if match["letter"] not in lengths:
             known = ", ".join(sorted(lengths)) or "none"
-            raise DescriptionError(f"the length {text!r} uses {match['letter']!r}, which is not among the named lengths ({known})")
+            raise DescriptionError(
+                f"the length {text!r} uses {match['letter']!r}, which is not among the named"
+                f" lengths ({known})"
+            )
         factor = float(match["factor"] or 1.0) * (-1.0 if match["sign"] == "-" else 1.0)
         terms.append((factor, match["letter"]))
         position = match.end()
@@ -65,10 +72,14 @@ def added_letters(first: Letters, second: Letters) -> Letters:
         gathered: dict[str, float] = {}
         for factor, letter in (*one, *two):
             gathered[letter] = gathered.get(letter, 0.0) + factor
-        result.append(tuple((factor, letter) for letter, factor in gathered.items() if factor != 0.0))
+        result.append(
+            tuple((factor, letter) for letter, factor in gathered.items() if factor != 0.0)
+        )
     return tuple(result)
 
 
 def length_values(letters: Letters, lengths: Mapping[str, float]) -> Array:
     """Return the translation [m] that the letters stand for, shape (3,)."""
-    return np.array([sum((factor * lengths[letter] for factor, letter in terms), 0.0) for terms in letters])
+    return np.array(
+        [sum((factor * lengths[letter] for factor, letter in terms), 0.0) for terms in letters]
+    )

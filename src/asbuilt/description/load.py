@@ -36,14 +36,17 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
         raise DescriptionError(f"{shown} cannot be read: {error.strerror}") from None
     if is_folder:
         raise DescriptionError(
-            f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled robot ({', '.join(robot_names())})"
+            f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled"
+            f" robot ({', '.join(robot_names())})"
         )
     if not exists:
         if path.suffix.lower() in (*SUFFIXES, ".xacro"):
-            raise DescriptionError(f"there is no file {text}; give the path of a description ({', '.join(SUFFIXES)})")
+            raise DescriptionError(
+                f"there is no file {text}; give the path of a description ({', '.join(SUFFIXES)})"
+            )
         raise DescriptionError(
-            f"there is no bundled robot and no file {text!r}{nearest(text)}; bundled are {', '.join(robot_names())}; "
-            f"a file may be {', '.join(SUFFIXES)}"
+            f"there is no bundled robot and no file {text!r}{nearest(text)}; bundled are"
+            f" {', '.join(robot_names())}; a file may be {', '.join(SUFFIXES)}"
         )
     return _read(path)
 
@@ -63,9 +66,14 @@ def _read(path: Path) -> RobotModel:
         return _reader("mjcf", "read_mjcf")(path)
     if tag:
         return _reader("urdf", "read_urdf")(path)
-    raise DescriptionError(f"{path} is not a robot description that asbuilt knows; it reads TOML, a DH table (CSV), URDF and MJCF (XML)")
+    raise DescriptionError(
+        f"{path} is not a robot description that asbuilt knows; it reads TOML, a DH table (CSV),"
+        " URDF and MJCF (XML)"
+    )
 
 
 def _reader(module: str, name: str) -> Callable[[Path], RobotModel]:
-    reader: Callable[[Path], RobotModel] = getattr(import_module(f"asbuilt.description.formats.{module}"), name)
+    reader: Callable[[Path], RobotModel] = getattr(
+        import_module(f"asbuilt.description.formats.{module}"), name
+    )
     return reader

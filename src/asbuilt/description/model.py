@@ -42,11 +42,15 @@ class JointLimits:
 
     def __post_init__(self) -> None:
         if not self.lower <= self.upper or self.lower == np.inf or self.upper == -np.inf:
-            raise DescriptionError(f"position limits from {self.lower} to {self.upper} leave no position; give the lower one first")
+            raise DescriptionError(
+                f"position limits from {self.lower} to {self.upper} leave no position; give the"
+                " lower one first"
+            )
         for name in ("velocity", "acceleration", "jerk", "torque"):
             if not getattr(self, name) >= 0.0:
                 raise DescriptionError(
-                    f"the {name} limit of a joint is {getattr(self, name)}; it must not be negative, and infinite where unknown"
+                    f"the {name} limit of a joint is {getattr(self, name)}; it must not be"
+                    " negative, and infinite where unknown"
                 )
 
 
@@ -87,9 +91,17 @@ class Joint:
     def __post_init__(self) -> None:
         kinds = get_args(JointKind)
         if self.kind not in kinds:
-            raise DescriptionError(f"joint {self.name!r} is {self.kind!r}; known kinds: {', '.join(kinds)}")
-        object.__setattr__(self, "before", checked_placement(self.before, f"the placement before joint {self.name!r}"))
-        object.__setattr__(self, "after", checked_placement(self.after, f"the placement after joint {self.name!r}"))
+            raise DescriptionError(
+                f"joint {self.name!r} is {self.kind!r}; known kinds: {', '.join(kinds)}"
+            )
+        object.__setattr__(
+            self,
+            "before",
+            checked_placement(self.before, f"the placement before joint {self.name!r}"),
+        )
+        object.__setattr__(
+            self, "after", checked_placement(self.after, f"the placement after joint {self.name!r}")
+        )
 
     @property
     def is_revolute(self) -> bool:
@@ -119,7 +131,11 @@ class Frame:
     placement: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "placement", checked_placement(self.placement, f"the placement of frame {self.name!r}"))
+        object.__setattr__(
+            self,
+            "placement",
+            checked_placement(self.placement, f"the placement of frame {self.name!r}"),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,36 +182,54 @@ class RobotModel:
     def __post_init__(self) -> None:
         gravity = np.array(self.gravity, dtype=np.float64)
         if gravity.shape != (3,) or not np.all(np.isfinite(gravity)):
-            raise DescriptionError(f"gravity of {self.name} must be three finite numbers, got {np.asarray(self.gravity).tolist()}")
+            raise DescriptionError(
+                f"gravity of {self.name} must be three finite numbers, got"
+                f" {np.asarray(self.gravity).tolist()}"
+            )
         gravity.setflags(write=False)
         object.__setattr__(self, "gravity", gravity)
         if not self.joints:
-            raise DescriptionError(f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic joint")
+            raise DescriptionError(
+                f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic"
+                " joint"
+            )
         if len(self.joints) != len(self.links):
-            raise DescriptionError(f"{self.name}: {len(self.joints)} joints but {len(self.links)} links; joint i must move link i")
-        for names, what in (([j.name for j in self.joints], "joint"), ([link.name for link in self.links], "link")):
+            raise DescriptionError(
+                f"{self.name}: {len(self.joints)} joints but {len(self.links)} links; joint i must"
+                " move link i"
+            )
+        for names, what in (
+            ([j.name for j in self.joints], "joint"),
+            ([link.name for link in self.links], "link"),
+        ):
             repeated = sorted({name for name in names if names.count(name) > 1})
             if repeated:
                 raise DescriptionError(f"{self.name}: {what} name {repeated[0]!r} is used twice")
         for i, joint in enumerate(self.joints):
             if not ROOT <= joint.parent < i:
                 raise DescriptionError(
-                    f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link (index {joint.parent})"
+                    f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link"
+                    f" (index {joint.parent})"
                 )
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
-                    f"{self.name}: frame {frame.name!r} is fixed to link index {frame.link}; the links are 0 to {len(self.links) - 1}, and {ROOT} for the root"
+                    f"{self.name}: frame {frame.name!r} is fixed to link index {frame.link}; the"
+                    f" links are 0 to {len(self.links) - 1}, and {ROOT} for the root"
                 )
         if self.motor_coupling is not None:
             coupling = np.array(self.motor_coupling, dtype=np.float64)
-            if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(np.isfinite(coupling)):
+            if coupling.shape != (len(self.joints), len(self.joints)) or not np.all(
+                np.isfinite(coupling)
+            ):
                 raise DescriptionError(
-                    f"{self.name}: motor_coupling must be {len(self.joints)} x {len(self.joints)} finite numbers, got {coupling.shape}"
+                    f"{self.name}: motor_coupling must be {len(self.joints)} x {len(self.joints)}"
+                    f" finite numbers, got {coupling.shape}"
                 )
             if abs(np.linalg.det(coupling)) < 1e-9:
                 raise DescriptionError(
-                    f"{self.name}: motor_coupling is singular: some motion of the joints turns no motor; got {coupling.tolist()}"
+                    f"{self.name}: motor_coupling is singular: some motion of the joints turns no"
+                    f" motor; got {coupling.tolist()}"
                 )
             coupling.setflags(write=False)
             object.__setattr__(self, "motor_coupling", coupling)
@@ -258,10 +292,14 @@ class RobotModel:
         """Return the same robot with other standard inertial parameters, shape (10 n,); raises `DescriptionError` for another shape."""
         values = np.asarray(parameters, dtype=np.float64)
         if values.shape != (10 * self.n_joints,):
-            raise DescriptionError(f"{self.name} has {10 * self.n_joints} inertial parameters, got shape {values.shape}")
+            raise DescriptionError(
+                f"{self.name} has {10 * self.n_joints} inertial parameters, got shape"
+                f" {values.shape}"
+            )
         inertias = [LinkInertia(values[10 * i : 10 * i + 10]) for i in range(self.n_joints)]
         links = tuple(
-            replace(link, inertia=inertia, inertia_known=True, parts=()) for link, inertia in zip(self.links, inertias, strict=True)
+            replace(link, inertia=inertia, inertia_known=True, parts=())
+            for link, inertia in zip(self.links, inertias, strict=True)
         )
         return replace(self, links=links)
 
@@ -272,6 +310,11 @@ class RobotModel:
     def with_limits(self, limits: Sequence[JointLimits]) -> RobotModel:
         """Return the same robot with other joint limits, one per joint; raises `DescriptionError` for another number of them."""
         if len(limits) != self.n_joints:
-            raise DescriptionError(f"{self.name} has {self.n_joints} joints, got {len(limits)} limits; give one per joint")
-        joints = tuple(replace(joint, limits=limit) for joint, limit in zip(self.joints, limits, strict=True))
+            raise DescriptionError(
+                f"{self.name} has {self.n_joints} joints, got {len(limits)} limits; give one per"
+                " joint"
+            )
+        joints = tuple(
+            replace(joint, limits=limit) for joint, limit in zip(self.joints, limits, strict=True)
+        )
         return replace(self, joints=joints)

@@ -54,7 +54,11 @@ def condensed(notes: Sequence[str]) -> tuple[str, ...]:
     if len(angles) <= 2:
         return tuple(notes)
     gathered = f"{angles[0]}; so are {len(angles) - 1} more angles of this description"
-    return tuple(gathered if note is angles[0] else note for note in notes if note is angles[0] or _STRAIGHTENED not in note)
+    return tuple(
+        gathered if note is angles[0] else note
+        for note in notes
+        if note is angles[0] or _STRAIGHTENED not in note
+    )
 
 
 def cosine_sine(angle: float) -> tuple[float, float]:
@@ -163,7 +167,10 @@ def axes_across(vector: ArrayLike) -> Array:
     """Return two unit axes across a vector and each other, as rows (2, 3), as near as may be to two coordinate axes: x and y across z, and across zero."""
     v = np.asarray(vector, dtype=np.float64)
     along = v / (np.linalg.norm(v) or 1.0)
-    first, second = (axis - (axis @ along) * along for axis in np.eye(3)[np.sort(np.argsort(np.abs(along), kind="stable")[:2])])
+    first, second = (
+        axis - (axis @ along) * along
+        for axis in np.eye(3)[np.sort(np.argsort(np.abs(along), kind="stable")[:2])]
+    )
     first = first / np.linalg.norm(first)
     second = second - (second @ first) * first
     return np.array([first, second / np.linalg.norm(second)])
@@ -173,12 +180,19 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
     """Return a placement as a read-only 4 x 4 matrix of its own; raises `DescriptionError`, naming `what` it is, where it is none."""
     T = np.array(values, dtype=np.float64)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
-        raise DescriptionError(f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}")
+        raise DescriptionError(
+            f"{what} must be a finite 4 x 4 matrix, got shape {T.shape}: {T.tolist()}"
+        )
     fault = rotation_fault(T[:3, :3])
     if fault is not None:
-        raise DescriptionError(f"{what} does not hold a rotation in its first three rows and columns: {fault}")
+        raise DescriptionError(
+            f"{what} does not hold a rotation in its first three rows and columns: {fault}"
+        )
     if not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
-        raise DescriptionError(f"{what} must have the last row 0 0 0 1, got {T[3].tolist()}; translations stand in the last column")
+        raise DescriptionError(
+            f"{what} must have the last row 0 0 0 1, got {T[3].tolist()}; translations stand in the"
+            " last column"
+        )
     T.setflags(write=False)
     return T
 

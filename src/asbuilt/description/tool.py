@@ -29,6 +29,9 @@ def tool_from_text(text: str) -> LinkInertia:
     except ValueError:
         mass, com = np.nan, []
     if not (np.isfinite(mass) and mass > 0.0 and len(com) == 3 and np.all(np.isfinite(com))):
-        raise UsageError(f"a tool is KG@X,Y,Z: a positive mass and its centre in metres, for example 2.5@0,0,0.08; got {text!r}")
+        raise UsageError(
+            "a tool is KG@X,Y,Z: a positive mass and its centre in metres, for example"
+            f" 2.5@0,0,0.08; got {text!r}"
+        )
     radius = (0.75 * mass / (np.pi * DENSITY)) ** (1.0 / 3.0)
     return LinkInertia.from_com(mass, com, 0.4 * mass * radius**2 * np.eye(3))

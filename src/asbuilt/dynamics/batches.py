@@ -26,7 +26,10 @@ def available_cores() -> int:
 def chosen_threads(asked: int | None, usual: int) -> int:
     """Return the number of threads asked for, `usual` where it is None; raises UsageError below 1."""
     if asked is not None and asked < 1:
-        raise UsageError(f"threads must be at least 1, got {asked}; leave it out to use all cores for long recordings")
+        raise UsageError(
+            f"threads must be at least 1, got {asked}; leave it out to use all cores for long"
+            " recordings"
+        )
     return usual if asked is None else asked
 
 
@@ -40,17 +43,23 @@ def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
         array = np.asarray(value, dtype=np.float64)
         shapes[name] = array.shape
         if array.ndim not in (1, 2) or array.shape[-1] != n:
-            raise UsageError(f"{name} must have shape ({n},) or (n_samples, {n}) for the {n} joints of {model.name}, got {array.shape}")
+            raise UsageError(
+                f"{name} must have shape ({n},) or (n_samples, {n}) for the {n} joints of"
+                f" {model.name}, got {array.shape}"
+            )
         if not np.isfinite(array).all():
             sample, joint = np.argwhere(~np.isfinite(np.atleast_2d(array)))[0]
             raise UsageError(
-                f"{name} of joint {model.joint_names[joint]!r} is {np.atleast_2d(array)[sample, joint]} at sample {sample}; "
-                "remove or fill such samples first"
+                f"{name} of joint {model.joint_names[joint]!r} is"
+                f" {np.atleast_2d(array)[sample, joint]} at sample {sample}; remove or fill such"
+                " samples first"
             )
         arrays.append(np.ascontiguousarray(np.atleast_2d(array)))
     if len(set(shapes.values())) > 1:
         raise UsageError(
-            "shapes differ: " + ", ".join(f"{name} {shape}" for name, shape in shapes.items()) + "; give one value per sample and joint"
+            "shapes differ: "
+            + ", ".join(f"{name} {shape}" for name, shape in shapes.items())
+            + "; give one value per sample and joint"
         )
     return tuple(arrays)
 
@@ -59,7 +68,10 @@ def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Arra
     """Return the standard inertial parameters as (n_joints, 10); the model's own where none are given; raises `UsageError` for another number."""
     chi = model.parameters if parameters is None else np.array(parameters, dtype=np.float64)
     if chi.shape != (10 * model.n_joints,):
-        raise UsageError(f"{model.name} has {10 * model.n_joints} inertial parameters, got shape {chi.shape}; leave drive parameters out")
+        raise UsageError(
+            f"{model.name} has {10 * model.n_joints} inertial parameters, got shape {chi.shape};"
+            " leave drive parameters out"
+        )
     return chi.reshape(-1, 10)
 
 
@@ -70,7 +82,9 @@ def flat(array: Array) -> Array:
     return view
 
 
-def over_samples(work: Callable[[int, int], object], n_samples: int, threads: int | None = 1) -> None:
+def over_samples(
+    work: Callable[[int, int], object], n_samples: int, threads: int | None = 1
+) -> None:
     """Call `work(start, stop)` on ranges of whole blocks that together cover all samples, in parallel threads; None chooses their number."""
     wanted = chosen_threads(threads, min(available_cores(), n_samples // _WORTH_A_THREAD))
     blocks = -(-n_samples // BLOCK)

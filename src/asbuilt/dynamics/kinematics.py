@@ -17,9 +17,23 @@ def _motions(model: RobotModel, q: Array) -> Array:
     motion[...] = np.eye(4)
     turning = np.array([joint.is_revolute for joint in model.joints])
     c, s = np.cos(q[:, turning]), np.sin(q[:, turning])
-    motion[:, turning, 0, 0], motion[:, turning, 0, 1], motion[:, turning, 1, 0], motion[:, turning, 1, 1] = c, -s, s, c
+    (
+        motion[:, turning, 0, 0],
+        motion[:, turning, 0, 1],
+        motion[:, turning, 1, 0],
+        motion[:, turning, 1, 1],
+    ) = (
+        c,
+        -s,
+        s,
+        c,
+    )
     motion[:, ~turning, 2, 3] = q[:, ~turning]
-    poses: Array = np.array([joint.before for joint in model.joints]) @ motion @ np.array([joint.after for joint in model.joints])
+    poses: Array = (
+        np.array([joint.before for joint in model.joints])
+        @ motion
+        @ np.array([joint.after for joint in model.joints])
+    )
     return poses
 
 
@@ -55,7 +69,9 @@ def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
         axis = joint.after[2, :3]
         if joint.is_revolute:
             jacobians[:, i, :3, i] = axis
-            jacobians[:, i, 3:, i] = joint.after[:3, :3].T @ np.cross([0.0, 0.0, 1.0], joint.after[:3, 3])
+            jacobians[:, i, 3:, i] = joint.after[:3, :3].T @ np.cross(
+                [0.0, 0.0, 1.0], joint.after[:3, 3]
+            )
         else:
             jacobians[:, i, 3:, i] = axis
     return jacobians.reshape(*np.shape(q), 6, n)

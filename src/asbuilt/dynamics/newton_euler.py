@@ -15,12 +15,22 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import InertiaError
 
 
-def _torques(model: RobotModel, q: Array, qd: Array, qdd: Array, chi: Array, gravity: Array, threads: int | None) -> Array:
+def _torques(
+    model: RobotModel,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    chi: Array,
+    gravity: Array,
+    threads: int | None,
+) -> Array:
     layout, torques = layout_of(model), np.empty(q.shape)
     inputs = flat(q), flat(qd), flat(qdd)
     given, out = np.array(gravity, dtype=np.float64), torques.reshape(-1)
     over_samples(
-        lambda start, stop: rigid_body.newton_euler(layout.codes, layout.placements, given, chi, *inputs, start, stop, out),
+        lambda start, stop: rigid_body.newton_euler(
+            layout.codes, layout.placements, given, chi, *inputs, start, stop, out
+        ),
         q.shape[0],
         threads,
     )
@@ -33,14 +43,32 @@ def _joint_space(model: RobotModel, q: Array, qd: Array, chi: Array, *, coriolis
     angles, rates, out = flat(q), flat(qd), matrices.reshape(-1)
 
     def work(start: int, stop: int) -> None:
-        joint_space_matrices(layout.codes, layout.chain, layout.placements, layout.n_slots, chi, angles, rates, coriolis, start, stop, out)
+        joint_space_matrices(
+            layout.codes,
+            layout.chain,
+            layout.placements,
+            layout.n_slots,
+            chi,
+            angles,
+            rates,
+            coriolis,
+            start,
+            stop,
+            out,
+        )
 
     over_samples(work, samples, None)
     return matrices
 
 
 def inverse_dynamics(
-    model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, *, parameters: ArrayLike | None = None, threads: int | None = None
+    model: RobotModel,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    *,
+    parameters: ArrayLike | None = None,
+    threads: int | None = None,
 ) -> Array:
     """Return the joint torques `tau = M(q) qdd + C(q, qd) qd + g(q)` of the rigid bodies [N m; N for prismatic joints].
 
@@ -49,29 +77,43 @@ def inverse_dynamics(
     values that are not finite. Source: Luh, Walker and Paul (1980).
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
-    return _torques(model, qs, qds, qdds, inertial_parameters(model, parameters), model.gravity, threads).reshape(np.shape(q))
+    return _torques(
+        model, qs, qds, qdds, inertial_parameters(model, parameters), model.gravity, threads
+    ).reshape(np.shape(q))
 
 
-def gravity_torque(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+def gravity_torque(
+    model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None
+) -> Array:
     """Return `g(q)`, the torque that holds the robot at rest, shape of `q`."""
     (qs,) = joint_samples(model, q=q)
     rest = np.zeros_like(qs)
-    return _torques(model, qs, rest, rest, inertial_parameters(model, parameters), model.gravity, None).reshape(np.shape(q))
+    return _torques(
+        model, qs, rest, rest, inertial_parameters(model, parameters), model.gravity, None
+    ).reshape(np.shape(q))
 
 
-def coriolis_torque(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+def coriolis_torque(
+    model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
+) -> Array:
     """Return `C(q, qd) qd`, the torque of centrifugal and Coriolis forces, shape of `q`."""
     qs, qds = joint_samples(model, q=q, qd=qd)
-    return _torques(model, qs, qds, np.zeros_like(qs), inertial_parameters(model, parameters), np.zeros(3), None).reshape(np.shape(q))
+    return _torques(
+        model, qs, qds, np.zeros_like(qs), inertial_parameters(model, parameters), np.zeros(3), None
+    ).reshape(np.shape(q))
 
 
 def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
     """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples, n_joints, n_joints) for many samples."""
     (qs,) = joint_samples(model, q=q)
-    return _joint_space(model, qs, qs, inertial_parameters(model, parameters), coriolis=False).reshape(*np.shape(q), model.n_joints)
+    return _joint_space(
+        model, qs, qs, inertial_parameters(model, parameters), coriolis=False
+    ).reshape(*np.shape(q), model.n_joints)
 
 
-def coriolis_matrix(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+def coriolis_matrix(
+    model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
+) -> Array:
     """Return the factor `C(q, qd)` for which `dM/dt - 2 C` is skew-symmetric and `C qd` is the Coriolis torque; shape as `mass_matrix`.
 
     `C = sum_i J_i^T (I_i dJ_i/dt + B_i J_i)` with the skew-symmetric `B = -[[hat(L), hat(p)], [hat(p), 0]]`, where p and L are the momentum of
@@ -79,10 +121,19 @@ def coriolis_matrix(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameter
     (1991), written for link frames. It is not the Christoffel factor, which agrees with it only in these two properties.
     """
     qs, qds = joint_samples(model, q=q, qd=qd)
-    return _joint_space(model, qs, qds, inertial_parameters(model, parameters), coriolis=True).reshape(*np.shape(q), model.n_joints)
+    return _joint_space(
+        model, qs, qds, inertial_parameters(model, parameters), coriolis=True
+    ).reshape(*np.shape(q), model.n_joints)
 
 
-def forward_dynamics(model: RobotModel, q: ArrayLike, qd: ArrayLike, tau: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+def forward_dynamics(
+    model: RobotModel,
+    q: ArrayLike,
+    qd: ArrayLike,
+    tau: ArrayLike,
+    *,
+    parameters: ArrayLike | None = None,
+) -> Array:
     """Return the joint accelerations `qdd = M(q)^-1 (tau - C(q, qd) qd - g(q))`, shape of `q`.
 
     Raises InertiaError where the mass matrix is not positive definite.
@@ -97,23 +148,34 @@ def forward_dynamics(model: RobotModel, q: ArrayLike, qd: ArrayLike, tau: ArrayL
         smallest = np.linalg.eigvalsh(masses)[:, 0]
         worst = int(np.argmin(smallest))
         raise InertiaError(
-            f"the mass matrix of {model.name} is not positive definite: smallest eigenvalue {smallest[worst]:.3g} at sample {worst}; "
-            "check the inertias of the links; every joint must move some, for armatures of drives are not part of the rigid bodies (run_free has them)"
+            f"the mass matrix of {model.name} is not positive definite: smallest eigenvalue"
+            f" {smallest[worst]:.3g} at sample {worst}; check the inertias of the links; every"
+            " joint must move some, for armatures of drives are not part of the rigid bodies"
+            " (run_free has them)"
         ) from None
     return np.reshape(np.linalg.solve(masses, (taus - bias)[:, :, None]), np.shape(q))
 
 
-def kinetic_energy(model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+def kinetic_energy(
+    model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
+) -> Array:
     """Return `qd^T M(q) qd / 2` [J], shape () or (n_samples,)."""
     qs, qds = joint_samples(model, q=q, qd=qd)
-    energy = 0.5 * np.einsum("si,sij,sj->s", qds, mass_matrix(model, qs, parameters=parameters), qds)
+    energy = 0.5 * np.einsum(
+        "si,sij,sj->s", qds, mass_matrix(model, qs, parameters=parameters), qds
+    )
     return np.reshape(energy, np.shape(q)[:-1])
 
 
-def potential_energy(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
+def potential_energy(
+    model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None
+) -> Array:
     """Return `-sum_i gravity . (m_i p_i + R_i h_i)` [J], zero with all mass at the root origin; shape () or (n_samples,)."""
     (qs,) = joint_samples(model, q=q)
     chi = inertial_parameters(model, parameters)
     poses = link_poses(model, qs)
-    moments = np.einsum("siab,ib->sia", poses[..., :3, :3], chi[:, 6:9]) + poses[..., :3, 3] * chi[:, 9:10]
+    moments = (
+        np.einsum("siab,ib->sia", poses[..., :3, :3], chi[:, 6:9])
+        + poses[..., :3, 3] * chi[:, 9:10]
+    )
     return np.reshape(-moments.sum(axis=1) @ model.gravity, np.shape(q)[:-1])

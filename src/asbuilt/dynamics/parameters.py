@@ -31,5 +31,12 @@ def parameter_units(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str,
 
 def parameter_values(model: RobotModel, drive: DriveSet = NO_DRIVE) -> Array:
     """Return the values the description gives, shape (n_standard,); NaN for a drive value on which it is silent, or gives with other shapes."""
-    drives = [value for k, joint in enumerate(model.joints) for value in drive.at(k).values(joint.drive)]
-    return np.concatenate([model.parameters, np.array([np.nan if value is None else value for value in drives], dtype=np.float64)])
+    drives = [
+        value for k, joint in enumerate(model.joints) for value in drive.at(k).values(joint.drive)
+    ]
+    return np.concatenate(
+        [
+            model.parameters,
+            np.array([np.nan if value is None else value for value in drives], dtype=np.float64),
+        ]
+    )

@@ -39,10 +39,15 @@ def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | No
     count = parameter_count(model, drive)
     chosen = np.arange(count) if columns is None else np.array(columns)
     if chosen.ndim != 1 or (chosen.size and not np.issubdtype(chosen.dtype, np.integer)):
-        raise UsageError(f"columns must be a list of integers, got shape {chosen.shape} of {chosen.dtype}")
+        raise UsageError(
+            f"columns must be a list of integers, got shape {chosen.shape} of {chosen.dtype}"
+        )
     outside = chosen[(chosen < 0) | (chosen >= count)]
     if outside.size:
-        raise UsageError(f"column {outside[0]} does not exist: {model.name} with drive terms {drive} has columns 0 to {count - 1}")
+        raise UsageError(
+            f"column {outside[0]} does not exist: {model.name} with drive terms {drive} has columns"
+            f" 0 to {count - 1}"
+        )
     if np.unique(chosen).size != chosen.size:
         raise UsageError("columns repeat; name each column once")
     return chosen.astype(np.int64)
@@ -55,7 +60,9 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
     for i in range(n):
         carried[list(model.ancestors(i)), i] = True
     links = np.repeat(carried, _PER_LINK, axis=1)
-    turning = np.where(drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None])
+    turning = np.where(
+        drive.of_motor, (model.motor_shares.T != 0.0)[:, :, None], np.eye(n, dtype=bool)[:, :, None]
+    )
     drives = turning.reshape(n, -1)
     mask = np.concatenate([links, drives], axis=1)
     return [np.flatnonzero(mask[k, chosen]) for k in range(n)]
@@ -88,12 +95,29 @@ class RegressorPlan:
     motor_rows: tuple[tuple[int, int, int, int], ...] = ()
 
     @classmethod
-    def of(cls, model: RobotModel, drive: DriveSet = NO_DRIVE, columns: ArrayLike | None = None, *, spare_rows: int = 0) -> RegressorPlan:
+    def of(
+        cls,
+        model: RobotModel,
+        drive: DriveSet = NO_DRIVE,
+        columns: ArrayLike | None = None,
+        *,
+        spare_rows: int = 0,
+    ) -> RegressorPlan:
         """Plan the evaluation of `columns` (zero-based, all where None) of the standard parameters of a robot and its drives."""
-        chosen, n, per = _checked_columns(model, drive, columns), model.n_joints, drive.columns_per_joint
+        chosen, n, per = (
+            _checked_columns(model, drive, columns),
+            model.n_joints,
+            drive.columns_per_joint,
+        )
         support = tuple(joint_support(model, drive, chosen))
         starts = np.cumsum([0, *(positions.size + spare_rows for positions in support)])
-        bounds = np.array([(start, start + positions.size) for start, positions in zip(starts, support, strict=False)], dtype=np.int64)
+        bounds = np.array(
+            [
+                (start, start + positions.size)
+                for start, positions in zip(starts, support, strict=False)
+            ],
+            dtype=np.int64,
+        )
         rows = np.full((n, parameter_count(model, drive)), -1, dtype=np.int64)
         for k, positions in enumerate(support):
             rows[k, chosen[positions]] = np.arange(*bounds[k])
@@ -101,13 +125,19 @@ class RegressorPlan:
         drives = rows[:, n * _PER_LINK :].reshape(n, n, per)
         of_motor = drive.of_motor
         own = [np.where(of_motor, -1, drives[k, k]) for k in range(n)]
-        drive_rows = tuple((_slice_or_indices(np.flatnonzero(row >= 0)), _slice_or_indices(row[row >= 0])) for row in own)
+        drive_rows = tuple(
+            (_slice_or_indices(np.flatnonzero(row >= 0)), _slice_or_indices(row[row >= 0]))
+            for row in own
+        )
         motor_rows = tuple(
-            (int(m), int(c), int(k), int(drives[k, m, c])) for k, m, c in np.argwhere((drives >= 0) & of_motor[None, None, :]).tolist()
+            (int(m), int(c), int(k), int(drives[k, m, c]))
+            for k, m, c in np.argwhere((drives >= 0) & of_motor[None, None, :]).tolist()
         )
         for array in (chosen, bounds, places, *support):
             array.setflags(write=False)
-        return cls(model, drive, chosen, spare_rows, support, bounds, places, drive_rows, motor_rows)
+        return cls(
+            model, drive, chosen, spare_rows, support, bounds, places, drive_rows, motor_rows
+        )
 
     @property
     def n_rows(self) -> int:
@@ -121,7 +151,9 @@ class RegressorPlan:
         first = (-(memory.ctypes.data // memory.itemsize)) % _LINE
         return memory[first : first + self.n_rows * width].reshape(self.n_rows, width)
 
-    def evaluate(self, q: Array, qd: Array, qdd: Array, out: Array | None = None, *, threads: int | None = 1) -> tuple[Array, ...]:
+    def evaluate(
+        self, q: Array, qd: Array, qdd: Array, out: Array | None = None, *, threads: int | None = 1
+    ) -> tuple[Array, ...]:
         """Return one view of `out` per joint, shape (n_support_k + spare_rows, n_samples), samples innermost; spare rows are not touched.
 
         `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows, at least n_samples), best from `buffer`;
@@ -131,20 +163,35 @@ class RegressorPlan:
         inputs = self.checked_inputs(q, qd, qdd)
         n_samples = inputs[0].shape[0]
         target = self.buffer(n_samples) if out is None else out
-        if target.shape[0] != self.n_rows or target.shape[1] < n_samples or not target.flags.c_contiguous or target.dtype != np.float64:
+        if (
+            target.shape[0] != self.n_rows
+            or target.shape[1] < n_samples
+            or not target.flags.c_contiguous
+            or target.dtype != np.float64
+        ):
             raise UsageError(
-                f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples} columns, got {target.dtype} {target.shape}; "
-                "use plan.buffer(n_samples)"
+                f"out must be contiguous float64 of {self.n_rows} rows and at least {n_samples}"
+                f" columns, got {target.dtype} {target.shape}; use plan.buffer(n_samples)"
             )
-        robot, vectors, rows, width = layout_of(self.model).arrays, [flat(array) for array in inputs], target.reshape(-1), target.shape[1]
+        robot, vectors, rows, width = (
+            layout_of(self.model).arrays,
+            [flat(array) for array in inputs],
+            target.reshape(-1),
+            target.shape[1],
+        )
 
         def work(start: int, stop: int) -> None:
-            rigid_body.regressor_rows(*robot, self.places, self.bounds, *vectors, start, stop, rows, width)
+            rigid_body.regressor_rows(
+                *robot, self.places, self.bounds, *vectors, start, stop, rows, width
+            )
 
         over_samples(work, n_samples, threads)
         for _, rows_of_drive, columns in self._drive_columns(*inputs):
             target[rows_of_drive, :n_samples] = columns
-        return tuple(target[first : stop + self.spare_rows, :n_samples] for first, stop in self.bounds.tolist())
+        return tuple(
+            target[first : stop + self.spare_rows, :n_samples]
+            for first, stop in self.bounds.tolist()
+        )
 
     def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = 1) -> Array:
         """Return the observation matrix, sample-major, shape (n_samples n_joints, n_columns); inputs as in `evaluate`."""
@@ -154,10 +201,17 @@ class RegressorPlan:
         for (first, stop), positions in zip(self.bounds.tolist(), self.support, strict=True):
             order[first:stop] = positions
         matrix = np.zeros((n_samples * n, self.columns.size))
-        robot, vectors, out, width = layout_of(self.model).arrays, [flat(array) for array in inputs], matrix.reshape(-1), matrix.shape[1]
+        robot, vectors, out, width = (
+            layout_of(self.model).arrays,
+            [flat(array) for array in inputs],
+            matrix.reshape(-1),
+            matrix.shape[1],
+        )
 
         def work(start: int, stop: int) -> None:
-            rigid_body.regressor_stack(*robot, self.places, self.bounds, order, *vectors, start, stop, out, width)
+            rigid_body.regressor_stack(
+                *robot, self.places, self.bounds, order, *vectors, start, stop, out, width
+            )
 
         over_samples(work, n_samples, threads)
         for k, rows_of_drive, columns in self._drive_columns(*inputs):
@@ -168,10 +222,15 @@ class RegressorPlan:
         """Return q, qd and qdd as contiguous doubles; raises UsageError where they are not all (n_samples, n_joints)."""
         shapes = [array.shape for array in arrays]
         if len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][1] != self.model.n_joints:
-            raise UsageError(f"q, qd and qdd must all have shape (n_samples, {self.model.n_joints}), got {', '.join(map(str, shapes))}")
+            raise UsageError(
+                f"q, qd and qdd must all have shape (n_samples, {self.model.n_joints}), got"
+                f" {', '.join(map(str, shapes))}"
+            )
         return tuple(np.ascontiguousarray(array, dtype=np.float64) for array in arrays)
 
-    def _drive_columns(self, q: Array, qd: Array, qdd: Array) -> Iterator[tuple[int, Some | int, Array]]:
+    def _drive_columns(
+        self, q: Array, qd: Array, qdd: Array
+    ) -> Iterator[tuple[int, Some | int, Array]]:
         """Yield, of the chosen drive columns, the joint whose torque they enter, their rows and what to write there."""
         if not self.drive:
             return
@@ -213,11 +272,16 @@ def observation_matrix(
     return _planned(model, drive, columns).stack(qs, qds, qdds, threads=threads)
 
 
-def regressor(model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, drive: DriveSet = NO_DRIVE) -> Array:
+def regressor(
+    model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, drive: DriveSet = NO_DRIVE
+) -> Array:
     """Return Y of one sample, shape (n_joints, n_standard): `Y parameter_values(model, drive)` is the torque of the bodies and the drives.
 
     Source: Atkeson, An and Hollerbach (1986). Raises UsageError for more than one sample; see `observation_matrix`.
     """
     if np.shape(q) != (model.n_joints,):
-        raise UsageError(f"q must be one sample of shape ({model.n_joints},), got {np.shape(q)}; observation_matrix takes many")
+        raise UsageError(
+            f"q must be one sample of shape ({model.n_joints},), got {np.shape(q)};"
+            " observation_matrix takes many"
+        )
     return observation_matrix(model, q, qd, qdd, drive=drive)

@@ -70,15 +70,27 @@ class MotionBounds:
         reduced about their middle.
         """
         if not 0 < fraction <= 1:
-            raise MotionError(f"the fraction of the limits to use must lie in 0 ... 1, got {fraction}")
+            raise MotionError(
+                f"the fraction of the limits to use must lie in 0 ... 1, got {fraction}"
+            )
         given = cls.of(model)
         turns = np.array([joint.is_revolute for joint in model.joints])
         reach = np.where(turns, ASSUMED_RANGE[True], ASSUMED_RANGE[False])
-        lower = np.where(np.isfinite(given.lower), given.lower, np.where(np.isfinite(given.upper), given.upper - 2 * reach, -reach))
-        upper = np.where(np.isfinite(given.upper), given.upper, np.where(np.isfinite(given.lower), given.lower + 2 * reach, reach))
+        lower = np.where(
+            np.isfinite(given.lower),
+            given.lower,
+            np.where(np.isfinite(given.upper), given.upper - 2 * reach, -reach),
+        )
+        upper = np.where(
+            np.isfinite(given.upper),
+            given.upper,
+            np.where(np.isfinite(given.lower), given.lower + 2 * reach, reach),
+        )
         speed = np.where(turns, ASSUMED_VELOCITY[True], ASSUMED_VELOCITY[False])
         velocity = np.where(np.isfinite(given.velocity), given.velocity, speed)
-        acceleration = np.where(np.isfinite(given.acceleration), given.acceleration, velocity / RAMP_TIME)
+        acceleration = np.where(
+            np.isfinite(given.acceleration), given.acceleration, velocity / RAMP_TIME
+        )
         middle, half = (lower + upper) / 2, (upper - lower) / 2
         return replace(
             given,
@@ -112,8 +124,15 @@ class LimitMargin:
         return self.margin < -ALLOWED_EXCESS
 
     def __str__(self) -> str:
-        relation = f"beyond its limit of {self.limit:.6g} {self.unit}" if self.violated else f"limit {self.limit:.6g} {self.unit}"
-        return f"{self.quantity} of {self.joint} is {self.value:.6g} {self.unit} at t = {self.time:.3f} s, {relation}, margin {self.margin:.1%}"
+        relation = (
+            f"beyond its limit of {self.limit:.6g} {self.unit}"
+            if self.violated
+            else f"limit {self.limit:.6g} {self.unit}"
+        )
+        return (
+            f"{self.quantity} of {self.joint} is {self.value:.6g} {self.unit} at t ="
+            f" {self.time:.3f} s, {relation}, margin {self.margin:.1%}"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,18 +147,30 @@ class LimitReport:
         """The smallest margin over the joints, by quantity; None where no joint has a limit."""
         found: dict[str, LimitMargin | None] = {}
         for quantity in _UNITS:
-            found[quantity] = min((m for m in self.margins if m.quantity == quantity), key=lambda m: m.margin, default=None)
+            found[quantity] = min(
+                (m for m in self.margins if m.quantity == quantity),
+                key=lambda m: m.margin,
+                default=None,
+            )
         return found
 
     @property
     def worst_margin(self) -> dict[str, float | None]:
         """The numbers of `worst`: fractions of the limit, negative where violated."""
-        return {quantity: None if margin is None else margin.margin for quantity, margin in self.worst.items()}
+        return {
+            quantity: None if margin is None else margin.margin
+            for quantity, margin in self.worst.items()
+        }
 
     @property
     def violations(self) -> tuple[LimitMargin, ...]:
         """Every violated limit, the worst first."""
-        return tuple(sorted((margin for margin in self.margins if margin.violated), key=lambda margin: margin.margin))
+        return tuple(
+            sorted(
+                (margin for margin in self.margins if margin.violated),
+                key=lambda margin: margin.margin,
+            )
+        )
 
     @property
     def is_respected(self) -> bool:
@@ -172,17 +203,26 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
         If the motion has another number of joints than the robot.
     """
     if motion.n_joints != model.n_joints:
-        raise MotionError(f"the motion moves {motion.n_joints} joints, {model.name} has {model.n_joints}: {', '.join(model.joint_names)}")
+        raise MotionError(
+            f"the motion moves {motion.n_joints} joints, {model.name} has {model.n_joints}:"
+            f" {', '.join(model.joint_names)}"
+        )
     t = motion.sample_times(rate)
     t = t if t[-1] >= motion.duration else np.append(t, motion.duration)
     bounds = MotionBounds.of(model)
-    known = [quantity for quantity in QUANTITIES if quantity != "jerk" or motion.parametrisation not in JUMPING]
+    known = [
+        quantity
+        for quantity in QUANTITIES
+        if quantity != "jerk" or motion.parametrisation not in JUMPING
+    ]
     values = {quantity: motion.derivative(t, order) for order, quantity in enumerate(known)}
     if np.any(np.isfinite(bounds.torque)):
         state = (values["position"], values["velocity"], values["acceleration"])
         rigid = inverse_dynamics(model, *state)
         drive, drive_values = described_drive(model)
-        values["torque"] = rigid + drive_torque(drive, drive_values, *state, load=rigid, shares=model.motor_shares)
+        values["torque"] = rigid + drive_torque(
+            drive, drive_values, *state, load=rigid, shares=model.motor_shares
+        )
     margins = []
     for quantity, x in values.items():
         high = bounds.upper if quantity == "position" else getattr(bounds, quantity)
@@ -207,8 +247,16 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
 
 def _cure(violations: tuple[LimitMargin, ...]) -> str:
     orders = {quantity: order for order, quantity in enumerate(QUANTITIES) if order > 0}
-    needed = [abs(v.value / v.limit) ** (1 / orders[v.quantity]) for v in violations if v.quantity in orders]
-    cures = [f"slow the motion down: motion.slowed({np.ceil(100 * max(needed)) / 100:g})"] if needed else []
+    needed = [
+        abs(v.value / v.limit) ** (1 / orders[v.quantity])
+        for v in violations
+        if v.quantity in orders
+    ]
+    cures = (
+        [f"slow the motion down: motion.slowed({np.ceil(100 * max(needed)) / 100:g})"]
+        if needed
+        else []
+    )
     if any(v.quantity == "position" for v in violations):
         cures.append("choose poses or amplitudes inside the position limits")
     if any(v.quantity == "torque" for v in violations):

@@ -35,17 +35,24 @@ def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
             "velocity": np.isfinite(given.velocity),
             "acceleration": np.isfinite(given.acceleration),
         }
-        assumed += [quantity for quantity, stated in known.items() if not stated and quantity not in assumed]
+        assumed += [
+            quantity for quantity, stated in known.items() if not stated and quantity not in assumed
+        ]
     return model.with_limits(limits), tuple(assumed)
 
 
-def random_states(bounds: MotionBounds, count: int, rng: np.random.Generator, *, extreme: float = 0.0) -> tuple[Array, Array, Array]:
+def random_states(
+    bounds: MotionBounds, count: int, rng: np.random.Generator, *, extreme: float = 0.0
+) -> tuple[Array, Array, Array]:
     """Return states (count, n), uniform within the bounds; velocities and accelerations sit at a limit or at zero with probability `extreme`."""
     n = bounds.lower.size
     q = rng.uniform(bounds.lower, bounds.upper, size=(count, n))
     found = [q]
     for limit in (bounds.velocity, bounds.acceleration):
-        inner, corner = rng.uniform(-1, 1, size=(count, n)), rng.integers(-1, 2, size=(count, n)).astype(np.float64)
+        inner, corner = (
+            rng.uniform(-1, 1, size=(count, n)),
+            rng.integers(-1, 2, size=(count, n)).astype(np.float64),
+        )
         found.append(limit * np.where(rng.uniform(size=(count, n)) < extreme, corner, inner))
     return found[0], found[1], found[2]
 

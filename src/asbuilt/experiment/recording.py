@@ -56,10 +56,15 @@ class Recording:
     def __post_init__(self) -> None:
         t = _read_only(self.t, "t", self.source)
         if t.ndim != 1 or t.size == 0:
-            raise RecordingError(f"{self.source}: t must be a vector of at least one time, got shape {t.shape}")
+            raise RecordingError(
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}"
+            )
         q = _read_only(self.q, "q", self.source)
         if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
-            raise RecordingError(f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times, got {q.shape}")
+            raise RecordingError(
+                f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
+                f" got {q.shape}"
+            )
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "q", q)
         for name in ("tau", "qd", "qdd"):
@@ -68,22 +73,33 @@ class Recording:
                 continue
             array = _read_only(value, name, self.source)
             if array.shape != q.shape:
-                raise RecordingError(f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}")
+                raise RecordingError(
+                    f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}"
+                )
             object.__setattr__(self, name, array)
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
         if len(names) != q.shape[1]:
-            raise RecordingError(f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names: {', '.join(names)}")
+            raise RecordingError(
+                f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names:"
+                f" {', '.join(names)}"
+            )
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise RecordingError(
-                f"{self.source}: joint name {repeated[0]!r} is used {names.count(repeated[0])} times; each joint needs its own"
+                f"{self.source}: joint name {repeated[0]!r} is used {names.count(repeated[0])}"
+                " times; each joint needs its own"
             )
         if self.torque_source not in TORQUE_SOURCES:
-            raise RecordingError(f"{self.source}: torque_source {self.torque_source!r} is not one of {', '.join(TORQUE_SOURCES)}")
+            raise RecordingError(
+                f"{self.source}: torque_source {self.torque_source!r} is not one of"
+                f" {', '.join(TORQUE_SOURCES)}"
+            )
         extra = {name: _read_only(value, name, self.source) for name, value in self.extra.items()}
         for name, array in extra.items():
             if array.ndim not in (1, 2) or array.shape[0] != t.size:
-                raise RecordingError(f"{self.source}: {name} has shape {array.shape} but there are {t.size} times")
+                raise RecordingError(
+                    f"{self.source}: {name} has shape {array.shape} but there are {t.size} times"
+                )
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "extra", MappingProxyType(extra))
@@ -110,29 +126,51 @@ class Recording:
 
     def flipped(self) -> Recording:
         """Return the recording with the opposite torque sign (also of extra torques), for controllers that log the load's torque."""
-        extra = {name: -value if name.startswith("tau") else value for name, value in self.extra.items()}
-        return replace(self, tau=-self.tau, extra=extra, notes=(*self.notes, "the sign of every torque was flipped"))
+        extra = {
+            name: -value if name.startswith("tau") else value for name, value in self.extra.items()
+        }
+        return replace(
+            self,
+            tau=-self.tau,
+            extra=extra,
+            notes=(*self.notes, "the sign of every torque was flipped"),
+        )
 
     def scaled(self, gain: ArrayLike) -> Recording:
         """Return the recording with each joint's torque column multiplied by `gain`, one number or one per joint, e.g. N m per ampere."""
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
         if gains.ndim != 1 or gains.size not in (1, self.n_joints):
             raise RecordingError(
-                f"{self.source}: {gains.size} gains for {self.n_joints} joints ({', '.join(self.joint_names)}); give one, or one per joint"
+                f"{self.source}: {gains.size} gains for {self.n_joints} joints"
+                f" ({', '.join(self.joint_names)}); give one, or one per joint"
             )
         if not np.all(np.isfinite(gains)) or np.any(gains == 0):
-            raise RecordingError(f"{self.source}: gains must be finite and not zero, got {gains.tolist()}")
+            raise RecordingError(
+                f"{self.source}: gains must be finite and not zero, got {gains.tolist()}"
+            )
         listed = ", ".join(f"{g:g}" for g in gains)
-        total = tuple((gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist())
-        return replace(self, tau=self.tau * gains, notes=(*self.notes, f"torques were multiplied by {listed}"), gains=total)
+        total = tuple(
+            (gains * np.ones(self.n_joints) * (1.0 if self.gains is None else self.gains)).tolist()
+        )
+        return replace(
+            self,
+            tau=self.tau * gains,
+            notes=(*self.notes, f"torques were multiplied by {listed}"),
+            gains=total,
+        )
 
     def reordered(self, names: Sequence[str]) -> Recording:
         """Return the recording with columns in the order of `names`, every one of which it must have; other joints are dropped."""
         missing = [name for name in names if name not in self.joint_names]
         if missing:
-            raise RecordingError(f"{self.source} has no joint {missing[0]!r}; it has {', '.join(self.joint_names)}")
+            raise RecordingError(
+                f"{self.source} has no joint {missing[0]!r}; it has {', '.join(self.joint_names)}"
+            )
         order = [self.joint_names.index(name) for name in names]
-        extra = {k: v[:, order] if v.ndim == 2 and v.shape[1] == self.n_joints else v for k, v in self.extra.items()}
+        extra = {
+            k: v[:, order] if v.ndim == 2 and v.shape[1] == self.n_joints else v
+            for k, v in self.extra.items()
+        }
         return replace(
             self,
             q=self.q[:, order],
@@ -146,12 +184,17 @@ class Recording:
 
     def between(self, start: float, stop: float) -> Recording:
         """Return the samples with `start <= t < stop` [s]."""
-        return self.taken((self.t >= start) & (self.t < stop), f"no sample between {start:g} s and {stop:g} s")
+        return self.taken(
+            (self.t >= start) & (self.t < stop), f"no sample between {start:g} s and {stop:g} s"
+        )
 
     def taken(self, keep: NDArray[np.bool_] | slice, empty: str = "no sample is left") -> Recording:
         """Return the samples that the mask or slice `keep` selects."""
         if not self.t[keep].size:
-            raise RecordingError(f"{self.source}: {empty}; it runs from {np.nanmin(self.t):g} s to {np.nanmax(self.t):g} s")
+            raise RecordingError(
+                f"{self.source}: {empty}; it runs from {np.nanmin(self.t):g} s to"
+                f" {np.nanmax(self.t):g} s"
+            )
         return replace(
             self,
             t=self.t[keep],

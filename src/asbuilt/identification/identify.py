@@ -92,30 +92,49 @@ def identify(
         raise UsageError(f"there are no errors {errors!r}; there are {', '.join(ERROR_KINDS)}")
     batches = list(samples) if isinstance(samples, Sequence) else [samples]
     if not batches:
-        raise UsageError(f"no samples are given to identify {model.name} from; pass at least one prepared recording")
+        raise UsageError(
+            f"no samples are given to identify {model.name} from; pass at least one prepared"
+            " recording"
+        )
     estimator = find_method(method)
     fit = fit_shapes(model, drive, batches) if base is None and not drive.is_shaped else None
     if fit is not None:
         drive, fitted_shapes = fit.drive, fit.places
     found = base if base is not None else find_base_parameters(model, drive)
-    information = accumulate_stream(model, found, batches, block_seconds=block_seconds, threads=threads)
+    information = accumulate_stream(
+        model, found, batches, block_seconds=block_seconds, threads=threads
+    )
     cad = design_values(model, found)
-    estimate = estimator.estimate(Evidence(model, information, batches, cad, unexcited, block_seconds))
+    estimate = estimator.estimate(
+        Evidence(model, information, batches, cad, unexcited, block_seconds)
+    )
     if found.drive.needs_load:
         information, estimate = _with_own_load(
             model,
             information,
             estimate,
             batches,
-            lambda seen, loading: estimator.estimate(Evidence(model, seen, batches, cad, unexcited, block_seconds, loading=loading)),
+            lambda seen, loading: estimator.estimate(
+                Evidence(model, seen, batches, cad, unexcited, block_seconds, loading=loading)
+            ),
             block_seconds,
             threads,
         )
-    uncertainty = _judged(estimate.information or information, estimate, errors, automatic=method == "auto")
+    uncertainty = _judged(
+        estimate.information or information, estimate, errors, automatic=method == "auto"
+    )
     shapes = None
     if fitted_shapes:
         loading = carrying(model, found, estimate.beta) if found.drive.needs_load else model
-        shapes = shape_errors(loading, found, estimate, batches, fitted_shapes, textbook=errors == "textbook", block_seconds=block_seconds)
+        shapes = shape_errors(
+            loading,
+            found,
+            estimate,
+            batches,
+            fitted_shapes,
+            textbook=errors == "textbook",
+            block_seconds=block_seconds,
+        )
         estimate = replace(estimate, notes=(*estimate.notes, shapes.sentence(model.joint_names)))
     source = ", ".join(information.sources)
     measured = []
@@ -139,11 +158,20 @@ def identify(
     )
     if fit is None:
         return result
-    spoken = (IdentificationWarning("drive_shapes", warning) for warning in fit.warnings(model.joint_names))
-    return replace(result, warnings=(*result.warnings, *spoken), provenance=(*result.provenance, *fit.sentences(model.joint_names)))
+    spoken = (
+        IdentificationWarning("drive_shapes", warning)
+        for warning in fit.warnings(model.joint_names)
+    )
+    return replace(
+        result,
+        warnings=(*result.warnings, *spoken),
+        provenance=(*result.provenance, *fit.sentences(model.joint_names)),
+    )
 
 
-def _judged(information: SquareRootInformation, estimate: Estimate, errors: ErrorKind, *, automatic: bool) -> Uncertainty:
+def _judged(
+    information: SquareRootInformation, estimate: Estimate, errors: ErrorKind, *, automatic: bool
+) -> Uncertainty:
     if errors == "textbook":
         return textbook_uncertainty(information, estimate)
     if errors == "blocks":
@@ -170,9 +198,13 @@ def _with_own_load(
     base = information.base
     for _ in range(LOAD_ITERATIONS):
         loading = carrying(model, base, estimate.beta)
-        information = accumulate_stream(loading, base, batches, block_seconds=block_seconds, threads=threads)
+        information = accumulate_stream(
+            loading, base, batches, block_seconds=block_seconds, threads=threads
+        )
         renewed = estimated(information, loading)
-        step = information.residual_energy(renewed.beta) / np.maximum(information.residual_energy(estimate.beta), np.finfo(np.float64).tiny)
+        step = information.residual_energy(renewed.beta) / np.maximum(
+            information.residual_energy(estimate.beta), np.finfo(np.float64).tiny
+        )
         estimate = renewed
         if np.all(step > 1.0 - LOAD_CONVERGENCE):
             break
@@ -200,8 +232,12 @@ def conclude(
     if shapes is not None:
         uncertainty = replace(uncertainty, covariance=uncertainty.covariance + shapes.covariance)
     poor = _poorly_determined(information, estimate, uncertainty, design)
-    dropped = np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
-    std_errors, textbook = (np.where(dropped, np.nan, each) for each in (uncertainty.std_errors, estimate.std_errors))
+    dropped = (
+        np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
+    )
+    std_errors, textbook = (
+        np.where(dropped, np.nan, each) for each in (uncertainty.std_errors, estimate.std_errors)
+    )
     parameters = tuple(
         IdentifiedParameter(
             id=int(base.ids[j]),
@@ -244,14 +280,24 @@ def conclude(
         undetermined=estimate.undetermined,
         train=train if train is not None else information_metrics(information, estimate.beta),
         validation=(),
-        cad=cad if cad is not None else information_metrics(information, np.nan_to_num(design, nan=0.0)),
-        physically_consistent=None if margin is None else margin_is_consistent(margin, estimate.beta) and not pushing,
+        cad=(
+            cad
+            if cad is not None
+            else information_metrics(information, np.nan_to_num(design, nan=0.0))
+        ),
+        physically_consistent=(
+            None if margin is None else margin_is_consistent(margin, estimate.beta) and not pushing
+        ),
         consistency_margin=margin,
         warnings=_warnings(parameters, estimate, uncertainty, margin, pushing),
         provenance=provenance,
         notes=estimate.notes,
         errors=uncertainty.basis,
-        free=None if estimate.method == "wls" else free_values(information, design, None if shapes is None else shapes.covariance),
+        free=(
+            None
+            if estimate.method == "wls"
+            else free_values(information, design, None if shapes is None else shapes.covariance)
+        ),
     )
 
 
@@ -294,7 +340,10 @@ def _poorly_determined(
 ) -> NDArray[np.bool_]:
     error = uncertainty.std_errors
     size = np.fmax(np.abs(estimate.beta), np.abs(design))
-    column = np.linalg.norm(information.stacked(1.0 / np.maximum(estimate.sigma, np.finfo(np.float64).tiny))[:, :-1], axis=0)
+    column = np.linalg.norm(
+        information.stacked(1.0 / np.maximum(estimate.sigma, np.finfo(np.float64).tiny))[:, :-1],
+        axis=0,
+    )
     torque = error * column / np.sqrt(information.n_samples)
     return np.asarray((error > POOR_RELATIVE_ERROR * size) & (torque > POOR_TORQUE))
 
@@ -312,72 +361,127 @@ def _warnings(
             f"; and {len(estimate.undetermined) - 6} more" if len(estimate.undetermined) > 6 else ""
         )
         found.append(
-            ("not_excited", f"Not excited by this recording, kept at CAD: {listed}. Move these joints more, or leave out drive terms.")
+            (
+                "not_excited",
+                (
+                    f"Not excited by this recording, kept at CAD: {listed}. Move these joints more, or"
+                    " leave out drive terms."
+                ),
+            )
         )
     poor = [parameter.name for parameter in parameters if parameter.poorly_determined]
     if poor:
         listed = ", ".join(poor[:12]) + (f" and {len(poor) - 12} more" if len(poor) > 12 else "")
         found.append(
-            ("poorly_determined", f"Poorly determined (error beyond half the value): {listed}. Lengthen or enrich the motion, or fix them.")
+            (
+                "poorly_determined",
+                (
+                    f"Poorly determined (error beyond half the value): {listed}. Lengthen or enrich the"
+                    " motion, or fix them."
+                ),
+            )
         )
     condition = estimate.solution.scaled_condition_number
     if LARGE_CONDITION < condition < np.inf:
         found.append(
             (
                 "ill_conditioned",
-                f"Scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}: small faults of the model move these values much.",
+                (
+                    f"Scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}: small faults"
+                    " of the model move these values much."
+                ),
             )
         )
     basis = uncertainty.basis
-    if basis.kind == "textbook" and basis.asked == "textbook" and basis.growth is not None and basis.growth >= TELLING_GROWTH:
+    if (
+        basis.kind == "textbook"
+        and basis.asked == "textbook"
+        and basis.growth is not None
+        and basis.growth >= TELLING_GROWTH
+    ):
         found.append(
             (
                 "textbook_errors",
-                f"Standard errors are the textbook's, as asked, and too small: judged from time block to time block they are {basis.growth:.2g} times as large "
-                "(median), since neighbouring residuals are alike. Use --errors blocks.",
+                (
+                    "Standard errors are the textbook's, as asked, and too small: judged from time"
+                    f" block to time block they are {basis.growth:.2g} times as large (median), since"
+                    " neighbouring residuals are alike. Use --errors blocks."
+                ),
             )
         )
     if basis.kind == "bootstrap" and estimate.method in PULLED:
         found.append(
             (
                 "bootstrap_of_pull",
-                "Fits pulled to CAD all lean the same way, which their scatter does not show: bootstrap errors are too small where CAD is off. Errors by formula "
-                "(--errors blocks) count in what CAD leaves open.",
+                (
+                    "Fits pulled to CAD all lean the same way, which their scatter does not show:"
+                    " bootstrap errors are too small where CAD is off. Errors by formula (--errors"
+                    " blocks) count in what CAD leaves open."
+                ),
             )
         )
     elif basis.kind == "bootstrap" and estimate.refit is not None:
         found.append(
             (
                 "bootstrap_near_bounds",
-                "Fits that bounds of real bodies hold scatter little near a bound: bootstrap errors are right over all parameters, but may be too small for single ones "
-                "that lie on a bound or trade with such. Errors by formula (--errors blocks) are not, and rather too large.",
+                (
+                    "Fits that bounds of real bodies hold scatter little near a bound: bootstrap errors"
+                    " are right over all parameters, but may be too small for single ones that lie on a"
+                    " bound or trade with such. Errors by formula (--errors blocks) are not, and rather"
+                    " too large."
+                ),
             )
         )
     if basis.kind == "textbook" and basis.growth is None:
         found.append(
             (
                 "few_blocks",
-                f"Only {uncertainty.n_blocks} time blocks: standard errors take residuals as independent and are too small. Record longer.",
+                (
+                    f"Only {uncertainty.n_blocks} time blocks: standard errors take residuals as"
+                    " independent and are too small. Record longer."
+                ),
             )
         )
     if margin is not None and not margin_is_consistent(margin, estimate.beta):
         found.append(
             (
                 "inconsistent",
-                f"No real bodies have these parameters: best attainable smallest eigenvalue {margin:.3g} (below 0). Predictions hold, simulators may not run.",
+                (
+                    "No real bodies have these parameters: best attainable smallest eigenvalue"
+                    f" {margin:.3g} (below 0). Predictions hold, simulators may not run."
+                ),
             )
         )
     if pushing:
-        listed = ", ".join(f"{p.name} {plus_minus(p.estimate, p.std_error)}" for p in parameters if p.name in pushing)
+        listed = ", ".join(
+            f"{p.name} {plus_minus(p.estimate, p.std_error)}"
+            for p in parameters
+            if p.name in pushing
+        )
         found.append(
             (
                 "pushing_drives",
-                f"Below zero, where no passive drive is: {listed}. Files for other software are not written with these. Impose it (--method consistent), or leave out drive terms that "
-                "the recording does not tell.",
+                (
+                    f"Below zero, where no passive drive is: {listed}. Files for other software are not"
+                    " written with these. Impose it (--method consistent), or leave out drive terms"
+                    " that the recording does not tell."
+                ),
             )
         )
     if not estimate.converged:
-        why = "a joint may have next to no noise" if estimate.method == "wls" else "compare with --method wls"
-        found.append(("not_converged", f"The weights of {estimate.method} had not settled after {estimate.iterations} iterations; {why}."))
+        why = (
+            "a joint may have next to no noise"
+            if estimate.method == "wls"
+            else "compare with --method wls"
+        )
+        found.append(
+            (
+                "not_converged",
+                (
+                    f"The weights of {estimate.method} had not settled after {estimate.iterations}"
+                    f" iterations; {why}."
+                ),
+            )
+        )
     found += estimate.warnings
     return tuple(IdentificationWarning(code, message) for code, message in found)

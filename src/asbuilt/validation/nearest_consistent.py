@@ -45,7 +45,9 @@ class StandIn:
     @property
     def bad(self) -> tuple[int, ...]:
         """The joints, counted from 0, that the stand-in predicts badly."""
-        badly = (self.stand_in > BADLY * self.identified) & (self.stand_in > NOTICEABLE * self.torque)
+        badly = (self.stand_in > BADLY * self.identified) & (
+            self.stand_in > NOTICEABLE * self.torque
+        )
         return tuple(np.flatnonzero(badly).tolist())
 
     @property
@@ -56,8 +58,8 @@ class StandIn:
     def complaint(self) -> str:
         """Say which joints it predicts badly; empty where none."""
         said = [
-            f"{self.joint_names[k]}: {significant(self.stand_in[k])} {self.units[k]} RMS in place of {significant(self.identified[k])} "
-            f"(of {significant(self.torque[k])})"
+            f"{self.joint_names[k]}: {significant(self.stand_in[k])} {self.units[k]} RMS in place"
+            f" of {significant(self.identified[k])} (of {significant(self.torque[k])})"
             for k in self.bad
         ]
         if not said and self.worse_than_cad:
@@ -68,7 +70,10 @@ class StandIn:
         """Return the errors of both, and of CAD, beside the torque, joint by joint."""
         heads = [
             Column("RMS torque error"),
-            *(Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)),
+            *(
+                Column(name, unit, "decimal", width=16)
+                for name, unit in zip(self.joint_names, self.units, strict=True)
+            ),
         ]
         heads.append(Column("of the torque", align="right"))
         whole = float(np.linalg.norm(self.torque))
@@ -103,8 +108,14 @@ def stand_in(result: IdentificationResult, beta: ArrayLike) -> StandIn | None:
         return None
     places = evidence.places(result.base.names)
     fitted, judged = (
-        [np.column_stack([factor[:, places], factor[:, -1]]) / np.sqrt(n) for factor in evidence.whole(factors)]
-        for factors, n in ((evidence.fitted, evidence.n_fitted), (evidence.judged, evidence.n_judged))
+        [
+            np.column_stack([factor[:, places], factor[:, -1]]) / np.sqrt(n)
+            for factor in evidence.whole(factors)
+        ]
+        for factors, n in (
+            (evidence.fitted, evidence.n_fitted),
+            (evidence.judged, evidence.n_judged),
+        )
     )
     values = np.asarray(beta, dtype=np.float64)
 

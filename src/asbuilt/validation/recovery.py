@@ -38,7 +38,9 @@ class Recovery:
 
     def within(self, sigmas: float, *, of_links: bool | None = None) -> float:
         """Return the share of parameters that lie within so many of their standard errors from the truth: of all that have one, of links, or of drives (`of_links` False)."""
-        chosen = np.isfinite(self.std_error) & (True if of_links is None else self.of_links == of_links)
+        chosen = np.isfinite(self.std_error) & (
+            True if of_links is None else self.of_links == of_links
+        )
         return float(np.mean(np.abs(self.deviations[chosen]) <= sigmas))
 
 
@@ -56,15 +58,26 @@ def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecordi
     base, recording = result.base, simulated.recording
     if simulated.model.joint_names != result.model.joint_names or simulated.drive != base.drive:
         raise ResultError(
-            f"the result has the joints {', '.join(result.model.joint_names)} and drive terms {base.drive}, the truth "
-            f"{', '.join(simulated.model.joint_names)} and {simulated.drive}"
+            f"the result has the joints {', '.join(result.model.joint_names)} and drive terms"
+            f" {base.drive}, the truth {', '.join(simulated.model.joint_names)} and"
+            f" {simulated.drive}"
         )
     if recording.qd is None or recording.qdd is None:
-        raise ResultError(f"{recording.source} has no velocities and accelerations; record with DataLogger(accelerations=True)")
+        raise ResultError(
+            f"{recording.source} has no velocities and accelerations; record with"
+            " DataLogger(accelerations=True)"
+        )
     truth = base.values(simulated.truth)
     estimate = np.array([parameter.estimate for parameter in result.parameters])
     cad = np.nan_to_num(np.array([parameter.cad for parameter in result.parameters]))
-    W = observation_matrix(result.model, recording.q, recording.qd, recording.qdd, drive=base.drive, columns=base.columns)
+    W = observation_matrix(
+        result.model,
+        recording.q,
+        recording.qd,
+        recording.qdd,
+        drive=base.drive,
+        columns=base.columns,
+    )
     size = float(np.linalg.norm(W @ truth))
     return Recovery(
         robot=result.model.name,

@@ -94,13 +94,25 @@ def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
     runs, step = contiguous_runs(t), float(np.median(np.diff(t)))
     lag = max(1, round(0.5 / (cutoff * step)))
     apart = np.concatenate(
-        [residual[start + lag : stop] - residual[start : stop - lag] for start, stop in runs if stop - start > lag] or [residual[:0]]
+        [
+            residual[start + lag : stop] - residual[start : stop - lag]
+            for start, stop in runs
+            if stop - start > lag
+        ]
+        or [residual[:0]]
     )
     energy = np.mean(residual**2, axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        statistic = np.where(energy > 0, np.mean(apart**2, axis=0), np.nan) / energy if len(apart) else np.full(len(energy), np.nan)
+        statistic = (
+            np.where(energy > 0, np.mean(apart**2, axis=0), np.nan) / energy
+            if len(apart)
+            else np.full(len(energy), np.nan)
+        )
     longest = max(stop - start for start, stop in runs)
-    worth = [effective_samples(autocorrelation(column, runs, longest - 1), len(t)) for column in residual.T]
+    worth = [
+        effective_samples(autocorrelation(column, runs, longest - 1), len(t))
+        for column in residual.T
+    ]
     return statistic, np.minimum(np.array(worth) / (2.0 * cutoff * len(t) * step), 1.0)
 
 
@@ -189,6 +201,11 @@ def velocity_curve(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve
     count = np.bincount(index, minlength=2 * half)
     order = np.argsort(index, kind="stable")
     groups = np.split(torque[order], np.cumsum(count)[:-1])
-    quartiles = np.array([np.percentile(group, [25, 50, 75]) if len(group) >= 3 else [np.nan] * 3 for group in groups])
+    quartiles = np.array(
+        [
+            np.percentile(group, [25, 50, 75]) if len(group) >= 3 else [np.nan] * 3
+            for group in groups
+        ]
+    )
     centres = (np.arange(-half, half) + 0.5) * largest / half
     return VelocityCurve(centres, quartiles[:, 0], quartiles[:, 1], quartiles[:, 2], count)

@@ -45,39 +45,70 @@ class ControllerComparison:
         units = torque_units(self.identified.model)
         heads = [
             Column("model"),
-            *(Column(name, unit, "decimal", width=16) for name, unit in zip(self.as_built.joint_names, units, strict=True)),
+            *(
+                Column(name, unit, "decimal", width=16)
+                for name, unit in zip(self.as_built.joint_names, units, strict=True)
+            ),
         ]
         heads.append(Column("relative error", align="decimal"))
         rows: list[tuple[Cell, ...]] = []
-        for what, metrics in (("CAD", self.cad), ("controller", self.controller), ("as built", self.as_built)):
+        for what, metrics in (
+            ("CAD", self.cad),
+            ("controller", self.controller),
+            ("as built", self.as_built),
+        ):
             errors = [Shown(float(error), significant(float(error))) for error in metrics.rms]
-            rows.append((what, *errors, Shown(metrics.relative_error, share(metrics.relative_error))))
+            rows.append(
+                (what, *errors, Shown(metrics.relative_error, share(metrics.relative_error)))
+            )
         note = (
-            f"controller: what its external torque says that its own model predicts; parameters identified from that prediction repeat it to "
-            f"{share(self.rebuilt.relative_error)} of its torque."
+            "controller: what its external torque says that its own model predicts; parameters"
+            f" identified from that prediction repeat it to {share(self.rebuilt.relative_error)} of"
+            " its torque."
         )
-        return Table(tuple(heads), tuple(rows), title=f"RMS torque error on {recording_name(self.as_built.source)}", notes=(note,))
+        return Table(
+            tuple(heads),
+            tuple(rows),
+            title=f"RMS torque error on {recording_name(self.as_built.source)}",
+            notes=(note,),
+        )
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         better = int(np.sum(self.as_built.rms < self.controller.rms))
         return (
-            f"As built the robot is predicted better than by its controller's model at {better} of {len(self.as_built.rms)} joints: relative error "
-            f"{share(self.as_built.relative_error)} against {share(self.controller.relative_error)} (CAD {share(self.cad.relative_error)})."
+            f"As built the robot is predicted better than by its controller's model at {better} of"
+            f" {len(self.as_built.rms)} joints: relative error"
+            f" {share(self.as_built.relative_error)} against"
+            f" {share(self.controller.relative_error)} (CAD {share(self.cad.relative_error)})."
         )
 
     def as_text(self) -> str:
         """Return verdict and tables for a terminal."""
-        return "\n".join([self.verdict(), "", self.torque_table().as_text(), self.difference.as_text()])
+        return "\n".join(
+            [self.verdict(), "", self.torque_table().as_text(), self.difference.as_text()]
+        )
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
-        metrics = {name: getattr(self, name).as_dict() for name in ("controller", "cad", "as_built", "rebuilt")}
-        return {"robot": self.robot, "verdict": self.verdict(), **metrics, "difference": self.difference.as_document()}
+        metrics = {
+            name: getattr(self, name).as_dict()
+            for name in ("controller", "cad", "as_built", "rebuilt")
+        }
+        return {
+            "robot": self.robot,
+            "verdict": self.verdict(),
+            **metrics,
+            "difference": self.difference.as_document(),
+        }
 
 
 def compare_with_controller(
-    result: IdentificationResult, recording: Recording, *, holdout: str = "blocks:5s:3", chain: SignalChain | None = None
+    result: IdentificationResult,
+    recording: Recording,
+    *,
+    holdout: str = "blocks:5s:3",
+    chain: SignalChain | None = None,
 ) -> ControllerComparison:
     """Compare a result with the model of the controller that logged `recording`: `tau - tau_ext` is what that model predicts.
 
@@ -88,10 +119,15 @@ def compare_with_controller(
     if external is None or external.shape != recording.tau.shape:
         logged = f"; beside torque it has {', '.join(recording.extra)}" if recording.extra else ""
         raise RecordingError(
-            f"{recording.source} has no external torque of each joint ({EXTERNAL}){logged}; the controller's model shows in tau - {EXTERNAL}"
+            f"{recording.source} has no external torque of each joint ({EXTERNAL}){logged}; the"
+            f" controller's model shows in tau - {EXTERNAL}"
         )
     settled = (chain or SignalChain()).resolved(recording)
-    predicted = replace(recording, tau=recording.tau - external, source=f"{recording.source}, predicted by the controller")
+    predicted = replace(
+        recording,
+        tau=recording.tau - external,
+        source=f"{recording.source}, predicted by the controller",
+    )
     _, measured = hold_out(prepare_samples(recording, settled), holdout)
     learning, modelled = hold_out(prepare_samples(predicted, settled), holdout)
     identified = identify(result.model, learning, base=result.base)
@@ -104,5 +140,7 @@ def compare_with_controller(
         as_built=validation.metrics_as_built,
         rebuilt=validate(identified, modelled).metrics_as_built,
         identified=identified,
-        difference=compare_results(identified, result, labels=("controller", "as built"), of_models=True),
+        difference=compare_results(
+            identified, result, labels=("controller", "as built"), of_models=True
+        ),
     )

@@ -86,11 +86,20 @@ class CutoffSweep:
             Column("white", "%", "decimal"),
         )
         notes = (
-            f"Errors are RMS of torque as recorded, which filtering cannot make smaller, on {self.holdout} of the recordings identified from, held out; "
-            "'held out' is their joint mean relative to the best.",
-            "'in band' is the same against the filtered torque, of which a lower cutoff leaves less whatever the model is worth; it chooses nothing.",
-            "Durbin-Watson, at half periods of the cutoff, is 2 for a residual white up to the cutoff, near 0 for a slow one; white: how many independent "
-            "samples it is worth, of those that a white one would be.",
+            (
+                "Errors are RMS of torque as recorded, which filtering cannot make smaller, on"
+                f" {self.holdout} of the recordings identified from, held out; 'held out' is their"
+                " joint mean relative to the best."
+            ),
+            (
+                "'in band' is the same against the filtered torque, of which a lower cutoff leaves"
+                " less whatever the model is worth; it chooses nothing."
+            ),
+            (
+                "Durbin-Watson, at half periods of the cutoff, is 2 for a residual white up to the"
+                " cutoff, near 0 for a slow one; white: how many independent samples it is worth,"
+                " of those that a white one would be."
+            ),
             self.why,
         )
         return Table(columns, rows, title="Cutoff of the low-pass", notes=notes)
@@ -108,7 +117,9 @@ class CutoffSweep:
                     "in_band": trial.in_band,
                     "rms_recorded": trial.rms_recorded.tolist(),
                     "rms": trial.rms.tolist(),
-                    "durbin_watson": trial.durbin_watson if np.isfinite(trial.durbin_watson) else None,
+                    "durbin_watson": (
+                        trial.durbin_watson if np.isfinite(trial.durbin_watson) else None
+                    ),
                     "effective_share": trial.effective_share,
                 }
                 for trial in self.trials
@@ -152,25 +163,34 @@ def sweep_cutoffs(
             last = problem
             continue
         recorded, band = (
-            np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0)) for name in ("rms_recorded", "rms")
+            np.sqrt(np.mean([getattr(item.metrics_as_built, name) ** 2 for item in judged], axis=0))
+            for name in ("rms_recorded", "rms")
         )
         whiteness, share = np.mean([_whiteness(item, cutoff) for item in judged], axis=(0, 2))
         found.append((cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
         raise RecordingError(
-            f"no cutoff leaves enough samples to learn from and to judge by; record longer (at {tried[-1]:.3g} Hz: {last})"
+            "no cutoff leaves enough samples to learn from and to judge by; record longer (at"
+            f" {tried[-1]:.3g} Hz: {last})"
         )
     best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)
     scores = np.array([np.sqrt(np.mean((recorded / best) ** 2)) for _, recorded, _, _, _ in found])
-    bands = np.array([np.sqrt(np.mean((band / best) ** 2)) for _, _, band, _, _ in found]) / scores.min()
+    bands = (
+        np.array([np.sqrt(np.mean((band / best) ** 2)) for _, _, band, _, _ in found])
+        / scores.min()
+    )
     scores /= scores.min()
-    trials = tuple(CutoffTrial(*trial, float(score), float(band)) for trial, score, band in zip(found, scores, bands, strict=True))
+    trials = tuple(
+        CutoffTrial(*trial, float(score), float(band))
+        for trial, score, band in zip(found, scores, bands, strict=True)
+    )
     good = [trial for trial in trials if trial.score <= AS_GOOD]
     chosen = good[0]
     worst = max(trials, key=lambda trial: trial.score)
     why = (
-        f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within {100 * (AS_GOOD - 1):.0f} % of the smallest; "
-        f"{significant(worst.cutoff)} Hz would cost {100 * (worst.score - 1):.0f} % more."
+        f"{significant(chosen.cutoff)} Hz is the lowest cutoff whose held-out error is within"
+        f" {100 * (AS_GOOD - 1):.0f} % of the smallest; {significant(worst.cutoff)} Hz would cost"
+        f" {100 * (worst.score - 1):.0f} % more."
     )
     if chosen in (trials[0], trials[-1]) and len(trials) > 1:
         why += f" None {'lower' if chosen is trials[0] else 'higher'} was tried."

@@ -58,7 +58,10 @@ class Attainment:
     def as_text(self) -> str:
         """Return what is carried, which joints held it back and how, and which parameters suffer most."""
         limits = f"; limits of {joined(list(self.assumed))} assumed" if self.assumed else ""
-        whole = f"It carries {100 * self.efficiency.d_efficiency:.2g} % of the attainable information per sample (drive terms {self.drive}{limits})."
+        whole = (
+            f"It carries {100 * self.efficiency.d_efficiency:.2g} % of the attainable information"
+            f" per sample (drive terms {self.drive}{limits})."
+        )
         if not self._lacking:
             return whole
         slow = [k for k in self._lacking if self.top_speed[k] < SLOW]
@@ -67,9 +70,17 @@ class Attainment:
         ways = [
             self._listed("slowly, in parts of the speed limit: ", slow, self.top_speed),
             self._listed("within a small range, in parts of the full one: ", narrow, self.travel),
-            "gently or too much like others: " + joined([self.joint_names[k] for k in rest]) if rest else "",
+            (
+                "gently or too much like others: " + joined([self.joint_names[k] for k in rest])
+                if rest
+                else ""
+            ),
         ]
-        return f"{whole}\nMoved too little to tell all parameters - {'; '.join(way for way in ways if way)}.\n{self._worst()} asbuilt excite designs a better motion."
+        return (
+            f"{whole}\nMoved too little to tell all parameters -"
+            f" {'; '.join(way for way in ways if way)}.\n{self._worst()} asbuilt excite designs a"
+            " better motion."
+        )
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers and names; None stands for a standard error that is infinite."""
@@ -81,7 +92,10 @@ class Attainment:
         }
         return {
             "d_efficiency": self.efficiency.d_efficiency,
-            **{key: dict(zip(self.joint_names, map(_finite, values), strict=True)) for key, values in by_joint.items()},
+            **{
+                key: dict(zip(self.joint_names, map(_finite, values), strict=True))
+                for key, values in by_joint.items()
+            },
             "moved_too_little": list(self.too_little),
             "drive": str(self.drive),
             "assumed_limits": list(self.assumed),
@@ -92,17 +106,32 @@ class Attainment:
         return [k for k, part in enumerate(self.efficiency.by_joint) if part < TOO_LITTLE]
 
     def _listed(self, how: str, joints: list[int], parts: Array) -> str:
-        return how + joined([f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]) if joints else ""
+        return (
+            how + joined([f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints])
+            if joints
+            else ""
+        )
 
     def _worst(self) -> str:
         worst = sorted(self._lacking, key=lambda k: -self.std_error_ratios[k])[:MOST_NAMED]
-        names = [self.efficiency.base.names[index] for k in worst if (index := self.efficiency.worst[k]) is not None]
+        names = [
+            self.efficiency.base.names[index]
+            for k in worst
+            if (index := self.efficiency.worst[k]) is not None
+        ]
         ratios = [self.std_error_ratios[k] for k in worst]
         said = [
-            f"{name} {float(f'{ratio:.2g}'):g} times" if np.isfinite(ratio) else f"{name} not told at all"
+            (
+                f"{name} {float(f'{ratio:.2g}'):g} times"
+                if np.isfinite(ratio)
+                else f"{name} not told at all"
+            )
             for name, ratio in zip(names, ratios, strict=True)
         ]
-        return f"Least told, by standard error against the best motion of the same length: {joined(said)}."
+        return (
+            "Least told, by standard error against the best motion of the same length:"
+            f" {joined(said)}."
+        )
 
 
 def recorded_information(model: RobotModel, recording: Recording | RecordingStream) -> Attainment:
@@ -113,7 +142,14 @@ def recorded_information(model: RobotModel, recording: Recording | RecordingStre
     drive = DriveSet.default(head_of(recording).torque_source)
     samples = prepare_logged(recording, SignalChain())
     travel, top_speed = _use_of_limits(model, samples)
-    return Attainment(model.joint_names, drive, information_efficiency(model, drive, samples), travel, top_speed, limited_model(model)[1])
+    return Attainment(
+        model.joint_names,
+        drive,
+        information_efficiency(model, drive, samples),
+        travel,
+        top_speed,
+        limited_model(model)[1],
+    )
 
 
 def _use_of_limits(model: RobotModel, samples: Samples) -> tuple[Array, Array]:

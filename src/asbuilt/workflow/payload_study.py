@@ -48,7 +48,19 @@ def run_payload_study(
     if holdout is not None:
         parts = [hold_out(samples, holdout) for samples in learning]
         learning = [train for train, _ in parts]
-        judging = [replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts] + judging
-    judging = judging or [replace(samples, source=f"{samples.source}, the data used") for samples in learning]
+        judging = [
+            replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts
+        ] + judging
+    judging = judging or [
+        replace(samples, source=f"{samples.source}, the data used") for samples in learning
+    ]
     bare = [prepare_logged(recording, resolved) for recording in unloaded]
-    return identify_payload(result, learning, unloaded=bare, frame=frame, arm=arm, validation=judging, gain_uncertainty=gain_uncertainty)
+    return identify_payload(
+        result,
+        learning,
+        unloaded=bare,
+        frame=frame,
+        arm=arm,
+        validation=judging,
+        gain_uncertainty=gain_uncertainty,
+    )

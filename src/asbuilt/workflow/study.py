@@ -33,8 +33,9 @@ from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 Progress = Callable[[str, float], None]
 
 GAINS_TAKEN = (
-    "Torques come from currents, whose gains were taken as exact: where the torque per ampere of a joint is 3 % off, so is what its torque tells, beyond the "
-    "standard errors. asbuilt gains finds it from a payload of known mass."
+    "Torques come from currents, whose gains were taken as exact: where the torque per ampere of a"
+    " joint is 3 % off, so is what its torque tells, beyond the standard errors. asbuilt gains"
+    " finds it from a payload of known mass."
 )
 
 
@@ -115,14 +116,24 @@ def run_study(
         raise UsageError(f"no recording is given to identify {model.name} from")
     report("check", 0.0)
     heads = [_head(item) for item in (*recordings, *validation)]
-    checks = tuple(check_recording(model, head) for head in heads if head is not None) if options.checked else ()
+    checks = (
+        tuple(check_recording(model, head) for head in heads if head is not None)
+        if options.checked
+        else ()
+    )
     for check in checks:
         check.raise_errors()
     report("filter", 0.0)
     logged = [head for head in heads if head is not None]
     chain = options.chain.resolved(*logged) if logged else options.chain
     cutoffs = (
-        _swept(model, [head for head in heads[: len(recordings)] if head is not None], chain, options, report)
+        _swept(
+            model,
+            [head for head in heads[: len(recordings)] if head is not None],
+            chain,
+            options,
+            report,
+        )
         if options.sweep_cutoff
         else None
     )
@@ -133,11 +144,15 @@ def run_study(
     if options.holdout is not None:
         parts = [hold_out(samples, options.holdout) for samples in learning]
         learning = [train for train, _ in parts]
-        judging = [replace(held, source=f"{held.source}, held out {options.holdout}") for _, held in parts] + judging
+        judging = [
+            replace(held, source=f"{held.source}, held out {options.holdout}") for _, held in parts
+        ] + judging
     report("identify", 0.0)
     chosen = settle_drive(model, learning, options.drive)
     stands = (
-        find_mounting(model, learning, drive=chosen.drive, block_seconds=options.block_seconds) if options.mounting == "estimate" else None
+        find_mounting(model, learning, drive=chosen.drive, block_seconds=options.block_seconds)
+        if options.mounting == "estimate"
+        else None
     )
     model = model if stands is None else stands.model
     result = identify(
@@ -160,37 +175,87 @@ def run_study(
     report("predict", 0.0)
     training = tuple(validate(result, samples) for samples in learning)
     validations = tuple(validate(result, samples) for samples in judging)
-    result = with_repeats(with_findings(_with_drive_choice(result, chosen), checks, validations), learning, judging)
+    result = with_repeats(
+        with_findings(_with_drive_choice(result, chosen), checks, validations), learning, judging
+    )
     result = _with_evidence(result, learning, judging, options.block_seconds)
     attribution = None
     if result.evidence is not None and options.mounting == "as_described":
         attribution = attribute(result)
     tilt = None if attribution is None else attribution.tilt
-    result = with_hidden_causes(result, learning, chosen.drive, tilt=tilt, stands=stands, block_seconds=options.block_seconds)
+    result = with_hidden_causes(
+        result,
+        learning,
+        chosen.drive,
+        tilt=tilt,
+        stands=stands,
+        block_seconds=options.block_seconds,
+    )
     report("predict", 1.0)
-    return Study(result, checks, training, validations, compare(result, validation=validations or training), cutoffs, attribution)
+    return Study(
+        result,
+        checks,
+        training,
+        validations,
+        compare(result, validation=validations or training),
+        cutoffs,
+        attribution,
+    )
 
 
 def _with_evidence(
-    result: IdentificationResult, learning: Sequence[Samples], judging: Sequence[Samples], block_seconds: float | None
+    result: IdentificationResult,
+    learning: Sequence[Samples],
+    judging: Sequence[Samples],
+    block_seconds: float | None,
 ) -> IdentificationResult:
     """Return the result with the evidence of causes, or with a warning that there is too little of it."""
     try:
-        return replace(result, evidence=gather_evidence(result.model, result.base, learning, judging[:1], block_seconds=block_seconds))
+        return replace(
+            result,
+            evidence=gather_evidence(
+                result.model, result.base, learning, judging[:1], block_seconds=block_seconds
+            ),
+        )
     except IdentifiabilityError as problem:
-        message = f"Why CAD is off, and what differences cost in torque, is not told: {problem}. Record longer."
-        return replace(result, warnings=(*result.warnings, IdentificationWarning("causes_untold", message)))
+        message = (
+            f"Why CAD is off, and what differences cost in torque, is not told: {problem}. Record"
+            " longer."
+        )
+        return replace(
+            result, warnings=(*result.warnings, IdentificationWarning("causes_untold", message))
+        )
 
 
-def _swept(model: RobotModel, recordings: Sequence[Recording], chain: SignalChain, options: StudyOptions, report: Progress) -> CutoffSweep:
+def _swept(
+    model: RobotModel,
+    recordings: Sequence[Recording],
+    chain: SignalChain,
+    options: StudyOptions,
+    report: Progress,
+) -> CutoffSweep:
     if not recordings:
-        raise UsageError("a cutoff can be chosen for recordings only; these samples are filtered already")
-    drive = options.drive if isinstance(options.drive, DriveSet) else usual_drive(model, recordings[0].torque_source)
-    return sweep_cutoffs(model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report)
+        raise UsageError(
+            "a cutoff can be chosen for recordings only; these samples are filtered already"
+        )
+    drive = (
+        options.drive
+        if isinstance(options.drive, DriveSet)
+        else usual_drive(model, recordings[0].torque_source)
+    )
+    return sweep_cutoffs(
+        model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report
+    )
 
 
 def _head(item: Recording | RecordingStream | Samples) -> Recording | None:
-    return item.head if isinstance(item, RecordingStream) else item if isinstance(item, Recording) else None
+    return (
+        item.head
+        if isinstance(item, RecordingStream)
+        else item
+        if isinstance(item, Recording)
+        else None
+    )
 
 
 def _prepared(item: Recording | RecordingStream | Samples, chain: SignalChain) -> Samples:
@@ -201,6 +266,13 @@ def _prepared(item: Recording | RecordingStream | Samples, chain: SignalChain) -
 
 def _with_drive_choice(result: IdentificationResult, chosen: DriveChoice) -> IdentificationResult:
     """Return the result with how its drive terms were chosen, among its warnings where terms were added or do not pay."""
-    spoken = [IdentificationWarning("drive_terms", f"{sentence[0].upper()}{sentence[1:]}.") for sentence in chosen.sentences]
+    spoken = [
+        IdentificationWarning("drive_terms", f"{sentence[0].upper()}{sentence[1:]}.")
+        for sentence in chosen.sentences
+    ]
     spoken += [IdentificationWarning("drive_shapes", warning) for warning in chosen.warnings]
-    return replace(result, warnings=(*result.warnings, *spoken), provenance=(*result.provenance, *chosen.sentences))
+    return replace(
+        result,
+        warnings=(*result.warnings, *spoken),
+        provenance=(*result.provenance, *chosen.sentences),
+    )

@@ -19,11 +19,17 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
     content = data.encode("utf-8") if isinstance(data, str) else data
     try:
         if target.is_dir():
-            raise UsageError(f"cannot write {target}: it is a folder; give the name of a file in it")
+            raise UsageError(
+                f"cannot write {target}: it is a folder; give the name of a file in it"
+            )
         target.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, temporary = tempfile.mkstemp(prefix=f".{target.name[:64]}.", suffix=".part", dir=target.parent)
+        descriptor, temporary = tempfile.mkstemp(
+            prefix=f".{target.name[:64]}.", suffix=".part", dir=target.parent
+        )
     except OSError as error:
-        raise UsageError(f"cannot write {target}: {error.strerror or error}; choose a folder you may write to") from error
+        raise UsageError(
+            f"cannot write {target}: {error.strerror or error}; choose a folder you may write to"
+        ) from error
     try:
         with os.fdopen(descriptor, "wb") as stream:
             stream.write(content)
@@ -33,7 +39,10 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
         Path(temporary).replace(target)
     except OSError as error:
         Path(temporary).unlink(missing_ok=True)
-        raise UsageError(f"cannot write {target}: {error.strerror or error}; {len(content)} bytes were to be written") from error
+        raise UsageError(
+            f"cannot write {target}: {error.strerror or error}; {len(content)} bytes were to be"
+            " written"
+        ) from error
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
@@ -45,7 +54,9 @@ def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, 
     return {kind: os.fspath(path) for kind, path in (files or {}).items()}
 
 
-def file_lines(files: Mapping[str, Path], notes: Mapping[str, Sequence[str]], width: int) -> list[str]:
+def file_lines(
+    files: Mapping[str, Path], notes: Mapping[str, Sequence[str]], width: int
+) -> list[str]:
     """Return the lines that name every file by kind, in a column of this width, with what is to be known of it; of a kind without a file the notes stand in its place."""
     lines = []
     for kind in dict.fromkeys((*files, *notes)):
@@ -60,11 +71,21 @@ def check_writable(folder: Path) -> None:
     try:
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     except OSError as error:
-        raise UsageError(f"cannot write into {folder}: {error.strerror or error}; choose a folder you may write to") from None
+        raise UsageError(
+            f"cannot write into {folder}: {error.strerror or error}; choose a folder you may"
+            " write to"
+        ) from None
     if not nearest.is_dir():
-        raise UsageError(f"cannot write into {folder}: {nearest} is a file; choose a folder you may write to")
-    if not os.access(nearest, os.W_OK | os.X_OK, effective_ids=os.access in os.supports_effective_ids):
-        raise UsageError(f"cannot write into {folder}: {nearest} is not open to you; choose a folder you may write to")
+        raise UsageError(
+            f"cannot write into {folder}: {nearest} is a file; choose a folder you may write to"
+        )
+    if not os.access(
+        nearest, os.W_OK | os.X_OK, effective_ids=os.access in os.supports_effective_ids
+    ):
+        raise UsageError(
+            f"cannot write into {folder}: {nearest} is not open to you; choose a folder you may"
+            " write to"
+        )
 
 
 def _permissions(target: Path) -> int:

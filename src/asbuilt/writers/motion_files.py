@@ -15,7 +15,12 @@ from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
 from asbuilt.writers.files import atomic_write
 
 
-def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, joint_names: Sequence[str], rate: float = 1000.0) -> Path:
+def write_motion(
+    path: str | os.PathLike[str],
+    motion: Motion | Trajectory,
+    joint_names: Sequence[str],
+    rate: float = 1000.0,
+) -> Path:
     """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV; numbers have the digits that read back to the same double.
 
     The end of a motion is its last line whatever the rate, so that a motion that ends at rest does so in the file. Raises MotionError if names and joints do
@@ -24,7 +29,10 @@ def write_motion(path: str | os.PathLike[str], motion: Motion | Trajectory, join
     trajectory = motion if isinstance(motion, Trajectory) else _sampled_to_end(motion, rate)
     names = tuple(joint_names)
     if len(names) != trajectory.n_joints or len(set(names)) != len(names):
-        raise MotionError(f"a motion of {trajectory.n_joints} joints needs as many different names, got {', '.join(names) or 'none'}")
+        raise MotionError(
+            f"a motion of {trajectory.n_joints} joints needs as many different names, got"
+            f" {', '.join(names) or 'none'}"
+        )
     columns = {"t": trajectory.t}
     for prefix, values in zip(PREFIXES, (trajectory.q, trajectory.qd, trajectory.qdd), strict=True):
         columns |= {prefix + name: values[:, j] for j, name in enumerate(names)}

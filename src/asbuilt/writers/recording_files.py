@@ -28,9 +28,17 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     if suffix not in (".csv", ".parquet"):
         raise UsageError(f"a recording is written as .csv or .parquet, not as {Path(path).name!r}")
     columns: dict[str, Any] = {"t": recording.t}
-    for letter, values in (("q", recording.q), ("qd", recording.qd), ("qdd", recording.qdd), ("tau", recording.tau)):
+    for letter, values in (
+        ("q", recording.q),
+        ("qd", recording.qd),
+        ("qdd", recording.qdd),
+        ("tau", recording.tau),
+    ):
         if values is not None:
-            columns |= {f"{letter}_{name}": np.ascontiguousarray(values[:, k]) for k, name in enumerate(recording.joint_names)}
+            columns |= {
+                f"{letter}_{name}": np.ascontiguousarray(values[:, k])
+                for k, name in enumerate(recording.joint_names)
+            }
     content = io.BytesIO()
     frame = pl.DataFrame(columns)
     if suffix == ".csv":
@@ -40,10 +48,14 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     return atomic_write(path, content.getvalue())
 
 
-def write_simulation(path: str | os.PathLike[str], simulated: SimulatedRecording) -> dict[str, Path]:
+def write_simulation(
+    path: str | os.PathLike[str], simulated: SimulatedRecording
+) -> dict[str, Path]:
     """Write a simulated recording, the sheet that says what its torques are (LOG.toml), and the parameters (JSON) and the robot (TOML) that made it."""
     log = write_recording(path, simulated.recording)
-    sheet = atomic_write(log.with_name(f"{log.name}.toml"), _sheet_text(simulated.recording, log.name))
+    sheet = atomic_write(
+        log.with_name(f"{log.name}.toml"), _sheet_text(simulated.recording, log.name)
+    )
     truth = write_json(log.with_name(f"{log.stem}_truth.json"), truth_document(simulated))
     robot = write_robot_toml(log.with_name(f"{log.stem}_robot.toml"), robot_that_moved(simulated))
     return {"recording": log, "sheet": sheet, "truth": truth, "robot": robot}
@@ -56,8 +68,17 @@ def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
     keys = [term.key for term in drive.terms for _ in term.letters]
     joints = []
     for joint, own in zip(model.joints, values, strict=True):
-        plain = {key: float(value) for key, value in zip(keys, own, strict=True) if key in PLAIN_TERMS}
-        joints.append(replace(joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=joint.drive.terms)))
+        plain = {
+            key: float(value) for key, value in zip(keys, own, strict=True) if key in PLAIN_TERMS
+        }
+        joints.append(
+            replace(
+                joint,
+                drive=DriveValues(
+                    **plain, gear_ratio=joint.drive.gear_ratio, terms=joint.drive.terms
+                ),
+            )
+        )
     return replace(model, joints=tuple(joints))
 
 
@@ -65,7 +86,8 @@ def _sheet_text(recording: Recording, log: str) -> str:
     told = f"# Recording sheet of {log}, which asbuilt reads beside it: what its torques are.\n"
     if recording.torque_source == "current":
         told += (
-            "# Currents times the nominal torque constant [N m]; gains = [...] takes corrections of it, such as `asbuilt gains` finds.\n"
+            "# Currents times the nominal torque constant [N m]; gains = [...] takes corrections of"
+            " it, such as `asbuilt gains` finds.\n"
         )
     return told + tomli_w.dumps({"torque_source": recording.torque_source})
 

@@ -15,7 +15,9 @@ from asbuilt.errors import DescriptionError, MissingExtraError
 trimesh = pytest.importorskip("trimesh")
 
 
-def box(mass: float, sides: tuple[float, float, float], centre: tuple[float, float, float]) -> LinkInertia:
+def box(
+    mass: float, sides: tuple[float, float, float], centre: tuple[float, float, float]
+) -> LinkInertia:
     x, y, z = (side**2 for side in sides)
     return LinkInertia.from_com(mass, centre, mass / 12 * np.diag([y + z, x + z, x + y]))
 
@@ -45,14 +47,18 @@ def test_parts_add_up_where_they_sit(brick):
     cad = link_from_meshes("a", parts)
     light = box(1000 * 0.1 * 0.06 * 0.04, (0.1, 0.06, 0.04), (0.05, 0.03, 0.02))
     heavy = box(2700 * 0.1 * 0.06 * 0.04, (0.1, 0.06, 0.04), (0.05, 0.03, 0.02))
-    assert np.allclose(cad.link.inertia.parameters, (heavy + light.moved(T)).parameters, rtol=1e-6, atol=1e-12)
+    assert np.allclose(
+        cad.link.inertia.parameters, (heavy + light.moved(T)).parameters, rtol=1e-6, atol=1e-12
+    )
     assert [name for name, _ in cad.link.parts] == ["shell", "motor"]
     assert cad.link.inertia.is_consistent
 
 
 def test_a_fine_sphere_approaches_the_formula(tmp_path):
     trimesh.creation.icosphere(subdivisions=4, radius=0.1).export(tmp_path / "ball.ply")
-    inertia = link_from_meshes("a", [MeshPart(path=tmp_path / "ball.ply", material="steel", unit="m")]).link.inertia
+    inertia = link_from_meshes(
+        "a", [MeshPart(path=tmp_path / "ball.ply", material="steel", unit="m")]
+    ).link.inertia
     mass = MATERIALS["steel"] * 4 / 3 * np.pi * 0.1**3
     assert np.isclose(inertia.mass, mass, rtol=5e-3)
     assert np.allclose(inertia.principal_moments, 0.4 * mass * 0.01, rtol=1e-2)
@@ -62,21 +68,31 @@ def test_doubtful_surfaces_are_named(brick, tmp_path):
     mesh = trimesh.load(brick, force="mesh")
     mesh.update_faces(np.arange(len(mesh.faces)) > 0)
     mesh.export(tmp_path / "open.stl")
-    (warning,) = link_from_meshes("a", [MeshPart(path=tmp_path / "open.stl", material=1000.0, unit="mm")]).warnings
+    (warning,) = link_from_meshes(
+        "a", [MeshPart(path=tmp_path / "open.stl", material=1000.0, unit="mm")]
+    ).warnings
     assert "link 'a', open.stl: the surface is not closed" in warning
     inside_out = trimesh.load(brick, force="mesh")
     inside_out.invert()
     inside_out.export(tmp_path / "inverted.stl")
-    cad = link_from_meshes("a", [MeshPart(path=tmp_path / "inverted.stl", material=1000.0, unit="mm")])
+    cad = link_from_meshes(
+        "a", [MeshPart(path=tmp_path / "inverted.stl", material=1000.0, unit="mm")]
+    )
     assert "inside out" in cad.warnings[0]
     assert np.isclose(cad.link.inertia.mass, 0.24)
-    assert "check the unit" in link_from_meshes("a", [MeshPart(path=brick, material=1000.0, unit="m")]).warnings[0]
+    assert (
+        "check the unit"
+        in link_from_meshes("a", [MeshPart(path=brick, material=1000.0, unit="m")]).warnings[0]
+    )
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"material": "adamantium"}, r"material 'adamantium' is unknown; give a density in kg/m\^3 or one of abs, aluminium"),
+        (
+            {"material": "adamantium"},
+            r"material 'adamantium' is unknown; give a density in kg/m\^3 or one of abs, aluminium",
+        ),
         ({"material": -3.0}, r"density is -3.0"),
         ({"unit": "furlong"}, r"length unit 'furlong' is unknown"),
         ({"path": "none.stl"}, r"none\.stl: the mesh cannot be read"),
@@ -108,7 +124,16 @@ def test_without_trimesh_the_extra_is_named(monkeypatch, brick):
         link_from_meshes("a", [MeshPart(path=brick, material=1.0, unit="mm")])
 
 
-def exported(path, inertia: LinkInertia, *, about: str, sign: float, header: str, separator: str = ",", rows: int = 1):
+def exported(
+    path,
+    inertia: LinkInertia,
+    *,
+    about: str,
+    sign: float,
+    header: str,
+    separator: str = ",",
+    rows: int = 1,
+):
     tensor = inertia.inertia_about_com if about == "com" else inertia.inertia
     g, mm = 1e3, 1e3
     values = [inertia.mass * g, *(inertia.com * mm), *(np.diag(tensor) * g * mm**2)]
@@ -120,17 +145,34 @@ def exported(path, inertia: LinkInertia, *, about: str, sign: float, header: str
 
 
 PLAIN = "link,part,mass,cx,cy,cz,Ixx,Iyy,Izz,Ixy,Ixz,Iyz"
-UNITS = "Link,Component,Mass [g],Rx [mm],Ry [mm],Rz [mm],Lxx (g*mm^2),Lyy (g mm2),Lzz (g mm²),Lxy (g mm^2),Lxz (g mm^2),Lyz (g mm^2)"
+UNITS = (
+    "Link,Component,Mass [g],Rx [mm],Ry [mm],Rz [mm],Lxx (g*mm^2),Lyy (g mm2),Lzz (g mm²),Lxy (g"
+    " mm^2),Lxz (g mm^2),Lyz (g mm^2)"
+)
 
 
 @pytest.mark.parametrize("about", ["com", "origin"])
 @pytest.mark.parametrize(("products", "sign"), [("tensor", 1.0), ("integral", -1.0)])
-@pytest.mark.parametrize(("header", "separator", "units"), [(PLAIN, ",", ("g", "mm")), (UNITS, ",", ("", "")), (PLAIN, ";", ("g", "mm"))])
+@pytest.mark.parametrize(
+    ("header", "separator", "units"),
+    [(PLAIN, ",", ("g", "mm")), (UNITS, ",", ("", "")), (PLAIN, ";", ("g", "mm"))],
+)
 def test_every_convention_of_cad_tables(tmp_path, about, products, sign, header, separator, units):
     inertia = LinkInertia.from_log_cholesky(np.random.default_rng(2).uniform(-1, 1, 10))
-    exported(tmp_path / "t.csv", inertia, about=about, sign=sign, header=header.replace(",", separator), separator=separator)
-    links = read_cad_table(tmp_path / "t.csv", about=about, products=products, mass_unit=units[0], length_unit=units[1])
-    assert np.allclose(links["link_2"].link.inertia.parameters, inertia.parameters, rtol=1e-12, atol=1e-12)
+    exported(
+        tmp_path / "t.csv",
+        inertia,
+        about=about,
+        sign=sign,
+        header=header.replace(",", separator),
+        separator=separator,
+    )
+    links = read_cad_table(
+        tmp_path / "t.csv", about=about, products=products, mass_unit=units[0], length_unit=units[1]
+    )
+    assert np.allclose(
+        links["link_2"].link.inertia.parameters, inertia.parameters, rtol=1e-12, atol=1e-12
+    )
     assert [name for name, _ in links["link_2"].link.parts] == ["housing"]
 
 
@@ -138,7 +180,9 @@ def test_rows_of_one_link_add_up_and_move_to_its_frame(tmp_path):
     inertia = LinkInertia.from_log_cholesky(np.zeros(10))
     exported(tmp_path / "t.csv", inertia, about="com", sign=1.0, header=UNITS, rows=3)
     T = placement(translation=(0, 0, 1.0))
-    links = read_cad_table(tmp_path / "t.csv", about="com", products="tensor", placements={"link_2": T})
+    links = read_cad_table(
+        tmp_path / "t.csv", about="com", products="tensor", placements={"link_2": T}
+    )
     assert np.allclose(links["link_2"].link.inertia.parameters, 3 * inertia.moved(T).parameters)
     model = with_cad_links(load_robot("two-link"), links)
     assert np.allclose(model.links[1].inertia.parameters, links["link_2"].link.inertia.parameters)
@@ -150,7 +194,9 @@ def test_rows_of_one_link_add_up_and_move_to_its_frame(tmp_path):
 def test_the_wrong_convention_is_noticed(tmp_path):
     inertia = LinkInertia.from_com(2.0, [0.5, 0.4, 0.3], np.diag([0.01, 0.01, 0.01]))
     exported(tmp_path / "t.csv", inertia, about="com", sign=1.0, header=UNITS)
-    (warning,) = read_cad_table(tmp_path / "t.csv", about="origin", products="tensor")["link_2"].warnings
+    (warning,) = read_cad_table(tmp_path / "t.csv", about="origin", products="tensor")[
+        "link_2"
+    ].warnings
     assert "link 'link_2', part 'housing'" in warning
     assert "check units, about='origin'" in warning
 
@@ -159,12 +205,21 @@ def test_the_wrong_convention_is_noticed(tmp_path):
     ("text", "message"),
     [
         (PLAIN + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"column 'mass' states no unit"),
-        (UNITS.replace("[g]", "[stone]") + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"column 'Mass \[stone\]': .*'stone', which is unknown"),
-        (UNITS.replace("[g]", "[mm]") + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"mass\^0 length\^1; expected mass\^1 length\^0"),
+        (
+            UNITS.replace("[g]", "[stone]") + "\na,b,1,0,0,0,1,1,1,0,0,0\n",
+            r"column 'Mass \[stone\]': .*'stone', which is unknown",
+        ),
+        (
+            UNITS.replace("[g]", "[mm]") + "\na,b,1,0,0,0,1,1,1,0,0,0\n",
+            r"mass\^0 length\^1; expected mass\^1 length\^0",
+        ),
         (UNITS.replace("Lyz", "Qyz") + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"column Iyz is missing"),
         (UNITS.replace("Lyz", "Lxy") + "\na,b,1,0,0,0,1,1,1,0,0,0\n", r"gives Ixy a second time"),
         (UNITS + "\na,b,1,0,0\n", r"line 2: 5 cells"),
-        (UNITS + "\na,b,1,5,0,0,0,1,1,1,0,0,0\n", r"line 2: 13 cells, but the header has 12 columns; where numbers have decimal commas"),
+        (
+            UNITS + "\na,b,1,5,0,0,0,1,1,1,0,0,0\n",
+            r"line 2: 13 cells, but the header has 12 columns; where numbers have decimal commas",
+        ),
         (UNITS + "\na,b," + "1" * 200_000 + ",0,0,0,1,1,1,0,0,0\n", r"cannot be read as CSV text"),
         (UNITS + "\na,b,one,0,0,0,1,1,1,0,0,0\n", r"line 2: mass is 'one'"),
         (UNITS + "\na,b,inf,0,0,0,1,1,1,0,0,0\n", r"line 2: mass is inf"),
@@ -179,7 +234,10 @@ def test_broken_cad_tables(tmp_path, text, message):
 
 def test_empty_cells_behind_the_last_column_say_nothing(tmp_path):
     (tmp_path / "t.csv").write_text(UNITS + "\na,b,1000,0,0,0,1,1,1,0,0,0,, \n")
-    assert read_cad_table(tmp_path / "t.csv", about="com", products="tensor")["a"].link.inertia.mass == 1.0
+    assert (
+        read_cad_table(tmp_path / "t.csv", about="com", products="tensor")["a"].link.inertia.mass
+        == 1.0
+    )
 
 
 def test_conventions_must_be_said(tmp_path):
@@ -188,7 +246,14 @@ def test_conventions_must_be_said(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "value"), [("kg m^2", 1.0), ("g*cm²", 1e-7), ("lb in2", 0.45359237 * 0.0254**2), ("g µm²", 1e-15), ("kg·m^2", 1.0)]
+    ("text", "value"),
+    [
+        ("kg m^2", 1.0),
+        ("g*cm²", 1e-7),
+        ("lb in2", 0.45359237 * 0.0254**2),
+        ("g µm²", 1e-15),
+        ("kg·m^2", 1.0),
+    ],
 )
 def test_units(text, value):
     assert np.isclose(unit_factor(text, mass=1, length=2), value, rtol=1e-14)

@@ -21,7 +21,9 @@ def test_standard_and_modified_are_the_textbook_products():
     turn, slide = placement(rotation_z(q + theta)), placement(translation=(0, 0, b))
     length, twist = placement(translation=(a, 0, 0)), placement(rotation_x(alpha))
     assert np.allclose(T, turn @ slide @ length @ twist, atol=1e-15)
-    modified = robot_from_dh([DHRow(a=a, b=b, alpha=alpha, theta=theta)], convention="modified").joints[0]
+    modified = robot_from_dh(
+        [DHRow(a=a, b=b, alpha=alpha, theta=theta)], convention="modified"
+    ).joints[0]
     T = modified.before @ placement(rotation_z(q)) @ modified.after
     assert np.allclose(T, twist @ length @ turn @ slide, atol=1e-15)
 
@@ -38,7 +40,10 @@ def test_letters_stand_for_the_translations(convention):
     model = robot_from_dh(rows, convention=convention)
     assert dict(model.lengths) == {"a1": 0.1, "b1": 0.4, "b2": 0.4, "a3": -0.3}
     for joint in model.joints:
-        for letters, T in ((joint.before_letters, joint.before), (joint.after_letters, joint.after)):
+        for letters, T in (
+            (joint.before_letters, joint.before),
+            (joint.after_letters, joint.after),
+        ):
             if letters is None:
                 assert not T[:3, 3].any()
             else:
@@ -46,7 +51,9 @@ def test_letters_stand_for_the_translations(convention):
 
 
 def test_an_origin_with_plain_numbers_leaves_numbers():
-    model = robot_from_dh([DHRow(a=0.1, origin=placement(translation=(1, 2, 3)))], convention="modified")
+    model = robot_from_dh(
+        [DHRow(a=0.1, origin=placement(translation=(1, 2, 3)))], convention="modified"
+    )
     assert model.joints[0].before_letters is None
     assert np.array_equal(model.joints[0].before[:3, 3], [1.1, 2, 3])
 
@@ -72,7 +79,14 @@ def test_angles_are_straightened_and_nonsense_is_refused():
 
 def test_a_table_may_have_offsets_and_sliding_joints(tmp_path):
     path = tmp_path / "arm.csv"
-    extra = HEADER.strip() + ",theta_deg,kind\n" + ROW.strip() + ",90,revolute\n\n" + ROW.strip() + ",0,P\n"
+    extra = (
+        HEADER.strip()
+        + ",theta_deg,kind\n"
+        + ROW.strip()
+        + ",90,revolute\n\n"
+        + ROW.strip()
+        + ",0,P\n"
+    )
     path.write_text(extra)
     model = read_dh_table(path)
     assert model.name == "arm"
@@ -86,7 +100,10 @@ def test_a_table_may_have_offsets_and_sliding_joints(tmp_path):
     [
         ("", "no rows"),
         (HEADER, "no rows"),
-        (HEADER + ROW.replace(",90,", ",ninety,"), r"line 2: alpha_deg is 'ninety'; it must be a number"),
+        (
+            HEADER + ROW.replace(",90,", ",ninety,"),
+            r"line 2: alpha_deg is 'ninety'; it must be a number",
+        ),
         (HEADER + ROW.replace(",90,", ",inf,"), r"alpha_deg is inf; it must be finite"),
         (HEADER + "1,2,3\n", r"line 2: 3 cells, but the header has 14 columns"),
         (HEADER.replace("Izz", "Iqq") + ROW, r"column Izz is missing"),

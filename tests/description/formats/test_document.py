@@ -24,7 +24,9 @@ def test_a_robot_survives_its_document(name):
     assert again.joint_names == model.joint_names
     assert [joint.limits for joint in again.joints] == [joint.limits for joint in model.joints]
     assert [joint.drive for joint in again.joints] == [joint.drive for joint in model.joints]
-    assert [joint.before_letters for joint in again.joints] == [joint.before_letters for joint in model.joints]
+    assert [joint.before_letters for joint in again.joints] == [
+        joint.before_letters for joint in model.joints
+    ]
     assert np.array_equal(again.parameters, model.parameters)
     for one, other in zip(model.joints, again.joints, strict=True):
         assert np.array_equal(one.before, other.before)
@@ -34,6 +36,11 @@ def test_a_robot_survives_its_document(name):
 
 def test_a_damaged_robot_document_is_refused():
     document = model_document(load_robot("two-link"))
-    for changes in ({"joints": None}, {"joints": [{}]}, {"gravity": [0.0]}, {"joints": [document["joints"][0] | {"kind": "helical"}]}):
+    for changes in (
+        {"joints": None},
+        {"joints": [{}]},
+        {"gravity": [0.0]},
+        {"joints": [document["joints"][0] | {"kind": "helical"}]},
+    ):
         with pytest.raises(DescriptionError):
             model_from_document(document | changes)

@@ -65,14 +65,28 @@ def test_a_tree_with_every_feature_needs_mujocos_torques():
 def test_limits_drives_parts_and_frames_arrive():
     model = read_mjcf(TREE)
     swing, twist, push, left = model.joints
-    assert [joint.kind for joint in model.joints] == ["revolute", "continuous", "prismatic", "continuous"]
+    assert [joint.kind for joint in model.joints] == [
+        "revolute",
+        "continuous",
+        "prismatic",
+        "continuous",
+    ]
     assert np.allclose([swing.limits.lower, swing.limits.upper], np.deg2rad([-90, 45]))
-    assert (swing.drive.armature, swing.drive.coulomb, twist.drive.coulomb, push.drive.viscous) == (0.1, 0.3, None, 2.0)
+    assert (swing.drive.armature, swing.drive.coulomb, twist.drive.coulomb, push.drive.viscous) == (
+        0.1,
+        0.3,
+        None,
+        2.0,
+    )
     assert left.limits.torque == 100.0
     assert model.link_names == ("shoulder_after_swing", "shoulder", "piston", "left")
     assert not model.links[0].inertia.parameters.any()
     assert [name for name, _ in model.links[1].parts] == ["shoulder", "bracket"]
-    assert {frame.name: frame.link for frame in model.frames} == {"stand": ROOT, "bracket": 1, "tip": 2}
+    assert {frame.name: frame.link for frame in model.frames} == {
+        "stand": ROOT,
+        "bracket": 1,
+        "tip": 2,
+    }
     assert np.array_equal(model.gravity, [1, -2, -9])
 
 
@@ -104,7 +118,9 @@ def test_a_body_made_of_meshes_alone_counts_as_unknown():
     assert "body 'a' has no <inertial>" in model.notes[0]
     assert np.isclose(model.links[1].inertia.mass, 2.0)
     assert model.joints[1].before[2, 3] == 1.0
-    known = read_mjcf(MESHES.format(inertial='<inertial pos="0 0 0" mass="4" diaginertia="1 1 1"/>'))
+    known = read_mjcf(
+        MESHES.format(inertial='<inertial pos="0 0 0" mass="4" diaginertia="1 1 1"/>')
+    )
     assert known.links[0].inertia_known
     assert known.links[0].inertia.mass == 4.0
 
@@ -112,12 +128,18 @@ def test_a_body_made_of_meshes_alone_counts_as_unknown():
 @pytest.mark.parametrize(
     ("body", "message"),
     [
-        ('<body name="x"><freejoint name="f"/><geom size="1"/></body>', r"joint 'f' of body 'x' is a free joint"),
+        (
+            '<body name="x"><freejoint name="f"/><geom size="1"/></body>',
+            r"joint 'f' of body 'x' is a free joint",
+        ),
         ('<body><joint type="ball"/><geom size="1"/></body>', r"ball joint"),
         ('<body><joint axis="0 0 0"/><geom size="1"/></body>', r"MuJoCo refuses the model: .*axis"),
         ('<body name="x"><geom size="1"/></body>', r"no body has a hinge or slide joint"),
         ('<include file="other.xml"/>', r"includes 'other.xml'"),
-        ('<body><joint/><flexcomp name="f" type="mesh" file="/etc/passwd"/></body>', r"holds <flexcomp>.*write its rigid bodies out"),
+        (
+            '<body><joint/><flexcomp name="f" type="mesh" file="/etc/passwd"/></body>',
+            r"holds <flexcomp>.*write its rigid bodies out",
+        ),
         ("<body>" * 3000 + "</body>" * 3000, r"nested too deeply"),
     ],
 )
@@ -127,12 +149,16 @@ def test_what_cannot_be_described_is_refused(body, message):
 
 
 def test_equality_constraints_are_noted():
-    text = TREE.replace("</mujoco>", '<equality><joint joint1="swing" joint2="twist"/></equality></mujoco>')
+    text = TREE.replace(
+        "</mujoco>", '<equality><joint joint1="swing" joint2="twist"/></equality></mujoco>'
+    )
     assert any("equality constraints" in note for note in read_mjcf(text).notes)
 
 
 def test_springs_of_joints_are_noted():
-    (note,) = read_mjcf(TREE.replace('<joint name="twist"', '<joint name="twist" stiffness="3"')).notes
+    (note,) = read_mjcf(
+        TREE.replace('<joint name="twist"', '<joint name="twist" stiffness="3"')
+    ).notes
     assert note.startswith("the springs of twist (stiffness) are left out")
     assert read_mjcf(TREE).notes == ()
 
@@ -147,7 +173,10 @@ def test_without_mujoco_the_extra_is_named(monkeypatch):
 
 def test_mujocos_warnings_become_notes_and_not_a_log_file(monkeypatch, tmp_path, capfd):
     monkeypatch.chdir(tmp_path)
-    light = '<body><joint name="j"/><inertial pos="0 0 0" mass="1e-8" diaginertia="1e-14 1e-14 1e-14"/></body>'
+    light = (
+        '<body><joint name="j"/><inertial pos="0 0 0" mass="1e-8" diaginertia="1e-14 1e-14'
+        ' 1e-14"/></body>'
+    )
     nan = '<body pos="nan 0 0"><joint/><geom size="1"/></body>'
     for body in (light, nan):
         with contextlib.suppress(DescriptionError):

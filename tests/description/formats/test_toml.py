@@ -60,18 +60,36 @@ xyz = [0, 0, "L1"]
 
 def test_every_field_arrives():
     model = robot_from_toml(ARM)
-    assert (model.name, model.citation, model.root_link, model.notes) == ("arm", "nobody, 2000", "wall", ("as drawn",))
+    assert (model.name, model.citation, model.root_link, model.notes) == (
+        "arm",
+        "nobody, 2000",
+        "wall",
+        ("as drawn",),
+    )
     assert np.array_equal(model.gravity, [0, 9.81, 0])
     assert model.parents == (ROOT, 0, ROOT)
     assert model.joint_names == ("shoulder", "joint_2", "joint_3")
     shoulder, slide, other = model.joints
     q = 0.4
     axis = rotation_from_rpy([np.pi / 2, 0, 0]) @ rotation_z(-q)
-    assert np.allclose((shoulder.before @ placement(rotation_z(q)) @ shoulder.after)[:3, :3], axis, atol=1e-15)
+    assert np.allclose(
+        (shoulder.before @ placement(rotation_z(q)) @ shoulder.after)[:3, :3], axis, atol=1e-15
+    )
     assert np.allclose(shoulder.before[:3, 3], [0.4, 0.1, -0.05])
-    assert np.allclose([shoulder.limits.lower, shoulder.limits.velocity, shoulder.limits.jerk], np.deg2rad([-90, 180, 720]))
-    assert (shoulder.limits.torque, shoulder.drive.viscous, shoulder.drive.offset) == (50.0, 1.5, -0.1)
-    assert (slide.limits.upper, slide.limits.velocity, slide.limits.acceleration) == (0.3, 1.0, np.inf)
+    assert np.allclose(
+        [shoulder.limits.lower, shoulder.limits.velocity, shoulder.limits.jerk],
+        np.deg2rad([-90, 180, 720]),
+    )
+    assert (shoulder.limits.torque, shoulder.drive.viscous, shoulder.drive.offset) == (
+        50.0,
+        1.5,
+        -0.1,
+    )
+    assert (slide.limits.upper, slide.limits.velocity, slide.limits.acceleration) == (
+        0.3,
+        1.0,
+        np.inf,
+    )
     assert np.array_equal(other.before, np.eye(4))
     assert [link.inertia_known for link in model.links] == [True, True, False]
     assert [name for name, _ in model.links[1].parts] == ["rod", "gripper"]
@@ -85,10 +103,17 @@ def test_named_lengths_become_letters_and_numbers_beside_them_get_one():
     model = robot_from_toml(ARM)
     assert dict(model.lengths) == {"L1": 0.4, "L2": 0.25, "y1": 0.1}
     for joint in model.joints[:2]:
-        for letters, T in ((joint.before_letters, joint.before), (joint.after_letters, joint.after)):
+        for letters, T in (
+            (joint.before_letters, joint.before),
+            (joint.after_letters, joint.after),
+        ):
             if letters is not None:
                 assert np.allclose(length_values(letters, model.lengths), T[:3, 3], atol=1e-16)
-    assert model.joints[0].before_letters == (((1.0, "L1"),), ((1.0, "y1"),), ((0.5, "L1"), (-1.0, "L2")))
+    assert model.joints[0].before_letters == (
+        ((1.0, "L1"),),
+        ((1.0, "y1"),),
+        ((0.5, "L1"), (-1.0, "L2")),
+    )
     assert model.joints[1].after_letters == (((1.0, "L2"),), (), ())
     assert model.joints[2].before_letters is None
 
@@ -109,7 +134,9 @@ def test_dh_rows_may_stand_on_a_named_origin():
     assert np.isclose(model.joints[0].before[2, 3], 1.0)
 
 
-@pytest.mark.parametrize("text", ["L3", "2 L1", "L1 L2", "L1 +", "", "1.5", "L1*2", "__import__('os')"])
+@pytest.mark.parametrize(
+    "text", ["L3", "2 L1", "L1 L2", "L1 +", "", "1.5", "L1*2", "__import__('os')"]
+)
 def test_lengths_are_sums_and_nothing_else(text):
     with pytest.raises(DescriptionError, match="length"):
         parsed_length(text, {"L1": 1.0, "L2": 2.0})
@@ -124,47 +151,92 @@ BROKEN = {
     "no links": ('name = "r"', r"links: is missing"),
     "empty links": ('name = "r"\nlinks = []', r"links: Tuple should have at least 1 item"),
     "no name": ("[[links]]\nname = 'a'\norigin = {}", r"name: is missing"),
-    "misspelt field": (link("dh = {}\nmas = 3"), r"links\[1\] 'a'\.mas: is not a field of this table"),
+    "misspelt field": (
+        link("dh = {}\nmas = 3"),
+        r"links\[1\] 'a'\.mas: is not a field of this table",
+    ),
     "misspelt DH": (link("dh = { r = 1 }"), r"links\[1\] 'a'\.dh\.r: is not a field"),
-    "word for number": (link('dh = { a = "long" }'), r"links\[1\] 'a'\.dh\.a: .*valid number.*got 'long'"),
+    "word for number": (
+        link('dh = { a = "long" }'),
+        r"links\[1\] 'a'\.dh\.a: .*valid number.*got 'long'",
+    ),
     "NaN": (link("dh = { a = nan }"), r"dh\.a: .*finite number, got nan"),
     "NaN in xyz": (link("origin = { xyz = [0, nan, 0] }"), r"origin: xyz must be finite"),
     "no geometry": (link("limits = {}"), r"the link has no geometry: give dh"),
     "two geometries": (link("dh = {}\naxis = [0, 0, 1]"), r"placed by dh takes no axis"),
-    "no convention": ('name = "r"\n[[links]]\nname = "a"\ndh = {}', r'does not say which: add convention = "standard"'),
+    "no convention": (
+        'name = "r"\n[[links]]\nname = "a"\ndh = {}',
+        r'does not say which: add convention = "standard"',
+    ),
     "unknown convention": (
         'name = "r"\nconvention = "craig"\n[[links]]\nname = "a"\ndh = {}',
         r"convention: .*'standard' or 'modified', got 'craig'",
     ),
-    "unknown kind": (link('dh = {}\nkind = "helical"'), r"links\[1\] 'a'\.kind: .*'prismatic', got 'helical'"),
+    "unknown kind": (
+        link('dh = {}\nkind = "helical"'),
+        r"links\[1\] 'a'\.kind: .*'prismatic', got 'helical'",
+    ),
     "mass alone": (link("dh = {}\nmass = 1"), r"give com or first_moment beside mass"),
-    "mass and com alone": (link("dh = {}\nmass = 1\ncom = [0, 0, 0]"), r"give inertia_about_com or inertia_about_origin beside mass"),
+    "mass and com alone": (
+        link("dh = {}\nmass = 1\ncom = [0, 0, 0]"),
+        r"give inertia_about_com or inertia_about_origin beside mass",
+    ),
     "com without mass": (link("dh = {}\ncom = [0, 0, 0]"), r"com is given without mass"),
     "half a tensor": (
         link("dh = {}\nmass = 1\ncom = [0,0,0]\ninertia_about_com = { Ixx = 1, Iyy = 1 }"),
         r"inertia_about_com\.Izz: is missing",
     ),
     "two com": (link("dh = {}\nmass = 1\ncom = [0, 0]"), r"links\[1\] 'a'\.com"),
-    "crossed limits": (link("dh = {}\nlimits = { lower = 2, upper = 1 }"), r"limits: lower = 2.0 must not exceed upper = 1.0"),
+    "crossed limits": (
+        link("dh = {}\nlimits = { lower = 2, upper = 1 }"),
+        r"limits: lower = 2.0 must not exceed upper = 1.0",
+    ),
     "limits beyond everything": (
         link("dh = {}\nlimits = { upper = -inf }"),
         r"limits: lower = -inf must not exceed upper = -inf, and neither",
     ),
-    "negative limit": (link("dh = {}\nlimits = { velocity = -1 }"), r"limits\.velocity: .*greater than 0, got -1"),
+    "negative limit": (
+        link("dh = {}\nlimits = { velocity = -1 }"),
+        r"limits\.velocity: .*greater than 0, got -1",
+    ),
     "zero axis": (link("origin = {}\naxis = [0, 0, 0]"), r"axis has length zero"),
-    "no rotation": (link("origin = { rotation = [[1,0,0],[0,1,0],[0,0,2]] }"), r"not a rotation matrix"),
+    "no rotation": (
+        link("origin = { rotation = [[1,0,0],[0,1,0],[0,0,2]] }"),
+        r"not a rotation matrix",
+    ),
     "mirror": (link("origin = { rotation = [[1,0,0],[0,1,0],[0,0,-1]] }"), r"det R = -1"),
-    "two rotations": (link("origin = { rpy = [0,0,0], rotation = [[1,0,0],[0,1,0],[0,0,1]] }"), r"give rpy or rotation, not both"),
-    "unknown parent": (link('dh = {}\nparent = "b"'), r"parent of link 'a' is 'b'.*known here: root"),
-    "unknown length": (link('origin = { xyz = ["L", 0, 0] }'), r"uses 'L', which is not among the named lengths \(none\)"),
+    "two rotations": (
+        link("origin = { rpy = [0,0,0], rotation = [[1,0,0],[0,1,0],[0,0,1]] }"),
+        r"give rpy or rotation, not both",
+    ),
+    "unknown parent": (
+        link('dh = {}\nparent = "b"'),
+        r"parent of link 'a' is 'b'.*known here: root",
+    ),
+    "unknown length": (
+        link('origin = { xyz = ["L", 0, 0] }'),
+        r"uses 'L', which is not among the named lengths \(none\)",
+    ),
     "clash of letters": (
-        'name = "r"\nconvention = "standard"\n[lengths]\na1 = 2\n[[links]]\nname = "a"\ndh = { a = 1 }',
+        (
+            'name = "r"\nconvention = "standard"\n[lengths]\na1 = 2\n[[links]]\nname = "a"\ndh = {'
+            " a = 1 }"
+        ),
         r"named length a1 = 2.0 is also the letter",
     ),
-    "two links of one name": (link("dh = {}\n[[links]]\nname = 'a'\ndh = {}"), r"link name 'a' is used twice"),
-    "frame on nothing": (link("dh = {}\n[[frames]]\nname = 'f'\nlink = 'z'"), r"link of frame 'f' is 'z'"),
+    "two links of one name": (
+        link("dh = {}\n[[links]]\nname = 'a'\ndh = {}"),
+        r"link name 'a' is used twice",
+    ),
+    "frame on nothing": (
+        link("dh = {}\n[[frames]]\nname = 'f'\nlink = 'z'"),
+        r"link of frame 'f' is 'z'",
+    ),
     "parts and mass": (
-        link("dh = {}\nmass = 1\ncom = [0,0,0]\ninertia_about_com = { Ixx = 1, Iyy = 1, Izz = 1 }\nparts = [{ name = 'p' }]"),
+        link(
+            "dh = {}\nmass = 1\ncom = [0,0,0]\ninertia_about_com = { Ixx = 1, Iyy = 1, Izz = 1"
+            " }\nparts = [{ name = 'p' }]"
+        ),
         r"of the link or of its parts, not both",
     ),
 }

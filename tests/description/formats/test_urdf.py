@@ -17,7 +17,9 @@ from shared_urdfs import SHARED_URDFS
 
 def straightened_text(text: str) -> str:
     def replace(match: re.Match[str]) -> str:
-        return 'rpy="' + " ".join(repr(right_angle(float(angle))) for angle in match[1].split()) + '"'
+        return (
+            'rpy="' + " ".join(repr(right_angle(float(angle))) for angle in match[1].split()) + '"'
+        )
 
     return re.sub(r'rpy="([^"]*)"', replace, text)
 
@@ -30,18 +32,26 @@ def random_urdf(seed: int, n: int = 12) -> str:
         I = A @ A.T
         I = np.trace(I) * np.eye(3) - I
         tensor = " ".join(
-            f'i{a}{b}="{I["xyz".index(a), "xyz".index(b)]!r}"'.replace("np.float64(", "").replace(")", "")
+            f'i{a}{b}="{I["xyz".index(a), "xyz".index(b)]!r}"'.replace("np.float64(", "").replace(
+                ")", ""
+            )
             for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
         )
-        kind = "revolute" if i == 1 else rng.choice(["revolute", "prismatic", "continuous", "fixed", "fixed"])
+        kind = (
+            "revolute"
+            if i == 1
+            else rng.choice(["revolute", "prismatic", "continuous", "fixed", "fixed"])
+        )
         axis = rng.choice(["0 0 1", "0 0 -1", "1 0 0", "0 -1 0", "0.6 0 0.8"])
         inertial = (
-            f'<inertial><origin xyz="{row(rng)}" rpy="{row(rng)}"/><mass value="{rng.uniform(0.1, 5)}"/><inertia {tensor}/></inertial>'
+            f'<inertial><origin xyz="{row(rng)}" rpy="{row(rng)}"/><mass'
+            f' value="{rng.uniform(0.1, 5)}"/><inertia {tensor}/></inertial>'
         )
         text += f'<link name="link{i}">{inertial if rng.random() < 0.8 else ""}</link>'
         text += (
-            f'<joint name="joint{i}" type="{kind}"><origin xyz="{row(rng)}" rpy="{row(rng)}"/><axis xyz="{axis}"/>'
-            f'<parent link="link{rng.integers(0, i)}"/><child link="link{i}"/><limit lower="-1" upper="1" effort="5" velocity="2"/></joint>'
+            f'<joint name="joint{i}" type="{kind}"><origin xyz="{row(rng)}" rpy="{row(rng)}"/><axis'
+            f' xyz="{axis}"/><parent link="link{rng.integers(0, i)}"/><child link="link{i}"/><limit'
+            ' lower="-1" upper="1" effort="5" velocity="2"/></joint>'
         )
     return text + "</robot>"
 
@@ -57,13 +67,24 @@ def agrees_with_pinocchio(model: RobotModel, text: str) -> None:
         k = oracle.getJointId(joint.name)
         above = "universe" if joint.parent == ROOT else model.joints[joint.parent].name
         assert oracle.names[oracle.parents[k]] == above
-        assert np.allclose((joint.before @ joint.after), oracle.jointPlacements[k].homogeneous, atol=1e-12)
-        assert np.allclose(model.links[i].inertia.to_pinocchio_order(), oracle.inertias[k].toDynamicParameters(), atol=1e-11)
+        assert np.allclose(
+            (joint.before @ joint.after), oracle.jointPlacements[k].homogeneous, atol=1e-12
+        )
+        assert np.allclose(
+            model.links[i].inertia.to_pinocchio_order(),
+            oracle.inertias[k].toDynamicParameters(),
+            atol=1e-11,
+        )
     for frame in model.frames:
         found = oracle.frames[oracle.getFrameId(frame.name)]
-        assert oracle.names[found.parentJoint] == ("universe" if frame.link == ROOT else model.joints[frame.link].name)
+        assert oracle.names[found.parentJoint] == (
+            "universe" if frame.link == ROOT else model.joints[frame.link].name
+        )
         assert np.allclose(found.placement.homogeneous, frame.placement, atol=1e-12)
-    assert np.isclose(sum(link.inertia.mass for link in model.links), sum(inertia.mass for inertia in oracle.inertias[1:]))
+    assert np.isclose(
+        sum(link.inertia.mass for link in model.links),
+        sum(inertia.mass for inertia in oracle.inertias[1:]),
+    )
     rng = np.random.default_rng(0)
     data = oracle.createData()
     order = [oracle.joints[oracle.getJointId(name)].idx_v for name in model.joint_names]
@@ -71,7 +92,9 @@ def agrees_with_pinocchio(model: RobotModel, text: str) -> None:
         q, qd, qdd = rng.uniform(-1, 1, (3, model.n_joints))
         there = np.zeros((3, oracle.nv))
         there[:, order] = q, qd, qdd
-        tau = pin.rnea(oracle, data, pin.integrate(oracle, pin.neutral(oracle), there[0]), there[1], there[2])
+        tau = pin.rnea(
+            oracle, data, pin.integrate(oracle, pin.neutral(oracle), there[0]), there[1], there[2]
+        )
         assert np.allclose(inverse_dynamics(model, q, qd, qdd), tau[order], rtol=1e-10, atol=1e-10)
 
 
@@ -79,7 +102,8 @@ def agrees_with_pinocchio(model: RobotModel, text: str) -> None:
 def test_descriptions_from_strangers_agree_with_pinocchio(shared, name):
     path = shared / "models" / name
     text = path.read_text().replace(
-        '<origin rpy="0 0 0" xyz="-0.25 0 1"/>\n    <origin rpy="0 0 0" xyz="0 0 0"/>', '<origin xyz="-0.25 0 1"/>'
+        '<origin rpy="0 0 0" xyz="-0.25 0 1"/>\n    <origin rpy="0 0 0" xyz="0 0 0"/>',
+        '<origin xyz="-0.25 0 1"/>',
     )
     agrees_with_pinocchio(load_robot(path), text)
 
@@ -90,8 +114,14 @@ def test_random_trees_with_fixed_joints_agree_with_pinocchio(seed):
     agrees_with_pinocchio(read_urdf(text), text)
 
 
-LINK = '<link name="{}"><inertial><mass value="2"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>'
-JOINT = '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><axis xyz="0 0 1"/><limit lower="-1" upper="2" effort="7" velocity="3"/></joint>'
+LINK = (
+    '<link name="{}"><inertial><mass value="2"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1"'
+    ' iyz="0" izz="0.1"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/><axis xyz="0 0'
+    ' 1"/><limit lower="-1" upper="2" effort="7" velocity="3"/></joint>'
+)
 
 
 def two_links(extra: str = "", joint: str = JOINT.format("j1", "base", "arm")) -> str:
@@ -99,19 +129,37 @@ def two_links(extra: str = "", joint: str = JOINT.format("j1", "base", "arm")) -
 
 
 def test_limits_drives_and_names_are_kept():
-    joint = JOINT.format("j1", "base", "arm").replace("</joint>", '<dynamics damping="0.5" friction="0.2"/></joint>')
+    joint = JOINT.format("j1", "base", "arm").replace(
+        "</joint>", '<dynamics damping="0.5" friction="0.2"/></joint>'
+    )
     model = read_urdf(two_links(joint=joint))
     limits, drive = model.joints[0].limits, model.joints[0].drive
-    assert (limits.lower, limits.upper, limits.torque, limits.velocity, limits.acceleration) == (-1.0, 2.0, 7.0, 3.0, np.inf)
+    assert (limits.lower, limits.upper, limits.torque, limits.velocity, limits.acceleration) == (
+        -1.0,
+        2.0,
+        7.0,
+        3.0,
+        np.inf,
+    )
     assert (drive.viscous, drive.coulomb, drive.armature, drive.offset) == (0.5, 0.2, None, None)
     assert (model.name, model.root_link, model.link_names) == ("r", "base", ("arm",))
     assert read_urdf(two_links()).joints[0].drive.viscous is None
 
 
 def test_fixed_links_become_parts_and_frames():
-    tool = LINK.format("tool") + '<joint name="weld" type="fixed"><origin xyz="0 0 1"/><parent link="arm"/><child link="tool"/></joint>'
-    flange = '<link name="tip"/><joint name="weld2" type="fixed"><origin xyz="0 0 0.5"/><parent link="tool"/><child link="tip"/></joint>'
-    stand = LINK.format("stand") + '<joint name="weld3" type="fixed"><parent link="base"/><child link="stand"/></joint>'
+    tool = (
+        LINK.format("tool")
+        + '<joint name="weld" type="fixed"><origin xyz="0 0 1"/><parent link="arm"/><child'
+        ' link="tool"/></joint>'
+    )
+    flange = (
+        '<link name="tip"/><joint name="weld2" type="fixed"><origin xyz="0 0 0.5"/><parent'
+        ' link="tool"/><child link="tip"/></joint>'
+    )
+    stand = (
+        LINK.format("stand")
+        + '<joint name="weld3" type="fixed"><parent link="base"/><child link="stand"/></joint>'
+    )
     model = read_urdf(two_links(tool + flange + stand))
     arm = model.links[0]
     assert [name for name, _ in arm.parts] == ["arm", "tool"]
@@ -133,7 +181,9 @@ def test_a_link_without_inertial_is_marked():
 
 
 def test_rounded_right_angles_become_exact_and_are_noted():
-    joint = JOINT.format("j1", "base", "arm").replace("<axis", '<origin rpy="1.5708 0 -3.14159"/><axis')
+    joint = JOINT.format("j1", "base", "arm").replace(
+        "<axis", '<origin rpy="1.5708 0 -3.14159"/><axis'
+    )
     model = read_urdf(two_links(joint=joint))
     assert set(np.unique(np.abs(model.joints[0].before[:3, :3]))) == {0.0, 1.0}
     assert sum("right angle" in note for note in model.notes) == 2
@@ -141,9 +191,12 @@ def test_rounded_right_angles_become_exact_and_are_noted():
     (note,) = read_urdf(two_links(joint=thrice)).notes
     assert (
         note
-        == "roll of joint 'j1' is given as 1.5708 rad and taken as the right angle 1.570796327; so are 2 more angles of this description"
+        == "roll of joint 'j1' is given as 1.5708 rad and taken as the right angle 1.570796327; so"
+        " are 2 more angles of this description"
     )
-    precise = JOINT.format("j1", "base", "arm").replace("<axis", '<origin rpy="1.570796326794897 0 0.3"/><axis')
+    precise = JOINT.format("j1", "base", "arm").replace(
+        "<axis", '<origin rpy="1.570796326794897 0 0.3"/><axis'
+    )
     assert not read_urdf(two_links(joint=precise)).notes
 
 
@@ -154,7 +207,10 @@ def test_an_axis_of_another_length_is_scaled_with_a_note():
 
 
 def test_meshes_need_not_be_there():
-    mesh = '<link name="arm"><visual><geometry><mesh filename="package://nowhere/arm.dae"/></geometry></visual>'
+    mesh = (
+        '<link name="arm"><visual><geometry><mesh'
+        ' filename="package://nowhere/arm.dae"/></geometry></visual>'
+    )
     assert read_urdf(two_links().replace('<link name="arm">', mesh)).n_joints == 1
 
 
@@ -169,7 +225,10 @@ MIMIC = JOINT.format("j1", "base", "arm").replace("</joint>", '<mimic joint="oth
 
 
 def test_xml_in_any_encoding_is_recognised_by_content(tmp_path: Path) -> None:
-    text = '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/><child link="b"/></joint></robot>'
+    text = (
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent'
+        ' link="a"/><child link="b"/></joint></robot>'
+    )
     for encoding in ("utf-8", "utf-8-sig", "utf-16"):
         (tmp_path / "arm.urdf").write_text(text, encoding=encoding)
         assert load_robot(tmp_path / "arm.urdf").joint_names == ("j",)
@@ -177,7 +236,10 @@ def test_xml_in_any_encoding_is_recognised_by_content(tmp_path: Path) -> None:
 
 HOSTILE = {
     "expansion bomb": (BOMB, r"declares or refers to entities.*remove them"),
-    "external entity": ('<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>', r"declares or refers to entities"),
+    "external entity": (
+        '<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]><robot name="&x;"/>',
+        r"declares or refers to entities",
+    ),
     "external DTD": (
         '<!DOCTYPE robot SYSTEM "http://example.org/x.dtd"><robot name="r"/>',
         r"external reference|no <link>|declares or refers",
@@ -186,44 +248,99 @@ HOSTILE = {
     "empty": ("<robot/>", r"has no <link>"),
     "not a robot": ("<html><body/></html>", r"outermost element is <html>"),
     "no moving joint": ('<robot name="r"><link name="a"/></robot>', r"no joint moves"),
-    "xacro element": (two_links('<xacro:arm xmlns:xacro="http://ros.org/wiki/xacro"/>'), r"<xacro:arm>.*not expanded.*xacro FILE"),
-    "xacro expression": (two_links().replace('value="2"', 'value="${m}"'), r"value='\$\{m\}'.*not expanded"),
+    "xacro element": (
+        two_links('<xacro:arm xmlns:xacro="http://ros.org/wiki/xacro"/>'),
+        r"<xacro:arm>.*not expanded.*xacro FILE",
+    ),
+    "xacro expression": (
+        two_links().replace('value="2"', 'value="${m}"'),
+        r"value='\$\{m\}'.*not expanded",
+    ),
     "nameless link": (two_links("<link/>"), r"link number 3: <link> has no name"),
-    "missing mass": (two_links().replace('<mass value="2"/>', ""), r"link 'arm', inertial: <mass> is missing"),
-    "missing moment": (two_links().replace('iyy="0.1"', ""), r"link 'arm', inertial: <inertia> has no iyy; add iyy"),
-    "NaN mass": (two_links().replace('value="2"', 'value="nan"'), r"value of <mass> is nan; it must be finite"),
-    "word for mass": (two_links().replace('value="2"', 'value="heavy"'), r"value of <mass> is 'heavy'; it must be a number"),
-    "two numbers in xyz": (two_links().replace('xyz="0 0 1"', 'xyz="0 1"'), r"joint 'j1': xyz of <axis> is '0 1'; expected 3 numbers"),
-    "infinite axis": (two_links().replace('xyz="0 0 1"', 'xyz="0 0 inf"'), r"xyz of <axis> is inf; it must be finite"),
+    "missing mass": (
+        two_links().replace('<mass value="2"/>', ""),
+        r"link 'arm', inertial: <mass> is missing",
+    ),
+    "missing moment": (
+        two_links().replace('iyy="0.1"', ""),
+        r"link 'arm', inertial: <inertia> has no iyy; add iyy",
+    ),
+    "NaN mass": (
+        two_links().replace('value="2"', 'value="nan"'),
+        r"value of <mass> is nan; it must be finite",
+    ),
+    "word for mass": (
+        two_links().replace('value="2"', 'value="heavy"'),
+        r"value of <mass> is 'heavy'; it must be a number",
+    ),
+    "two numbers in xyz": (
+        two_links().replace('xyz="0 0 1"', 'xyz="0 1"'),
+        r"joint 'j1': xyz of <axis> is '0 1'; expected 3 numbers",
+    ),
+    "infinite axis": (
+        two_links().replace('xyz="0 0 1"', 'xyz="0 0 inf"'),
+        r"xyz of <axis> is inf; it must be finite",
+    ),
     "axis of length zero": (
         two_links().replace('xyz="0 0 1"', 'xyz="0 0 0"'),
         r"joint 'j1': the axis is \[0.0, 0.0, 0.0\].*give a unit vector",
     ),
     "two links of one name": (two_links(LINK.format("arm")), r"two links are named 'arm'"),
-    "two joints of one name": (two_links(LINK.format("b") + JOINT.format("j1", "arm", "b")), r"two joints are named 'j1'"),
+    "two joints of one name": (
+        two_links(LINK.format("b") + JOINT.format("j1", "arm", "b")),
+        r"two joints are named 'j1'",
+    ),
     "unknown parent": (
         two_links(joint=JOINT.format("j1", "bas", "arm")),
         r"the parent link 'bas' does not exist \(did you mean 'base'\?\)",
     ),
-    "no child": (two_links().replace('<child link="arm"/>', ""), r"joint 'j1': <child link=...> is missing"),
-    "two roots": (two_links(LINK.format("lost")), r"2 links have no parent joint \('base', 'lost'\)"),
-    "loop without root": (two_links(JOINT.format("j2", "arm", "base")), r"every link is the child of a joint.*loop"),
+    "no child": (
+        two_links().replace('<child link="arm"/>', ""),
+        r"joint 'j1': <child link=...> is missing",
+    ),
+    "two roots": (
+        two_links(LINK.format("lost")),
+        r"2 links have no parent joint \('base', 'lost'\)",
+    ),
+    "loop without root": (
+        two_links(JOINT.format("j2", "arm", "base")),
+        r"every link is the child of a joint.*loop",
+    ),
     "loop beside the root": (
-        two_links(LINK.format("a") + LINK.format("b") + JOINT.format("j2", "a", "b") + JOINT.format("j3", "b", "a")),
+        two_links(
+            LINK.format("a")
+            + LINK.format("b")
+            + JOINT.format("j2", "a", "b")
+            + JOINT.format("j3", "b", "a")
+        ),
         r"link 'a' cannot be reached.*loop",
     ),
     "two parents": (
-        two_links(LINK.format("b") + JOINT.format("j2", "base", "b") + JOINT.format("j3", "arm", "b")),
+        two_links(
+            LINK.format("b") + JOINT.format("j2", "base", "b") + JOINT.format("j3", "arm", "b")
+        ),
         r"link 'b' is the child of joint 'j2' and",
     ),
     "self": (two_links(joint=JOINT.format("j1", "arm", "arm")), r"connects link 'arm' with itself"),
     "floating": (two_links(joint=FLOATING), r"joint 'j1': type is 'floating'.*replace it"),
     "planar": (two_links(joint=FLOATING.replace("floating", "planar")), r"type is 'planar'"),
-    "unheard of type": (two_links(joint=FLOATING.replace("floating", "hinge")), r"type is 'hinge'; it must be revolute"),
+    "unheard of type": (
+        two_links(joint=FLOATING.replace("floating", "hinge")),
+        r"type is 'hinge'; it must be revolute",
+    ),
     "mimic": (two_links(joint=MIMIC), r"joint 'j1': the joint mimics another one.*fixed"),
-    "crossed limits": (two_links().replace('lower="-1"', 'lower="5"'), r"lower limit 5.0 exceeds upper limit 2.0"),
-    "negative effort": (two_links().replace('effort="7"', 'effort="-7"'), r"effort limit is -7.0; it must be positive"),
-    "negative damping": (two_links().replace("<limit", '<dynamics damping="-1"/><limit'), r"damping is -1.0; it must not be negative"),
+    "crossed limits": (
+        two_links().replace('lower="-1"', 'lower="5"'),
+        r"lower limit 5.0 exceeds upper limit 2.0",
+    ),
+    "negative effort": (
+        two_links().replace('effort="7"', 'effort="-7"'),
+        r"effort limit is -7.0; it must be positive",
+    ),
+    "negative damping": (
+        two_links().replace("<limit", '<dynamics damping="-1"/><limit'),
+        r"damping is -1.0; it must not be negative",
+    ),
 }
 
 
@@ -250,7 +367,10 @@ def test_a_thousand_fixed_links_in_a_row_are_no_trouble():
     text = two_links()[: -len("</robot>")]
     above = "arm"
     for i in range(1000):
-        text += LINK.format(f"f{i}") + f'<joint name="w{i}" type="fixed"><parent link="{above}"/><child link="f{i}"/></joint>'
+        text += (
+            LINK.format(f"f{i}") + f'<joint name="w{i}" type="fixed"><parent link="{above}"/><child'
+            f' link="f{i}"/></joint>'
+        )
         above = f"f{i}"
     model = read_urdf(text + "</robot>")
     assert np.isclose(model.links[0].inertia.mass, 2002.0)

@@ -27,7 +27,9 @@ ALL_TERMS = "armature,viscous,coulomb,offset"
 def iiwa() -> RobotModel:
     lengths = (0.34, 0.0, 0.4, 0.0, 0.4, 0.0, 0.126)
     angles = (RIGHT, -RIGHT, -RIGHT, RIGHT, RIGHT, -RIGHT, 0.0)
-    return robot_from_dh([DHRow(b=b, alpha=alpha) for b, alpha in zip(lengths, angles, strict=True)], name="iiwa")
+    return robot_from_dh(
+        [DHRow(b=b, alpha=alpha) for b, alpha in zip(lengths, angles, strict=True)], name="iiwa"
+    )
 
 
 ARMS = {
@@ -109,7 +111,12 @@ def evaluated(text: str, names: dict[str, float]) -> float:
 
 
 def random_parameters(base: BaseParameters, rng: np.random.Generator) -> dict[str, float]:
-    return {name: float(value) for name, value in zip(base.standard_names, rng.uniform(0.5, 2.0, base.n_standard), strict=True)}
+    return {
+        name: float(value)
+        for name, value in zip(
+            base.standard_names, rng.uniform(0.5, 2.0, base.n_standard), strict=True
+        )
+    }
 
 
 @pytest.mark.parametrize("arm", ARMS)
@@ -118,7 +125,11 @@ def test_counts_are_those_published(arm: str) -> None:
     for drive, count in zip(("none", "armature", ALL_TERMS), counts, strict=True):
         base = find_base_parameters(model, DriveSet.parse(drive))
         assert base.n_base == count == len(base.ids) == len(base.names) == len(base.units)
-        assert base.n_standard == len(base.standard) == {"none": 10, "armature": 11, ALL_TERMS: 14}[drive] * model.n_joints
+        assert (
+            base.n_standard
+            == len(base.standard)
+            == {"none": 10, "armature": 11, ALL_TERMS: 14}[drive] * model.n_joints
+        )
 
 
 def test_the_papers_second_table_row_by_row(shared: Path) -> None:
@@ -132,13 +143,23 @@ def test_the_papers_second_table_row_by_row(shared: Path) -> None:
     chi = random_parameters(base, rng)
     papers = {}
     for i in range(1, 8):
-        papers |= {f"I{i}{pair}": chi[f"I{pair}{i}"] for pair in ("xx", "xy", "xz", "yy", "yz", "zz")}
-        papers |= {f"m{i}": chi[f"m{i}"]} | {f"d{i}{axis}": chi[f"m{axis}{i}"] / chi[f"m{i}"] for axis in "xyz"}
-    for row, expression, symbolic, value in zip(table, base.expressions, base.symbolic, values, strict=True):
+        papers |= {
+            f"I{i}{pair}": chi[f"I{pair}{i}"] for pair in ("xx", "xy", "xz", "yy", "yz", "zz")
+        }
+        papers |= {f"m{i}": chi[f"m{i}"]} | {
+            f"d{i}{axis}": chi[f"m{axis}{i}"] / chi[f"m{i}"] for axis in "xyz"
+        }
+    for row, expression, symbolic, value in zip(
+        table, base.expressions, base.symbolic, values, strict=True
+    ):
         expected = evaluated(row["expression_corrected"], papers)
         assert evaluated(expression, chi) == pytest.approx(expected, rel=1e-9)
         assert evaluated(symbolic, {**chi, **model.lengths}) == pytest.approx(expected, rel=1e-9)
-        digits = 5e-6 if row["row"] in {"23", "26", "30", "33"} else 1.01 * 10.0 ** -_decimals(row["cad"])
+        digits = (
+            5e-6
+            if row["row"] in {"23", "26", "30", "33"}
+            else 1.01 * 10.0 ** -_decimals(row["cad"])
+        )
         assert abs(value - float(row["cad"])) <= digits, row
 
 
@@ -154,7 +175,10 @@ def test_letters_of_the_iiwa_read_as_in_the_paper() -> None:
     assert symbolic["Iyy1"] == "Iyy1 + Izz2"
     assert symbolic["Ixx2"] == "Ixx2 - Izz2 + Izz3 + b3**2*(m3 + m4 + m5 + m6 + m7) - 2*b3*my3"
     assert symbolic["mz2"] == "mz2 - my3 + b3*(m3 + m4 + m5 + m6 + m7)"
-    assert numbers["Ixx2"] == "Ixx2 - Izz2 + Izz3 - 0.8*my3 + 0.16*m3 + 0.16*m4 + 0.16*m5 + 0.16*m6 + 0.16*m7"
+    assert (
+        numbers["Ixx2"]
+        == "Ixx2 - Izz2 + Izz3 - 0.8*my3 + 0.16*m3 + 0.16*m4 + 0.16*m5 + 0.16*m6 + 0.16*m7"
+    )
     assert numbers["mz6"] == "mz6 + mz7 + 0.126*m7"
     assert "0.015876*m7" in numbers["Ixx6"]
 
@@ -169,7 +193,9 @@ def test_letters_hold_for_other_lengths(arm: str) -> None:
     other = find_base_parameters(same_build(model, lengths), drive)
     chi = random_parameters(base, rng)
     beta = other.values(list(chi.values()))
-    np.testing.assert_allclose([evaluated(text, {**chi, **lengths}) for text in base.symbolic], beta, rtol=1e-12)
+    np.testing.assert_allclose(
+        [evaluated(text, {**chi, **lengths}) for text in base.symbolic], beta, rtol=1e-12
+    )
     here = base.values(list(chi.values()))
     np.testing.assert_allclose([evaluated(text, chi) for text in base.expressions], here, rtol=1e-9)
     assert not set(model.lengths) & set(re.findall(r"[A-Za-z]\w*", " ".join(base.expressions)))
@@ -179,7 +205,9 @@ def test_letters_hold_for_other_lengths(arm: str) -> None:
 def test_offsets_along_a_joints_own_axis_keep_their_letters(robot: str) -> None:
     base = find_base_parameters(bundled_robot(robot).with_gravity((0.0, 0.0, 0.0)))
     assert not re.search(r"\d\.\d", " ".join(base.symbolic))
-    assert any(re.fullmatch(r"Iyz\d - b\d\*my\d.*|Iyz\d - b\d\*\(my\d.*", text) for text in base.symbolic)
+    assert any(
+        re.fullmatch(r"Iyz\d - b\d\*my\d.*|Iyz\d - b\d\*\(my\d.*", text) for text in base.symbolic
+    )
 
 
 def test_a_weight_that_never_changes_is_an_offset() -> None:
@@ -195,7 +223,11 @@ def test_sympy_agrees_on_the_letters() -> None:
     symbols = {name: sympy.Symbol(name) for name in (*base.standard_names, "b1", "b3", "b5", "b7")}
     lengths = {symbols[letter]: sympy.nsimplify(value) for letter, value in iiwa().lengths.items()}
     for text, row in zip(base.symbolic, base.regrouping, strict=True):
-        expected = sum(sympy.nsimplify(round(value, 12)) * symbols[base.standard_names[j]] for j, value in enumerate(row) if value)
+        expected = sum(
+            sympy.nsimplify(round(value, 12)) * symbols[base.standard_names[j]]
+            for j, value in enumerate(row)
+            if value
+        )
         assert sympy.expand(sympy.sympify(text, locals=symbols).subs(lengths) - expected) == 0
 
 
@@ -203,7 +235,9 @@ def test_a_missing_value_reaches_only_the_sums_that_contain_it() -> None:
     base = find_base_parameters(iiwa(), DriveSet.parse("viscous,armature"))
     chi = np.ones(base.n_standard)
     chi[base.standard_names.index("Ia1")] = chi[base.standard_names.index("Fv3")] = np.nan
-    missing = [name for name, value in zip(base.names, base.values(chi), strict=True) if np.isnan(value)]
+    missing = [
+        name for name, value in zip(base.names, base.values(chi), strict=True) if np.isnan(value)
+    ]
     assert missing == ["Iyy1", "Fv3"]
     with pytest.raises(UsageError, match="84 standard parameters"):
         base.values(chi[:-7])
@@ -220,8 +254,13 @@ def test_the_answer_is_frozen_and_the_same_every_time() -> None:
 
 def test_a_robot_on_the_verge_of_being_special_is_refused_with_both_numbers() -> None:
     tilt = placement(rotation_x(1e-11))
-    model = robot_from_dh([DHRow(alpha=RIGHT, b=0.3, origin=tilt), DHRow(a=0.4), DHRow(a=0.3, b=0.1)], name="leaning")
-    with pytest.raises(IdentifiabilityError, match=r"leaning .* gives 15 base parameters, .* is 17 .*near right angles"):
+    model = robot_from_dh(
+        [DHRow(alpha=RIGHT, b=0.3, origin=tilt), DHRow(a=0.4), DHRow(a=0.3, b=0.1)], name="leaning"
+    )
+    with pytest.raises(
+        IdentifiabilityError,
+        match=r"leaning .* gives 15 base parameters, .* is 17 .*near right angles",
+    ):
         find_base_parameters(model)
 
 
@@ -233,7 +272,9 @@ def test_other_peoples_descriptions(shared: Path) -> None:
             base = find_base_parameters(model, drive)
             q, qd, qdd = rng.uniform(-2.0, 2.0, (3, 5, model.n_joints))
             Y = observation_matrix(model, q, qd, qdd, drive=drive)
-            np.testing.assert_allclose(Y[:, base.columns] @ base.regrouping, Y, atol=1e-12 * np.abs(Y).max())
+            np.testing.assert_allclose(
+                Y[:, base.columns] @ base.regrouping, Y, atol=1e-12 * np.abs(Y).max()
+            )
             expected = {7: (43, 69), 6: (36, 58)}[model.n_joints]
             assert base.n_base == expected[1 if drive else 0], path.name
             assert base.expressions == base.symbolic

@@ -22,7 +22,12 @@ TYPICAL = {"smooth_coulomb": "smooth_coulomb:width=1.5", "stribeck": "stribeck:v
 
 @st.composite
 def drives(draw: st.DrawFn) -> DriveSet:
-    return DriveSet.parse([TYPICAL.get(key, key) for key in draw(st.sets(st.sampled_from(KEYS), min_size=1, max_size=6))])
+    return DriveSet.parse(
+        [
+            TYPICAL.get(key, key)
+            for key in draw(st.sets(st.sampled_from(KEYS), min_size=1, max_size=6))
+        ]
+    )
 
 
 @settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
@@ -33,7 +38,9 @@ def test_structure_agrees_with_singular_values(model, drive, data):
         coupling = np.eye(n)
         row = data.draw(st.integers(0, n - 1))
         for column in data.draw(st.sets(st.integers(0, n - 1), min_size=1, max_size=2)):
-            coupling[row, column] = 1.0 if row == column else data.draw(st.sampled_from([1.0, -0.5]))
+            coupling[row, column] = (
+                1.0 if row == column else data.draw(st.sampled_from([1.0, -0.5]))
+            )
         model = replace(model, motor_coupling=coupling)
     Y = stacked(model, drive, samples=60)
     base = find_base_parameters(model, drive)
@@ -42,7 +49,9 @@ def test_structure_agrees_with_singular_values(model, drive, data):
 
 
 def planar(gravity=(0.0, -9.81, 0.0)):
-    return replace(robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar"), gravity=np.array(gravity))
+    return replace(
+        robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar"), gravity=np.array(gravity)
+    )
 
 
 def test_a_balancer_on_a_level_axis_acts_as_a_first_moment_and_one_behind_it_does_not():
@@ -59,13 +68,20 @@ def test_a_motor_that_turns_with_parallel_joints_acts_as_an_inertia():
     base = find_base_parameters(coupled, DriveSet.parse("motor_armature"))
     status = {parameter.name: parameter.status for parameter in base.standard}
     assert status["Iam2"] == "grouped", "it turns with q1 + q2, as link 2 does"
-    assert status["Iam1"] == "unidentifiable", "motor 1 turns with joint 1 alone, where armature says it"
+    assert status["Iam1"] == "unidentifiable", (
+        "motor 1 turns with joint 1 alone, where armature says it"
+    )
 
 
 def test_asymmetric_coulomb_beside_coulomb_shows_only_in_sums():
     base = find_base_parameters(planar(), DriveSet.parse("coulomb,asymmetric_coulomb,offset"))
-    assert [name for name in base.names if name.endswith("1") and name.startswith("F")] == ["Fc1", "Fcp1"]
-    Y = observation_matrix(planar(), *np.random.default_rng(1).normal(size=(3, 30, 2)), drive=base.drive)
+    assert [name for name in base.names if name.endswith("1") and name.startswith("F")] == [
+        "Fc1",
+        "Fcp1",
+    ]
+    Y = observation_matrix(
+        planar(), *np.random.default_rng(1).normal(size=(3, 30, 2)), drive=base.drive
+    )
     assert_regroups(base, Y)
 
 

@@ -18,7 +18,9 @@ from asbuilt.dynamics.regressor import observation_matrix
 TERMS = ("armature", "viscous", "coulomb", "offset")
 QUARTERS = st.sampled_from([0.0, np.pi / 2, np.pi, -np.pi / 2])
 LENGTHS = st.sampled_from([0.0, 0.0, 0.3, -0.45, 0.82])
-GRAVITIES = st.sampled_from([(0.0, 0.0, -9.81), (0.0, 9.81, 0.0), (0.0, 0.0, 0.0), (3.0, -4.0, 7.0)])
+GRAVITIES = st.sampled_from(
+    [(0.0, 0.0, -9.81), (0.0, 9.81, 0.0), (0.0, 0.0, 0.0), (3.0, -4.0, 7.0)]
+)
 NO_LIMIT = settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -36,9 +38,21 @@ def robots(draw: st.DrawFn, most: int = 6) -> RobotModel:
     for i in range(draw(st.integers(1, most))):
         parent = i - 1 if draw(st.integers(0, 3)) else draw(st.integers(ROOT, i - 1))
         kind = draw(st.sampled_from(["revolute", "revolute", "prismatic"]))
-        joints.append(Joint(name=f"j{i}", kind=kind, parent=parent, before=draw(placements()), after=draw(placements())))
-    links = tuple(Link(name=f"l{i}", inertia=LinkInertia(np.arange(10.0) + i)) for i in range(len(joints)))
-    return RobotModel(name="random", joints=tuple(joints), links=links, gravity=np.array(draw(GRAVITIES)))
+        joints.append(
+            Joint(
+                name=f"j{i}",
+                kind=kind,
+                parent=parent,
+                before=draw(placements()),
+                after=draw(placements()),
+            )
+        )
+    links = tuple(
+        Link(name=f"l{i}", inertia=LinkInertia(np.arange(10.0) + i)) for i in range(len(joints))
+    )
+    return RobotModel(
+        name="random", joints=tuple(joints), links=links, gravity=np.array(draw(GRAVITIES))
+    )
 
 
 def stacked(model: RobotModel, drive: DriveSet, seed: int = 5, samples: int = 40) -> np.ndarray:
@@ -100,7 +114,9 @@ def test_verdicts_are_those_of_the_row_space(model: RobotModel, terms: set[str])
     for j, parameter in enumerate(base.standard):
         seen = bool(np.linalg.norm(Y[:, j]) > 0.0)
         alone = seen and bool(np.linalg.norm(null[:, j]) < 1e-7)
-        assert parameter.status == ("identifiable" if alone else "grouped" if seen else "unidentifiable"), parameter
+        assert parameter.status == (
+            "identifiable" if alone else "grouped" if seen else "unidentifiable"
+        ), parameter
         assert parameter.why.startswith(f"{parameter.name}: ")
         assert parameter.members == tuple(base.ids[np.flatnonzero(base.regrouping[:, j])])
 
@@ -114,25 +130,42 @@ def test_row_space_is_pinocchios(seed: int) -> None:
     built.gravity.linear = gravity
     for i in range(6):
         parent = int(rng.integers(ROOT, i))
-        turns = [rotation_x(rng.choice([0.0, np.pi / 2, 0.8])) @ rotation_z(rng.uniform(-3, 3)) for _ in range(2)]
+        turns = [
+            rotation_x(rng.choice([0.0, np.pi / 2, 0.8])) @ rotation_z(rng.uniform(-3, 3))
+            for _ in range(2)
+        ]
         before, after = (composed(placement(turn, rng.normal(scale=0.4, size=3))) for turn in turns)
         kind = "prismatic" if rng.uniform() < 0.3 else "revolute"
         joints.append(Joint(name=f"j{i}", kind=kind, parent=parent, before=before, after=after))
         here = before if parent == ROOT else joints[parent].after @ before
-        number = built.addJoint(parent + 1, pin.JointModelPZ() if kind == "prismatic" else pin.JointModelRZ(), pin.SE3(here), f"j{i}")
+        number = built.addJoint(
+            parent + 1,
+            pin.JointModelPZ() if kind == "prismatic" else pin.JointModelRZ(),
+            pin.SE3(here),
+            f"j{i}",
+        )
         built.appendBodyToJoint(number, pin.Inertia.Random(), pin.SE3.Identity())
     links = tuple(Link(name=f"l{i}", inertia=LinkInertia.zero()) for i in range(6))
     model = RobotModel(name="random", joints=tuple(joints), links=links, gravity=gravity)
     base = find_base_parameters(model)
     data = built.createData()
-    pinocchios = np.vstack([pin.computeJointTorqueRegressor(built, data, *rng.uniform(-2.0, 2.0, (3, 6))) for _ in range(40)])
+    pinocchios = np.vstack(
+        [
+            pin.computeJointTorqueRegressor(built, data, *rng.uniform(-2.0, 2.0, (3, 6)))
+            for _ in range(40)
+        ]
+    )
     to_ours = np.zeros((60, 60))
     for i, joint in enumerate(joints):
         for k in range(10):
             moved = LinkInertia(np.eye(10)[k]).moved(joint.after)
             to_ours[10 * i : 10 * i + 10, 10 * i + k] = moved.to_pinocchio_order()
     Y = pinocchios @ to_ours
-    assert base.n_base == rank_with_gap(pinocchios) == rank_with_gap(np.vstack([Y / np.abs(Y).max(), base.regrouping]))
+    assert (
+        base.n_base
+        == rank_with_gap(pinocchios)
+        == rank_with_gap(np.vstack([Y / np.abs(Y).max(), base.regrouping]))
+    )
     assert_regroups(base, Y)
 
 
@@ -144,12 +177,18 @@ def test_long_chains(n_joints: int) -> None:
             name=f"j{i}",
             kind="revolute" if rng.uniform() < 0.8 else "prismatic",
             parent=i - 1,
-            before=placement(rotation_x(np.pi / 2 * rng.integers(4)), rng.choice([0.0, 0.2, 0.5], 3)),
+            before=placement(
+                rotation_x(np.pi / 2 * rng.integers(4)), rng.choice([0.0, 0.2, 0.5], 3)
+            ),
             after=np.eye(4),
         )
         for i in range(n_joints)
     )
-    model = RobotModel(name="chain", joints=joints, links=tuple(Link(name=f"l{i}", inertia=LinkInertia.zero()) for i in range(n_joints)))
+    model = RobotModel(
+        name="chain",
+        joints=joints,
+        links=tuple(Link(name=f"l{i}", inertia=LinkInertia.zero()) for i in range(n_joints)),
+    )
     drive = DriveSet.parse(",".join(TERMS))
     base = find_base_parameters(model, drive)
     Y = stacked(model, drive, samples=24)

@@ -16,13 +16,20 @@ RIGHT = np.pi / 2
 
 
 def verdicts(model: RobotModel, drive: str = "none") -> dict[str, StandardParameter]:
-    return {parameter.name: parameter for parameter in find_base_parameters(model, DriveSet.parse(drive)).standard}
+    return {
+        parameter.name: parameter
+        for parameter in find_base_parameters(model, DriveSet.parse(drive)).standard
+    }
 
 
 def test_the_first_link_of_an_upright_arm() -> None:
     found = verdicts(bundled_robot("kuka-iiwa7-r800"))
     assert found["Ixx1"] == StandardParameter(
-        1, "Ixx1", "unidentifiable", (), "Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts"
+        1,
+        "Ixx1",
+        "unidentifiable",
+        (),
+        "Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts",
     )
     assert "makes no difference where along that axis" in found["my1"].why
     assert "gravity does no work" in found["mx1"].why
@@ -39,20 +46,39 @@ def test_a_link_further_out() -> None:
     found = verdicts(bundled_robot("kuka-iiwa7-r800"), "armature,viscous,coulomb,offset")
     assert found["m3"].status == "grouped"
     assert found["m3"].members == (11, 14, 19)
-    assert "a mass on the axis of joint 3 moves with link 2 whatever joint 3 does" in found["m3"].why
+    assert (
+        "a mass on the axis of joint 3 moves with link 2 whatever joint 3 does" in found["m3"].why
+    )
     assert "a first moment along the axis of joint 3" in found["my3"].why
     assert "equal inertias in the two directions across the axis of joint 3" in found["Izz3"].why
-    assert found["Ixx2"].why.endswith("only its sum with Izz2, Izz3, my3, m3 and 4 more acts, and keeps the name Ixx2")
+    assert found["Ixx2"].why.endswith(
+        "only its sum with Izz2, Izz3, my3, m3 and 4 more acts, and keeps the name Ixx2"
+    )
     assert found["Ixy3"].status == "identifiable"
     assert "this product of inertia" in found["Ixy3"].why
-    assert "link 1 only turns about a vertical axis, never along the axis of joint 2" in found["Ia2"].why
-    assert found["Ia3"].status == found["Fv1"].status == found["Fc7"].status == found["Fo4"].status == "identifiable"
+    assert (
+        "link 1 only turns about a vertical axis, never along the axis of joint 2"
+        in found["Ia2"].why
+    )
+    assert (
+        found["Ia3"].status
+        == found["Fv1"].status
+        == found["Fc7"].status
+        == found["Fo4"].status
+        == "identifiable"
+    )
 
 
 def test_sliding_links() -> None:
-    gantry = robot_from_dh([DHRow(kind="prismatic", alpha=-RIGHT), DHRow(kind="prismatic", alpha=RIGHT), DHRow()], name="gantry")
+    gantry = robot_from_dh(
+        [DHRow(kind="prismatic", alpha=-RIGHT), DHRow(kind="prismatic", alpha=RIGHT), DHRow()],
+        name="gantry",
+    )
     found = verdicts(gantry, "armature,offset")
-    assert "link 1 only slides along a vertical line and never turns, so its moments of inertia never act" in found["Ixx1"].why
+    assert (
+        "link 1 only slides along a vertical line and never turns, so its moments of inertia"
+        " never act" in found["Ixx1"].why
+    )
     assert "link 2 only slides, in a plane, and never turns" in found["Ixx2"].why
     assert "makes no difference where in the link its mass sits" in found["mx2"].why
     assert found["Fo1"].status == "grouped"
@@ -65,26 +91,37 @@ def test_sliding_links() -> None:
 
 def test_parallel_axes() -> None:
     found = verdicts(bundled_robot("scara"))
-    assert "link 2 only turns about vertical, parallel axes, so only its inertia about that direction acts" in found["Ixx2"].why
-    assert "joint 3 slides, so link 3 always turns with link 2 and their inertias add up" in found["Izz3"].why
+    assert (
+        "link 2 only turns about vertical, parallel axes, so only its inertia about that direction"
+        " acts" in found["Ixx2"].why
+    )
+    assert (
+        "joint 3 slides, so link 3 always turns with link 2 and their inertias add up"
+        in found["Izz3"].why
+    )
     assert "acts only through its inertia about that axis" in found["mx1"].why
 
 
 def test_no_sentence_calls_a_single_cause_by_a_foreign_name() -> None:
     model = robot_from_dh([DHRow(a=0.2, alpha=RIGHT), DHRow(a=0.4)], name="elbow")
     found = verdicts(model)
-    assert found["mx2"].why == (
-        "mx2: a mass on the axis of joint 2 acts as if it belonged to link 1, and what else the mass does, it does as mx2; "
-        "only its sum with m2 acts, and keeps the name mx2"
+    assert (
+        found["mx2"].why
+        == "mx2: a mass on the axis of joint 2 acts as if it belonged to link 1, and what else the"
+        " mass does, it does as mx2; only its sum with m2 acts, and keeps the name mx2"
     )
 
 
-@pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "puma-560", "scara", "franka-panda", "two-link"])
+@pytest.mark.parametrize(
+    "robot", ["kuka-iiwa7-r800", "puma-560", "scara", "franka-panda", "two-link"]
+)
 def test_every_sentence_names_its_parameter_and_its_link(robot: str) -> None:
     for parameter in verdicts(bundled_robot(robot), "armature,viscous,coulomb,offset").values():
         subject, _, reason = parameter.why.partition(": ")
         assert subject == parameter.name
         number = parameter.name.lstrip("IFxyzmavco")
-        assert f"link {number}" in reason or f"joint {number}" in reason or f" {number} " in reason, parameter.why
+        assert (
+            f"link {number}" in reason or f"joint {number}" in reason or f" {number} " in reason
+        ), parameter.why
         assert (parameter.status == "unidentifiable") == (not parameter.members)
         assert ("sum" in reason) == (parameter.status == "grouped")

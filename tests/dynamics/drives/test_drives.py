@@ -38,7 +38,9 @@ def test_every_term_is_found_in_canonical_order():
     assert DriveSet.default("sensor").keys == ("viscous", "coulomb", "offset")
 
 
-@pytest.mark.parametrize("text", ["offset,armature,coulomb,viscous", " Viscous , offset,COULOMB,armature"])
+@pytest.mark.parametrize(
+    "text", ["offset,armature,coulomb,viscous", " Viscous , offset,COULOMB,armature"]
+)
 def test_order_and_case_given_do_not_matter(text):
     drive = DriveSet.parse(text)
     assert drive.keys == ("armature", "viscous", "coulomb", "offset")
@@ -63,7 +65,10 @@ def test_none_is_no_term(text):
         ("viscous,none", "stands alone"),
         ("viscous,viscous", "'viscous' is given 2 times"),
         ("wzrgl", "unknown drive term 'wzrgl'; available"),
-        ("spring:joints=inf", r"joints of drive term 'spring' are numbers from 1, such as joints=2/5, got 'inf'"),
+        (
+            "spring:joints=inf",
+            r"joints of drive term 'spring' are numbers from 1, such as joints=2/5, got 'inf'",
+        ),
         ("spring:joints=2/nan", r"are numbers from 1, such as joints=2/5, got '2/nan'"),
         ("spring:joints=1.5", r"are numbers from 1, such as joints=2/5, got '1\.5'"),
     ],
@@ -76,17 +81,26 @@ def test_wrong_selections_say_what_exists(text, said):
 def test_columns_are_acceleration_velocity_sign_and_one():
     q, qd, qdd = np.array([0.3, 0.1, 0.2]), np.array([-2.0, 0.0, 0.5]), np.array([1.0, 2.0, 3.0])
     columns = DriveSet.parse("armature,viscous,coulomb,offset").evaluate(q, qd, qdd)
-    np.testing.assert_array_equal(columns, [[1.0, 2.0, 3.0], [-2.0, 0.0, 0.5], [-1.0, 0.0, 1.0], [1.0, 1.0, 1.0]])
+    np.testing.assert_array_equal(
+        columns, [[1.0, 2.0, 3.0], [-2.0, 0.0, 0.5], [-1.0, 0.0, 1.0], [1.0, 1.0, 1.0]]
+    )
 
 
 def test_units_depend_on_the_kind_of_joint():
     drive = DriveSet.parse("armature,viscous,coulomb,offset")
-    assert drive.units("revolute") == drive.units("continuous") == ("kg m^2", "N m s/rad", "N m", "N m")
+    assert (
+        drive.units("revolute")
+        == drive.units("continuous")
+        == ("kg m^2", "N m s/rad", "N m", "N m")
+    )
     assert drive.units("prismatic") == ("kg", "N s/m", "N", "N")
 
 
 def test_values_come_from_the_description():
-    assert DriveSet.parse("viscous,offset").values(DriveValues(viscous=0.4, coulomb=2.0)) == (0.4, None)
+    assert DriveSet.parse("viscous,offset").values(DriveValues(viscous=0.4, coulomb=2.0)) == (
+        0.4,
+        None,
+    )
 
 
 def test_a_new_term_brings_columns_parameters_and_load():
@@ -100,7 +114,9 @@ def test_a_new_term_brings_columns_parameters_and_load():
         drive.evaluate(qd, qd, qd)
 
 
-@pytest.mark.parametrize("key", sorted(set(available_terms()) - {"stribeck", "smooth_coulomb", "balancer"}))
+@pytest.mark.parametrize(
+    "key", sorted(set(available_terms()) - {"stribeck", "smooth_coulomb", "balancer"})
+)
 def test_what_a_gear_does_to_a_parameter_is_what_it_does_to_speed_and_torque(key):
     """`f(q) = N^(1 - p) f(N q)` for a term whose parameter is divided by N^p; shapes in units of speed and position are those of the joint."""
     term, ratio = available_terms()[key], 50.0

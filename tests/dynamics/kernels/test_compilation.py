@@ -15,7 +15,10 @@ from asbuilt.dynamics.kernels.compilation import compiled, source_digest
 def fresh_twice(folder: Path):
     """Import a compiled function anew, as another run would."""
     path = folder / "toy.py"
-    path.write_text("from asbuilt.dynamics.kernels.compilation import compiled\n\n@compiled\ndef twice(x):\n    return 2 * x\n")
+    path.write_text(
+        "from asbuilt.dynamics.kernels.compilation import compiled\n\n@compiled\ndef twice(x):\n   "
+        " return 2 * x\n"
+    )
     specification = importlib.util.spec_from_file_location("toy", path)
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
@@ -23,7 +26,9 @@ def fresh_twice(folder: Path):
     return module.twice
 
 
-def test_code_is_kept_until_a_source_beside_it_changes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_is_kept_until_a_source_beside_it_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 0
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 1
     monkeypatch.setattr(compilation, "source_digest", lambda folder: "another")
@@ -31,12 +36,24 @@ def test_code_is_kept_until_a_source_beside_it_changes(tmp_path: Path, monkeypat
     assert sum(fresh_twice(tmp_path).stats.cache_hits.values()) == 1
 
 
-@pytest.mark.parametrize("name", ["lanes.py", "recursion.py", "kernels.py", "joint_space.py", "regressor_adjoint.py", "compilation.py"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "lanes.py",
+        "recursion.py",
+        "kernels.py",
+        "joint_space.py",
+        "regressor_adjoint.py",
+        "compilation.py",
+    ],
+)
 def test_every_source_of_kernels_counts_and_no_other(tmp_path: Path, name: str) -> None:
     folders = []
     for changed in ("nothing.py", name, "newton_euler.py"):
         folder = tmp_path / changed
-        shutil.copytree(Path(compilation.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(
+            Path(compilation.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__")
+        )
         with (folder / changed).open("a") as file:
             file.write("# a change\n")
         folders.append(folder)

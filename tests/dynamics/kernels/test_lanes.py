@@ -47,4 +47,6 @@ def test_not_a_number_stays_one():
     angles = np.zeros(BLOCK)
     angles[3] = np.nan
     sine, cosine = sine_and_cosine(angles)
-    assert np.flatnonzero(np.isnan(sine)).tolist() == np.flatnonzero(np.isnan(cosine)).tolist() == [3]
+    assert (
+        np.flatnonzero(np.isnan(sine)).tolist() == np.flatnonzero(np.isnan(cosine)).tolist() == [3]
+    )

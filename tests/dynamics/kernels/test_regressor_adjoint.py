@@ -18,7 +18,10 @@ from asbuilt.errors import UsageError
 
 def weighted(model, parameters):
     """The robot in Pinocchio with other inertial parameters."""
-    links = [replace(link, inertia=LinkInertia(values), parts=()) for link, values in zip(model.links, parameters, strict=True)]
+    links = [
+        replace(link, inertia=LinkInertia(values), parts=())
+        for link, values in zip(model.links, parameters, strict=True)
+    ]
     return pinocchio_model(replace(model, links=tuple(links)))
 
 
@@ -44,13 +47,17 @@ def test_derivatives_are_those_of_pinocchio(style: str, n: int) -> None:
         peer = weighted(model, given[k])
         data = peer.createData()
         for s in range(samples):
-            for order, slope in enumerate(pin.computeRNEADerivatives(peer, data, q[s], qd[s], qdd[s])):
+            for order, slope in enumerate(
+                pin.computeRNEADerivatives(peer, data, q[s], qd[s], qdd[s])
+            ):
                 whole = np.array(slope)
                 if order == 2:
                     whole = np.triu(whole) + np.triu(whole, 1).T
                 expected[order, s] += whole[k]
     for order in range(3):
-        np.testing.assert_allclose(found[order], expected[order], rtol=0, atol=1e-11 * max(1.0, np.abs(expected).max()))
+        np.testing.assert_allclose(
+            found[order], expected[order], rtol=0, atol=1e-11 * max(1.0, np.abs(expected).max())
+        )
 
 
 def test_loads_add_the_derivatives_of_weighted_torques() -> None:
@@ -63,7 +70,9 @@ def test_loads_add_the_derivatives_of_weighted_torques() -> None:
     peer = pinocchio_model(model)
     data = peer.createData()
     for s in range(samples):
-        by_q, by_qd, by_qdd = (np.array(slope) for slope in pin.computeRNEADerivatives(peer, data, q[s], qd[s], qdd[s]))
+        by_q, by_qd, by_qdd = (
+            np.array(slope) for slope in pin.computeRNEADerivatives(peer, data, q[s], qd[s], qdd[s])
+        )
         by_qdd = np.triu(by_qdd) + np.triu(by_qdd, 1).T
         for order, slope in enumerate((by_q, by_qd, by_qdd)):
             np.testing.assert_allclose(found[order][s], loads[s] @ slope, rtol=0, atol=1e-10)
@@ -84,7 +93,12 @@ def test_branches_are_no_exception(seed: int) -> None:
                 moved = state.copy()
                 moved[order, :, j] += step
                 sides.append((loads * inverse_dynamics(model, *moved)).sum(axis=1))
-            np.testing.assert_allclose(found[order][:, j], (sides[0] - sides[1]) / 2e-6, rtol=0, atol=1e-6 * np.abs(found[order]).max())
+            np.testing.assert_allclose(
+                found[order][:, j],
+                (sides[0] - sides[1]) / 2e-6,
+                rtol=0,
+                atol=1e-6 * np.abs(found[order]).max(),
+            )
 
 
 def test_samples_do_not_depend_on_their_neighbours() -> None:
@@ -95,7 +109,9 @@ def test_samples_do_not_depend_on_their_neighbours() -> None:
     weights = plan.buffer(samples)
     weights[:] = rng.normal(size=weights.shape)
     whole = regressor_adjoint(plan, q, qd, qdd, weights)
-    part = regressor_adjoint(plan, q[33:50], qd[33:50], qdd[33:50], np.ascontiguousarray(weights[:, 33:50]))
+    part = regressor_adjoint(
+        plan, q[33:50], qd[33:50], qdd[33:50], np.ascontiguousarray(weights[:, 33:50])
+    )
     for complete, cut in zip(whole, part, strict=True):
         np.testing.assert_array_equal(complete[33:50], cut)
 
@@ -106,7 +122,9 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     model = random_robot(rng, 3)
     plan = RegressorPlan.of(model)
     state, weights = rng.normal(size=(3, 40, 3)), plan.buffer(40)
-    with pytest.raises(UsageError, match=rf"at least {plan.n_rows} rows and 40 columns, got \({plan.n_rows - 1}, "):
+    with pytest.raises(
+        UsageError, match=rf"at least {plan.n_rows} rows and 40 columns, got \({plan.n_rows - 1}, "
+    ):
         regressor_adjoint(plan, *state, weights[:-1])
     with pytest.raises(UsageError, match=r"at least \d+ rows and 40 columns"):
         regressor_adjoint(plan, *state, weights[:, :39])

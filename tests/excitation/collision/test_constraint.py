@@ -54,9 +54,18 @@ def test_distances_between_capsules_are_those_of_coal() -> None:
     ends = rng.normal(size=(4, 300, 3))
     near = nearest_on_segments(ends[0], ends[1] - ends[0], ends[2], ends[3] - ends[2])
     for k in range(300):
-        shapes = [coal.Capsule(0.1, float(np.linalg.norm(ends[i + 1, k] - ends[i, k]))) for i in (0, 2)]
+        shapes = [
+            coal.Capsule(0.1, float(np.linalg.norm(ends[i + 1, k] - ends[i, k]))) for i in (0, 2)
+        ]
         places = [transform(upright(ends[i, k], ends[i + 1, k])) for i in (0, 2)]
-        found = coal.distance(shapes[0], places[0], shapes[1], places[1], coal.DistanceRequest(), coal.DistanceResult())
+        found = coal.distance(
+            shapes[0],
+            places[0],
+            shapes[1],
+            places[1],
+            coal.DistanceRequest(),
+            coal.DistanceResult(),
+        )
         assert np.linalg.norm(near[1][k] - near[0][k]) - 0.2 == pytest.approx(found, abs=1e-6)
 
 
@@ -83,7 +92,9 @@ def test_distances_to_boxes_are_those_of_coal() -> None:
         capsule = coal.Capsule(0.02, float(np.linalg.norm(stop[k] - start[k])))
         box = coal.Box(*(2 * half))
         place = transform(upright(start[k], stop[k]))
-        found = coal.distance(capsule, place, box, coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult())
+        found = coal.distance(
+            capsule, place, box, coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult()
+        )
         if found > 1e-3:
             outside += 1
             assert distance[k] - 0.02 == pytest.approx(found, abs=1e-5)
@@ -110,7 +121,9 @@ def test_derivatives_are_central_differences(guard) -> None:
         found = constraint.slopes(q, rest, rest)
         for j in range(7):
             way = 1e-6 * np.eye(7)[j]
-            slope = (constraint.values(q + way, rest, rest) - constraint.values(q - way, rest, rest)) / 2e-6
+            slope = (
+                constraint.values(q + way, rest, rest) - constraint.values(q - way, rest, rest)
+            ) / 2e-6
             assert found[which][:, :, j, 0] == pytest.approx(slope[which], abs=1e-5)
 
 
@@ -118,33 +131,48 @@ def test_pairs_that_touch_by_construction_or_permission_are_left_out(guard) -> N
     model, watch = guard
     assert "link_1 - link_3" in watch.left_out
     names = [model.link_names[capsule.link] for capsule in skeleton_capsules(model, 0.05)]
-    assert not any({names[a], names[b]} == {"link_2", "link_4"} for a, b in watch.pairs if b < len(names))
+    assert not any(
+        {names[a], names[b]} == {"link_2", "link_4"} for a, b in watch.pairs if b < len(names)
+    )
 
 
 def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
     cell = tmp_path / "cell.toml"
-    cell.write_text('skeleton = 0.05\n[[obstacles]]\nname = "crate"\nsize = [0.5, 0.5, 1.0]\nposition = [0, 0, 0.5]\n')
+    cell.write_text(
+        'skeleton = 0.05\n[[obstacles]]\nname = "crate"\nsize = [0.5, 0.5, 1.0]\nposition = [0, 0,'
+        " 0.5]\n"
+    )
     model = load_robot("kuka-iiwa7-r800")
     constraints = watched(model, collision=str(cell))
     options = DesignOptions(duration=6.0, size=4, starts=1, time_limit=4.0)
-    design = design_motion(model, DriveSet(), options, constraints=constraints, with_bound=False, cores=1)
+    design = design_motion(
+        model, DriveSet(), options, constraints=constraints, with_bound=False, cores=1
+    )
     standing = design_static_poses(model, 4, constraints=constraints)
     for written in (excite_text(design), static_text(standing)):
-        assert re.search(r"NOT WATCHED, for they touch in nearly every pose: .*link_\d - crate", written)
+        assert re.search(
+            r"NOT WATCHED, for they touch in nearly every pose: .*link_\d - crate", written
+        )
 
 
 def test_a_design_keeps_clear_and_in_the_box(guard) -> None:
     model, watch = guard
     box = ToolBox(model, np.array([-0.7, -0.7, 0.0]), np.array([0.7, 0.7, 1.2]))
     options = DesignOptions(duration=8.0, size=4, starts=2, time_limit=5.0)
-    design = design_motion(model, DriveSet.parse("viscous"), options, constraints=(watch, box), with_bound=False)
+    design = design_motion(
+        model, DriveSet.parse("viscous"), options, constraints=(watch, box), with_bound=False
+    )
     assert design.collision_distance >= 0.03 - 1e-6
     assert watch.smallest_distance(design.motion.at(np.linspace(0, 8, 5001))[0]) >= 0.03 - 1e-4
     q = design.motion.at(np.linspace(0, 8, 5001))[0]
     poses = link_poses(model, q)[:, -1]
     flange = next(frame for frame in model.frames if frame.name == "flange").placement[:3, 3]
     tool = poses[:, :3, :3] @ flange + poses[:, :3, 3]
-    room = 1000 * min(float((0.7 - np.abs(tool[:, :2])).min()), float(tool[:, 2].min()), float((1.2 - tool[:, 2]).min()))
+    room = 1000 * min(
+        float((0.7 - np.abs(tool[:, :2])).min()),
+        float(tool[:, 2].min()),
+        float((1.2 - tool[:, 2]).min()),
+    )
     assert f"the tool stays in its box, {room:.0f} mm from the nearest side" in design.notes
     assert np.all(np.abs(tool[:, :2]) <= 0.7 + 1e-4)
     assert np.all((tool[:, 2] >= -1e-4) & (tool[:, 2] <= 1.2 + 1e-4))
@@ -158,7 +186,10 @@ def test_a_capsule_around_points_holds_them_and_is_slim() -> None:
         capsule = Capsule.around(0, points)
         along = capsule.stop - capsule.start
         s = np.clip((points - capsule.start) @ along / (along @ along), 0, 1)
-        assert np.all(np.linalg.norm(points - capsule.start - s[:, None] * along, axis=1) <= capsule.radius * (1 + 1e-9))
+        assert np.all(
+            np.linalg.norm(points - capsule.start - s[:, None] * along, axis=1)
+            <= capsule.radius * (1 + 1e-9)
+        )
         assert capsule.radius < 0.26
 
 
@@ -186,11 +217,17 @@ def test_geometry_of_a_urdf_becomes_capsules_on_the_links_that_carry_it(tmp_path
         ("floor = 0", "nothing can collide"),
         ("skeleton = -1", "must be positive"),
         ("skeleton = 0.1\nwall = 3", "wall"),
-        ('[[capsules]]\nlink = "link_9"\nstart = [0,0,0]\nstop = [0,0,1]\nradius = 0.1', "no link 'link_9'"),
+        (
+            '[[capsules]]\nlink = "link_9"\nstart = [0,0,0]\nstop = [0,0,1]\nradius = 0.1',
+            "no link 'link_9'",
+        ),
         ("skeleton = ", "cannot be read"),
         ("skeleton = 0.1\nclearance = -0.02", "clearance.*greater than or equal to 0"),
         ("skeleton = 0.1\nfloor = nan", "floor.*finite"),
-        ("skeleton = 0.1\n[[obstacles]]\nsize = [1, 0, 1]\nposition = [0, 0, 0]", "size.*greater than 0"),
+        (
+            "skeleton = 0.1\n[[obstacles]]\nsize = [1, 0, 1]\nposition = [0, 0, 0]",
+            "size.*greater than 0",
+        ),
     ],
 )
 def test_files_that_make_no_sense_are_refused(tmp_path, text: str, said: str) -> None:

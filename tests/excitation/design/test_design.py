@@ -44,7 +44,10 @@ def test_a_design_beats_fifty_random_motions(arm) -> None:
     model, design = arm
     found = log_det_of(model, design.motion)
     assert design.log_det == pytest.approx(found + design.base.n_base * np.log(800), abs=1e-2)
-    best = max(log_det_of(model, random_fourier(model, rng=k, duration=8.0, n_harmonics=4, fraction=0.95)) for k in range(50))
+    best = max(
+        log_det_of(model, random_fourier(model, rng=k, duration=8.0, n_harmonics=4, fraction=0.95))
+        for k in range(50)
+    )
     assert found > best + 0.1 * design.base.n_base
 
 
@@ -64,9 +67,15 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
     peer = pin.Model()
     peer.gravity.linear = np.array(model.gravity)
     for i, joint in enumerate(model.joints):
-        after = pin.SE3.Identity() if joint.parent < 0 else pin.SE3(np.array(model.joints[joint.parent].after))
+        after = (
+            pin.SE3.Identity()
+            if joint.parent < 0
+            else pin.SE3(np.array(model.joints[joint.parent].after))
+        )
         kind = pin.JointModelRZ() if joint.is_revolute else pin.JointModelPZ()
-        number = peer.addJoint(joint.parent + 1, kind, after * pin.SE3(np.array(joint.before)), joint.name)
+        number = peer.addJoint(
+            joint.parent + 1, kind, after * pin.SE3(np.array(joint.before)), joint.name
+        )
         inertia = model.links[i].inertia
         body = pin.Inertia(
             max(inertia.mass, 1e-12),
@@ -75,7 +84,10 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
         )
         peer.appendBodyToJoint(number, body, pin.SE3(np.array(joint.after)))
     data = peer.createData()
-    friction = [np.array([value or 0.0 for value in (joint.drive.viscous, joint.drive.coulomb)]) for joint in model.joints]
+    friction = [
+        np.array([value or 0.0 for value in (joint.drive.viscous, joint.drive.coulomb)])
+        for joint in model.joints
+    ]
     if not any(f.any() for f in friction):
         torque = np.array([pin.rnea(peer, data, q[k], qd[k], qdd[k]) for k in range(0, len(t), 10)])
         assert np.all(np.abs(torque) <= 0.8 * MotionBounds.of(model).torque * (1 + 1e-4))
@@ -83,16 +95,23 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
 
 def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm) -> None:
     model, design = arm
-    alone, helped = (design_motion(model, DRIVE, replace(QUICK, starts=24), cores=cores, with_bound=False) for cores in (1, 3))
+    alone, helped = (
+        design_motion(model, DRIVE, replace(QUICK, starts=24), cores=cores, with_bound=False)
+        for cores in (1, 3)
+    )
     assert np.array_equal(alone.motion.coefficients, helped.motion.coefficients)
     other = design_motion(model, DRIVE, replace(QUICK, seed=1), with_bound=False)
     assert not np.array_equal(other.motion.coefficients, design.motion.coefficients)
 
 
-@pytest.mark.parametrize(("parametrisation", "size"), [("bspline", 9), ("quintic", 6), ("point-to-point", 7)])
+@pytest.mark.parametrize(
+    ("parametrisation", "size"), [("bspline", 9), ("quintic", 6), ("point-to-point", 7)]
+)
 def test_other_families_respect_the_limits_too(parametrisation: str, size: int) -> None:
     model = load_robot("two-link")
-    design = design_motion(model, DRIVE, replace(QUICK, parametrisation=parametrisation, size=size), with_bound=False)
+    design = design_motion(
+        model, DRIVE, replace(QUICK, parametrisation=parametrisation, size=size), with_bound=False
+    )
     assert design.limits.is_respected
     assert np.isfinite(design.log_det)
     assert np.allclose(design.motion.derivative([0.0, design.motion.duration], 1), 0)
@@ -103,7 +122,10 @@ def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     model, design = arm
     focused = design_motion(model, DRIVE, replace(QUICK, focus=("Izz2", "11")), with_bound=False)
     places = [position_of(design.base, name) for name in ("Izz2", "11")]
-    det = [np.linalg.det(np.linalg.inv(d.information)[np.ix_(places, places)]) for d in (focused, design)]
+    det = [
+        np.linalg.det(np.linalg.inv(d.information)[np.ix_(places, places)])
+        for d in (focused, design)
+    ]
     assert det[0] < det[1]
     with pytest.raises(UsageError, match="no base parameter 'Izz9'"):
         design_motion(model, DRIVE, replace(QUICK, focus=("Izz9",)))
@@ -162,7 +184,9 @@ def test_power_and_other_robots_tighten_a_design(arm) -> None:
     assert power(weak) <= limit * (1 + 1e-6)
     assert f"power at most {power(weak):.3g} W of the {limit:g} W allowed" in weak.notes[0]
     assert weak.log_det < design.log_det
-    careful = design_motion(model, DRIVE, replace(QUICK, perturbed=2, spread=0.3, torque_fraction=0.3), with_bound=False)
+    careful = design_motion(
+        model, DRIVE, replace(QUICK, perturbed=2, spread=0.3, torque_fraction=0.3), with_bound=False
+    )
     assert careful.limits.worst["torque"].margin >= 0.7 - 1e-6
 
 
@@ -173,7 +197,9 @@ def test_an_interrupt_keeps_the_best_so_far(arm) -> None:
         if state.finished >= 2:
             raise KeyboardInterrupt
 
-    kept = design_motion(model, DRIVE, replace(QUICK, starts=40), progress=stop, with_bound=False, cores=1)
+    kept = design_motion(
+        model, DRIVE, replace(QUICK, starts=40), progress=stop, with_bound=False, cores=1
+    )
     assert kept.interrupted
     assert kept.limits.is_respected
 
@@ -187,7 +213,14 @@ def test_a_robot_too_weak_for_its_weight_is_told_so() -> None:
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("parametrisation", "spline"), ("duration", -1.0), ("fraction", 1.5), ("starts", 0), ("size", 1), ("time_limit", np.nan)],
+    [
+        ("parametrisation", "spline"),
+        ("duration", -1.0),
+        ("fraction", 1.5),
+        ("starts", 0),
+        ("size", 1),
+        ("time_limit", np.nan),
+    ],
 )
 def test_senseless_options_are_refused(field: str, value) -> None:
     with pytest.raises(UsageError, match=field if field != "size" else "at least 2 harmonics"):
@@ -197,7 +230,9 @@ def test_senseless_options_are_refused(field: str, value) -> None:
 def test_a_wanted_precision_finds_its_duration(arm) -> None:
     model, design = arm
     reached = predicted_precision(design)
-    longer, trials = design_for_precision(model, DRIVE, replace(QUICK, size=None, starts=2), reached / 1.5)
+    longer, trials = design_for_precision(
+        model, DRIVE, replace(QUICK, size=None, starts=2), reached / 1.5
+    )
     assert longer.motion.duration > 8
     assert predicted_precision(longer) <= reached / 1.5
     assert [trial.duration for trial in trials] == sorted(trial.duration for trial in trials)
@@ -211,7 +246,9 @@ def test_an_interrupt_ends_the_search_for_a_duration(arm) -> None:
     def stop(_) -> None:
         raise KeyboardInterrupt
 
-    design, trials = design_for_precision(model, DRIVE, replace(QUICK, size=None), 1e-4, progress=stop)
+    design, trials = design_for_precision(
+        model, DRIVE, replace(QUICK, size=None), 1e-4, progress=stop
+    )
     assert design.interrupted
     assert [trial.duration for trial in trials] == [10.0]
 
@@ -219,9 +256,16 @@ def test_an_interrupt_ends_the_search_for_a_duration(arm) -> None:
 def test_a_search_that_does_worse_with_more_time_is_told_so(arm, monkeypatch) -> None:
     model, design = arm
     found = iter([0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08])
-    monkeypatch.setattr("asbuilt.excitation.design.precision.design_motion", lambda *_, **__: design)
-    monkeypatch.setattr("asbuilt.excitation.design.precision.predicted_precision", lambda _: next(found))
-    with pytest.raises(MotionError, match=r"10 s with 4 harmonics would give 0\.01, but .* the search finds nothing better"):
+    monkeypatch.setattr(
+        "asbuilt.excitation.design.precision.design_motion", lambda *_, **__: design
+    )
+    monkeypatch.setattr(
+        "asbuilt.excitation.design.precision.predicted_precision", lambda _: next(found)
+    )
+    with pytest.raises(
+        MotionError,
+        match=r"10 s with 4 harmonics would give 0\.01, but .* the search finds nothing better",
+    ):
         design_for_precision(model, DRIVE, QUICK, 0.005)
 
 
@@ -243,8 +287,14 @@ def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) ->
     clock = itertools.count(step=0.01)
     monkeypatch.setattr("asbuilt.excitation.design.multistart.time.monotonic", lambda: next(clock))
     told: list[SearchProgress] = []
-    design = design_motion(model, DRIVE, replace(QUICK, starts=500, time_limit=10.0), progress=told.append, cores=1)
-    assert [phase for phase, _ in itertools.groupby(state.phase for state in told)] == ["bound", "search", "refinement"]
+    design = design_motion(
+        model, DRIVE, replace(QUICK, starts=500, time_limit=10.0), progress=told.append, cores=1
+    )
+    assert [phase for phase, _ in itertools.groupby(state.phase for state in told)] == [
+        "bound",
+        "search",
+        "refinement",
+    ]
     assert 8.0 < design.solve_seconds < 10.5
     assert design.bound is not None
     assert all(0 <= state.share <= 1 for state in told)
@@ -292,9 +342,18 @@ def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
     assert DesignOptions(duration=20.0).for_limits(slow).size == 5
     quick = replace(slow, acceleration=6.0 * slow.velocity)
     assert DesignOptions(duration=20.0).for_limits(quick).size == 12
-    assert [getattr(DesignOptions(duration=100.0).for_limits(slow), name) for name in ("size", "periods")] == [25, 1]
-    assert [getattr(DesignOptions(duration=100.0).for_limits(quick), name) for name in ("size", "periods")] == [15, 4]
-    assert [getattr(DesignOptions(duration=100.0, periods=1).for_limits(quick), name) for name in ("size", "periods")] == [25, 1]
+    assert [
+        getattr(DesignOptions(duration=100.0).for_limits(slow), name)
+        for name in ("size", "periods")
+    ] == [25, 1]
+    assert [
+        getattr(DesignOptions(duration=100.0).for_limits(quick), name)
+        for name in ("size", "periods")
+    ] == [15, 4]
+    assert [
+        getattr(DesignOptions(duration=100.0, periods=1).for_limits(quick), name)
+        for name in ("size", "periods")
+    ] == [25, 1]
     assert DesignOptions(duration=20.0, size=7).for_limits(quick).size == 7
     for family, few, many in (("bspline", 17, 39), ("quintic", 17, 20), ("point-to-point", 17, 17)):
         assert DesignOptions(duration=20.0, parametrisation=family).family.size == few

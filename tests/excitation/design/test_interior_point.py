@@ -41,12 +41,17 @@ class Nearest(MotionProgram):
 
     def evaluate(self, q, qd, qdd) -> Evaluation:
         away = [x - w for x, w in zip((q, qd, qdd), self.wanted, strict=True)]
-        return Evaluation(-sum(float((x**2).sum()) for x in away), lambda: tuple(-2 * x for x in away))
+        return Evaluation(
+            -sum(float((x**2).sum()) for x in away), lambda: tuple(-2 * x for x in away)
+        )
 
 
 def by_cvxpy(program: Nearest, disc: Disc | None = None) -> float:
     c = cp.Variable((4, 2))
-    cost = sum(cp.sum_squares(basis @ c - wanted) for basis, wanted in zip(program.bases, program.wanted, strict=True))
+    cost = sum(
+        cp.sum_squares(basis @ c - wanted)
+        for basis, wanted in zip(program.bases, program.wanted, strict=True)
+    )
     limits = [
         cp.abs(basis @ c[:, j]) <= half[j]
         for basis, half in zip(program.bases, program.half, strict=True)
@@ -80,7 +85,11 @@ def test_every_iterate_respects_the_constraints() -> None:
     program = Nearest(0, [Disc([0.0, 0.0], 1.0)])
     seen = []
     solve(
-        program, np.zeros((4, 2)), improved=lambda coefficients, _: seen.append(min(float(s.min()) for s in program.margins(coefficients)))
+        program,
+        np.zeros((4, 2)),
+        improved=lambda coefficients, _: seen.append(
+            min(float(s.min()) for s in program.margins(coefficients))
+        ),
     )
     assert len(seen) > 5
     assert min(seen) > 0

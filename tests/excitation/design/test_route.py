@@ -77,7 +77,10 @@ def test_short_tours_of_few_places_are_the_shortest() -> None:
     for _ in range(5):
         places = rng.uniform(size=(7, 2))
         apart = np.abs(places[:, None] - places[None]).max(axis=2)
-        best = min(sum(apart[i, j] for i, j in itertools.pairwise(order)) for order in itertools.permutations(range(7)))
+        best = min(
+            sum(apart[i, j] for i, j in itertools.pairwise(order))
+            for order in itertools.permutations(range(7))
+        )
         tour = short_tour(apart)
         assert sorted(tour) == list(range(7))
         assert sum(apart[i, j] for i, j in itertools.pairwise(tour)) < 1.1 * best

@@ -22,7 +22,13 @@ def standing(model, poses, drive=None):
 
 
 @pytest.mark.parametrize(
-    ("robot", "drive"), [("kuka-iiwa7-r800", "none"), ("ur10e", "none"), ("two-link", "offset"), ("franka-panda", "none")]
+    ("robot", "drive"),
+    [
+        ("kuka-iiwa7-r800", "none"),
+        ("ur10e", "none"),
+        ("two-link", "offset"),
+        ("franka-panda", "none"),
+    ],
 )
 def test_poses_tell_all_that_gravity_tells_better_than_random_ones(robot: str, drive: str) -> None:
     model, terms = load_robot(robot), DriveSet.parse(drive)
@@ -35,12 +41,20 @@ def test_poses_tell_all_that_gravity_tells_better_than_random_ones(robot: str, d
     assert design.n_parameters == told.shape[1]
 
     def log_det(poses) -> float:
-        return float(np.linalg.slogdet((standing(model, poses, terms) @ told).T @ (standing(model, poses, terms) @ told))[1])
+        return float(
+            np.linalg.slogdet(
+                (standing(model, poses, terms) @ told).T @ (standing(model, poses, terms) @ told)
+            )[1]
+        )
 
-    random = [log_det(rng.uniform(bounds.lower, bounds.upper, (14, model.n_joints))) for _ in range(100)]
+    random = [
+        log_det(rng.uniform(bounds.lower, bounds.upper, (14, model.n_joints))) for _ in range(100)
+    ]
     assert log_det(design.poses) > max(random)
     assert np.all((design.poses >= bounds.lower - 1e-9) & (design.poses <= bounds.upper + 1e-9))
-    assert np.all(np.abs(gravity_torque(model, design.poses)) <= 0.8 * MotionBounds.of(model).torque)
+    assert np.all(
+        np.abs(gravity_torque(model, design.poses)) <= 0.8 * MotionBounds.of(model).torque
+    )
     assert design.limits.worst_margin["velocity"] >= 0
     visited = design.motion.at(design.motion.sample_times(100.0))[0]
     for pose in design.poses:
@@ -64,13 +78,19 @@ def test_a_robot_that_hardly_carries_itself_finds_its_way(seed: int) -> None:
     """The straight way between two poses may be too heavy where both are not."""
     model = load_robot("ur10e")
     weak = replace(
-        model, joints=tuple(replace(joint, limits=replace(joint.limits, torque=0.3 * joint.limits.torque)) for joint in model.joints)
+        model,
+        joints=tuple(
+            replace(joint, limits=replace(joint.limits, torque=0.3 * joint.limits.torque))
+            for joint in model.joints
+        ),
     )
     design = design_static_poses(weak, 10, seed=seed)
     q, qd, qdd = design.motion.at(design.motion.sample_times(1000.0))
     other = pinocchio_model(weak)
     data = other.createData()
-    tau = np.array([pin.rnea(other, data, *map(np.array, state)) for state in zip(q, qd, qdd, strict=True)])
+    tau = np.array(
+        [pin.rnea(other, data, *map(np.array, state)) for state in zip(q, qd, qdd, strict=True)]
+    )
     assert np.all(np.abs(tau) <= 0.8 * MotionBounds.of(weak).torque * (1 + 1e-9))
     for pose in design.poses:
         assert np.abs(q - pose).max(axis=1).min() < 1e-4

@@ -19,7 +19,10 @@ def rough(model):
         replace(
             joint,
             drive=replace(
-                joint.drive, viscous=3.0 + k, coulomb=4.0, terms={"load_friction": {"Fl": 0.05 + 0.01 * k}, "spring": {"Ks": 2.0 + k}}
+                joint.drive,
+                viscous=3.0 + k,
+                coulomb=4.0,
+                terms={"load_friction": {"Fl": 0.05 + 0.01 * k}, "spring": {"Ks": 2.0 + k}},
             ),
         )
         for k, joint in enumerate(model.joints)
@@ -30,7 +33,15 @@ def rough(model):
 def unlike(model):
     """The robot with friction whose shape differs from joint to joint, and one joint without."""
     joints = [
-        replace(joint, drive=replace(joint.drive, terms={"stribeck": {"Fs": 5.0, "velocity": 0.3 + 0.1 * k, "power": 2.0}} if k else {}))
+        replace(
+            joint,
+            drive=replace(
+                joint.drive,
+                terms=(
+                    {"stribeck": {"Fs": 5.0, "velocity": 0.3 + 0.1 * k, "power": 2.0}} if k else {}
+                ),
+            ),
+        )
         for k, joint in enumerate(model.joints)
     ]
     return replace(model, joints=tuple(joints))
@@ -60,7 +71,9 @@ def test_values_are_the_torques_of_every_description(name: str) -> None:
     state, kept = states(model.n_joints), np.flatnonzero(np.isfinite(limit))
     found = TorqueLimit(models, limit).values(*state).reshape(-1, 4, kept.size)
     for place, other in enumerate(models):
-        np.testing.assert_allclose(found[:, place], (inverse_dynamics(other, *state) / limit)[:, kept], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            found[:, place], (inverse_dynamics(other, *state) / limit)[:, kept], rtol=0, atol=1e-12
+        )
 
 
 @pytest.mark.parametrize("make", [rough, unlike])
@@ -71,7 +84,9 @@ def test_friction_is_that_of_the_description_away_from_standstill(make) -> None:
     rigid = inverse_dynamics(model, *state)
     drive, values = described_drive(model)
     expected = rigid + drive_torque(drive, values, *state, load=rigid)
-    np.testing.assert_allclose(TorqueLimit((model,), limit).values(*state), expected / limit, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        TorqueLimit((model,), limit).values(*state), expected / limit, rtol=0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("make", [lambda model: model, rough, unlike])
@@ -81,10 +96,15 @@ def test_slopes_of_torque_and_power_are_differences_of_the_values(make, others: 
     limit = np.array([300.0, 250.0, 100.0, np.inf, 30.0, 20.0])
     state = states(6)
     state[1][np.abs(state[1]) < 0.1] = 0.1
-    constraints = [TorqueLimit(perturbed_models(model, others, 0.2, np.random.default_rng(2)), limit), PowerLimit(model, limit)]
+    constraints = [
+        TorqueLimit(perturbed_models(model, others, 0.2, np.random.default_rng(2)), limit),
+        PowerLimit(model, limit),
+    ]
     for constraint in constraints:
         expected = differences(constraint, state)
-        np.testing.assert_allclose(constraint.slopes(*state), expected, rtol=0, atol=2e-6 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            constraint.slopes(*state), expected, rtol=0, atol=2e-6 * np.abs(expected).max()
+        )
 
 
 def test_friction_of_motors_that_several_joints_turn_counts() -> None:
@@ -93,7 +113,10 @@ def test_friction_of_motors_that_several_joints_turn_counts() -> None:
     coupling = np.eye(6)
     coupling[4, 3] = 0.5
     joints = [
-        replace(joint, drive=replace(joint.drive, terms={"motor_viscous": {"Fvm": 2.0}} if k == 4 else {}))
+        replace(
+            joint,
+            drive=replace(joint.drive, terms={"motor_viscous": {"Fvm": 2.0}} if k == 4 else {}),
+        )
         for k, joint in enumerate(model.joints)
     ]
     model = replace(model, joints=tuple(joints), motor_coupling=coupling)
@@ -102,4 +125,6 @@ def test_friction_of_motors_that_several_joints_turn_counts() -> None:
     expected = inverse_dynamics(model, *state) + 2.0 * np.outer(state[1] @ coupling[4], coupling[4])
     np.testing.assert_allclose(constraint.values(*state), expected / limit, rtol=0, atol=1e-12)
     slopes = differences(constraint, state)
-    np.testing.assert_allclose(constraint.slopes(*state), slopes, rtol=0, atol=2e-6 * np.abs(slopes).max())
+    np.testing.assert_allclose(
+        constraint.slopes(*state), slopes, rtol=0, atol=2e-6 * np.abs(slopes).max()
+    )

@@ -49,7 +49,9 @@ def test_values_are_what_their_names_say() -> None:
     assert DOptimality().value(m) == pytest.approx(np.log(eigenvalues).sum())
     assert AOptimality().value(m) == pytest.approx(-p * np.log(np.mean(1 / eigenvalues)))
     assert EOptimality().value(m) / p == pytest.approx(np.log(eigenvalues[0]), abs=np.log(p) / 16)
-    assert ConditionNumber().value(m) / p == pytest.approx(-np.log(np.linalg.cond(m)) / 2, abs=np.log(p) / 16)
+    assert ConditionNumber().value(m) / p == pytest.approx(
+        -np.log(np.linalg.cond(m)) / 2, abs=np.log(p) / 16
+    )
 
 
 def test_a_focus_counts_what_is_left_when_all_else_is_unknown() -> None:

@@ -29,15 +29,25 @@ def test_information_is_the_weighted_gram_matrix_of_the_observations(robot: str)
     noise = np.linspace(0.5, 2.0, model.n_joints)
     model, base, information = prepared(robot, "viscous,coulomb,offset", noise)
     state = drawn(model.n_joints)
-    w = observation_matrix(model, *state, drive=base.drive, columns=base.columns) / np.tile(noise, 60)[:, None]
+    w = (
+        observation_matrix(model, *state, drive=base.drive, columns=base.columns)
+        / np.tile(noise, 60)[:, None]
+    )
     found = information.matrix(information.rows(*state, smooth=False), 60)
     assert found == pytest.approx(w.T @ w, rel=1e-10, abs=1e-9)
-    assert mean_information(information, *state, at_once=17) == pytest.approx(w.T @ w / 60, rel=1e-10, abs=1e-10)
+    assert mean_information(information, *state, at_once=17) == pytest.approx(
+        w.T @ w / 60, rel=1e-10, abs=1e-10
+    )
 
 
 @pytest.mark.parametrize(
     ("robot", "drive"),
-    [("two-link", "viscous,coulomb,offset"), ("scara", "armature,viscous"), ("kuka-iiwa7-r800", "coulomb"), ("ur10e", "none")],
+    [
+        ("two-link", "viscous,coulomb,offset"),
+        ("scara", "armature,viscous"),
+        ("kuka-iiwa7-r800", "coulomb"),
+        ("ur10e", "none"),
+    ],
 )
 def test_gradient_of_log_det_is_that_of_central_differences(robot: str, drive: str) -> None:
     model, _, information = prepared(robot, drive)
@@ -51,15 +61,22 @@ def test_gradient_of_log_det_is_that_of_central_differences(robot: str, drive: s
     rng = np.random.default_rng(5)
     for order in range(3):
         way = rng.normal(size=state[0].shape)
-        sides = [value([x + side * way if k == order else x for k, x in enumerate(state)]) for side in (1e-6, -1e-6)]
-        assert (sides[0] - sides[1]) / 2e-6 == pytest.approx(float(np.sum(gradient[order] * way)), rel=2e-5, abs=1e-5)
+        sides = [
+            value([x + side * way if k == order else x for k, x in enumerate(state)])
+            for side in (1e-6, -1e-6)
+        ]
+        assert (sides[0] - sides[1]) / 2e-6 == pytest.approx(
+            float(np.sum(gradient[order] * way)), rel=2e-5, abs=1e-5
+        )
 
 
 def test_smooth_columns_differ_from_exact_ones_only_near_standstill() -> None:
     model, _, information = prepared("two-link", "viscous,coulomb,offset")
     q, qd, qdd = drawn(model.n_joints)
     qd = np.sign(qd) * (np.abs(qd) + 10 * information.width)
-    assert information.rows(q, qd, qdd)[:, :60] == pytest.approx(information.rows(q, qd, qdd, smooth=False)[:, :60], abs=1e-7)
+    assert information.rows(q, qd, qdd)[:, :60] == pytest.approx(
+        information.rows(q, qd, qdd, smooth=False)[:, :60], abs=1e-7
+    )
 
 
 @pytest.mark.parametrize("noise", [0.0, [1.0, 2.0, 3.0], np.nan, [1.0, -1.0]])

@@ -22,7 +22,14 @@ def two_link():
     base = find_base_parameters(model, DriveSet.parse("viscous,offset"))
     information, bounds = Information.of(model, base), MotionBounds.assumed(model)
     torque = MotionBounds.of(model).torque
-    return model, base, information, bounds, torque, information_bound(model, information, bounds, torque=torque)
+    return (
+        model,
+        base,
+        information,
+        bounds,
+        torque,
+        information_bound(model, information, bounds, torque=torque),
+    )
 
 
 def test_the_bound_is_that_of_the_convex_program(two_link) -> None:
@@ -32,12 +39,16 @@ def test_the_bound_is_that_of_the_convex_program(two_link) -> None:
     def best(states) -> float:
         tau = inverse_dynamics(model, *states)
         states = [x[(np.abs(tau) <= torque).all(axis=1)] for x in states]
-        w = observation_matrix(model, *states, drive=base.drive, columns=base.columns).reshape(len(states[0]), model.n_joints, -1)
+        w = observation_matrix(model, *states, drive=base.drive, columns=base.columns).reshape(
+            len(states[0]), model.n_joints, -1
+        )
         size = np.sqrt(np.einsum("ski,ski->i", w, w) / len(w))
         w = w / size
         weights = cp.Variable(len(w), nonneg=True)
         rows = w.reshape(-1, w.shape[2])
-        mean = rows.T @ cp.diag(np.kron(np.eye(len(w)), np.ones((model.n_joints, 1))) @ weights) @ rows
+        mean = (
+            rows.T @ cp.diag(np.kron(np.eye(len(w)), np.ones((model.n_joints, 1))) @ weights) @ rows
+        )
         program = cp.Problem(cp.Maximize(cp.log_det(mean)), [cp.sum(weights) == 1])
         return float(program.solve(solver=cp.CLARABEL)) + 2 * float(np.log(size).sum())
 

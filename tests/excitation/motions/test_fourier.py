@@ -12,7 +12,9 @@ from asbuilt.excitation.motions.fourier import FourierMotion
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(2, 12), st.floats(0.5, 60), st.integers(1, 3), st.integers(0, 2**32 - 1))
-def test_any_coefficients_are_at_rest_at_both_ends(harmonics: int, period: float, periods: int, seed: int) -> None:
+def test_any_coefficients_are_at_rest_at_both_ends(
+    harmonics: int, period: float, periods: int, seed: int
+) -> None:
     rows = np.random.default_rng(seed).normal(size=(2 * harmonics - 1, 2))
     motion = FourierMotion(rows, period, periods)
     w = 2 * np.pi / period
@@ -25,7 +27,9 @@ def test_any_coefficients_are_at_rest_at_both_ends(harmonics: int, period: float
 
 @pytest.mark.parametrize("harmonics", [2, 5, 9])
 def test_is_the_series_of_swevers(harmonics: int) -> None:
-    motion = FourierMotion(np.random.default_rng(harmonics).normal(size=(2 * harmonics - 1, 3)), 12.0)
+    motion = FourierMotion(
+        np.random.default_rng(harmonics).normal(size=(2 * harmonics - 1, 3)), 12.0
+    )
     q0, a, b = motion.series
     w = motion.fundamental
     orders = np.arange(1, harmonics + 1)
@@ -35,10 +39,18 @@ def test_is_the_series_of_swevers(harmonics: int) -> None:
     phase = np.outer(t, orders) * w
     q, qd, qdd = motion.at(t)
     np.testing.assert_allclose(
-        q, q0 + np.sin(phase) @ (a / (w * orders[:, None])) - np.cos(phase) @ (b / (w * orders[:, None])), atol=1e-12
+        q,
+        q0
+        + np.sin(phase) @ (a / (w * orders[:, None]))
+        - np.cos(phase) @ (b / (w * orders[:, None])),
+        atol=1e-12,
     )
     np.testing.assert_allclose(qd, np.cos(phase) @ a + np.sin(phase) @ b, atol=1e-12)
-    np.testing.assert_allclose(qdd, -np.sin(phase) @ (a * w * orders[:, None]) + np.cos(phase) @ (b * w * orders[:, None]), atol=1e-11)
+    np.testing.assert_allclose(
+        qdd,
+        -np.sin(phase) @ (a * w * orders[:, None]) + np.cos(phase) @ (b * w * orders[:, None]),
+        atol=1e-11,
+    )
 
 
 def test_holds_no_frequency_above_the_last_harmonic() -> None:
@@ -51,7 +63,9 @@ def test_periods_repeat() -> None:
     motion = FourierMotion(np.random.default_rng(0).normal(size=(7, 2)), 3.0, periods=4)
     t = np.linspace(0, 3.0, 31)
     for order in range(4):
-        np.testing.assert_allclose(motion.derivative(t + 6.0, order), motion.derivative(t, order), atol=1e-10)
+        np.testing.assert_allclose(
+            motion.derivative(t + 6.0, order), motion.derivative(t, order), atol=1e-10
+        )
 
 
 @settings(max_examples=30, deadline=None)

@@ -28,7 +28,12 @@ def motions() -> dict[str, Motion]:
     return {
         "quintic": quintic,
         "quintic moving": QuinticMotion.between(
-            POSES[0], POSES[1], 1.7, start_velocity=POSES[2], end_velocity=0.4, end_acceleration=POSES[3]
+            POSES[0],
+            POSES[1],
+            1.7,
+            start_velocity=POSES[2],
+            end_velocity=0.4,
+            end_acceleration=POSES[3],
         ),
         "point to point": PointToPointMotion.within(POSES, **LIMITS, dwell=0.2),
         "cubic rest": SplineMotion.within(POSES, **LIMITS, degree=3),
@@ -39,7 +44,10 @@ def motions() -> dict[str, Motion]:
         "fourier": fourier,
         "b-spline": BSplineMotion(rng.normal(size=(9, 3)), 7.0),
         "slowed": fourier.slowed(1.7),
-        "concatenated": Concatenated([quintic, QuinticMotion.between(POSES[-1], fourier.start, 4.0), fourier], dwell=[0.5, 0.0]),
+        "concatenated": Concatenated(
+            [quintic, QuinticMotion.between(POSES[-1], fourier.start, 4.0), fourier],
+            dwell=[0.5, 0.0],
+        ),
         "sampled": SampledMotion.of(sampled.t, sampled.q, sampled.qd, sampled.qdd),
     }
 
@@ -54,8 +62,12 @@ def breaks_of(motion: Motion) -> np.ndarray:
     if isinstance(motion, PiecewisePolynomial):
         return motion.breaks
     if isinstance(motion, Concatenated):
-        inner = [start + breaks_of(m) for start, m in zip(motion.starts, motion.motions, strict=True)]
-        return np.concatenate([*inner, [m.duration + s for m, s in zip(motion.motions, motion.starts, strict=True)]])
+        inner = [
+            start + breaks_of(m) for start, m in zip(motion.starts, motion.motions, strict=True)
+        ]
+        return np.concatenate(
+            [*inner, [m.duration + s for m, s in zip(motion.motions, motion.starts, strict=True)]]
+        )
     return np.array([0.0, motion.duration])
 
 
@@ -164,11 +176,17 @@ def test_derivatives_are_linear_in_the_coefficients(name: str, order: int) -> No
     motion = MOTIONS[name]
     assert isinstance(motion, BasisMotion)
     t = np.linspace(0, motion.duration, 50)
-    np.testing.assert_allclose(motion.basis(t, order) @ motion.coefficients, motion.derivative(t, order), atol=1e-12)
+    np.testing.assert_allclose(
+        motion.basis(t, order) @ motion.coefficients, motion.derivative(t, order), atol=1e-12
+    )
     rng = np.random.default_rng(0)
     other = motion.with_coefficients(rng.normal(size=motion.coefficients.shape))
     both = motion.with_coefficients(2 * motion.coefficients - other.coefficients)
-    np.testing.assert_allclose(both.derivative(t, order), 2 * motion.derivative(t, order) - other.derivative(t, order), atol=1e-9)
+    np.testing.assert_allclose(
+        both.derivative(t, order),
+        2 * motion.derivative(t, order) - other.derivative(t, order),
+        atol=1e-9,
+    )
     assert type(both) is type(motion)
     assert both.duration == motion.duration
 
@@ -177,7 +195,9 @@ def test_slowing_scales_each_derivative() -> None:
     motion = MOTIONS["quintic"]
     slow = motion.slowed(10)
     for order in range(4):
-        np.testing.assert_allclose(slow.derivative(5.0, order), motion.derivative(0.5, order) / 10**order, rtol=1e-12)
+        np.testing.assert_allclose(
+            slow.derivative(5.0, order), motion.derivative(0.5, order) / 10**order, rtol=1e-12
+        )
     with pytest.raises(MotionError, match="positive factor"):
         motion.slowed(0)
 
@@ -193,7 +213,13 @@ def test_concatenation_rests_between_motions() -> None:
 
 def test_motions_that_do_not_meet_are_refused() -> None:
     there = QuinticMotion.between([0.0, 0.0], [1.0, 1.0], 2.0)
-    with pytest.raises(MotionError, match=r"motion 1 ends with position 1 of joint 2, motion 2 starts with 0.5.*QuinticMotion.between"):
+    with pytest.raises(
+        MotionError,
+        match=(
+            r"motion 1 ends with position 1 of joint 2, motion 2 starts with"
+            r" 0.5.*QuinticMotion.between"
+        ),
+    ):
         Concatenated([there, QuinticMotion.between([1.0, 0.5], [0.0, 0.0], 1.0)])
     moving = QuinticMotion.between([0.0, 0.0], [1.0, 1.0], 2.0, end_velocity=0.5)
     with pytest.raises(MotionError, match=r"ends with velocity 0\.5 of joint 1"):

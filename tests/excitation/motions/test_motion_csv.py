@@ -20,8 +20,12 @@ def motion() -> FourierMotion:
 
 
 def robot(names: tuple[str, ...]) -> RobotModel:
-    joints = tuple(Joint(name, "revolute", i - 1, np.eye(4), np.eye(4)) for i, name in enumerate(names))
-    return RobotModel("three", joints, tuple(Link(f"link {name}", LinkInertia.zero()) for name in names))
+    joints = tuple(
+        Joint(name, "revolute", i - 1, np.eye(4), np.eye(4)) for i, name in enumerate(names)
+    )
+    return RobotModel(
+        "three", joints, tuple(Link(f"link {name}", LinkInertia.zero()) for name in names)
+    )
 
 
 def test_between_the_samples_the_motion_is_interpolated_smoothly(tmp_path: Path) -> None:
@@ -34,8 +38,13 @@ def test_between_the_samples_the_motion_is_interpolated_smoothly(tmp_path: Path)
 def test_joints_are_matched_by_name(tmp_path: Path) -> None:
     path = write_motion(tmp_path / "m.csv", motion(), NAMES, rate=50)
     back = read_motion(path, robot(("joint 3", "shoulder", "elbow")))
-    np.testing.assert_allclose(back.derivative(1.0), motion().derivative(1.0)[[2, 0, 1]], atol=1e-12)
-    with pytest.raises(MotionError, match=r"missing joints wrist, unknown joints elbow; the robot has shoulder, wrist, joint 3"):
+    np.testing.assert_allclose(
+        back.derivative(1.0), motion().derivative(1.0)[[2, 0, 1]], atol=1e-12
+    )
+    with pytest.raises(
+        MotionError,
+        match=r"missing joints wrist, unknown joints elbow; the robot has shoulder, wrist, joint 3",
+    ):
         read_motion(path, robot(("shoulder", "wrist", "joint 3")))
 
 
@@ -46,8 +55,12 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
     np.savetxt(path, table, delimiter=",", header="t,q_a,q_b,q_c", comments="", fmt="%.17g")
     back = read_motion(path)
     middle = t[50:-50]
-    np.testing.assert_allclose(back.derivative(middle, 1), motion().derivative(middle, 1), atol=1e-6)
-    np.testing.assert_allclose(back.derivative(middle, 2), motion().derivative(middle, 2), atol=1e-3)
+    np.testing.assert_allclose(
+        back.derivative(middle, 1), motion().derivative(middle, 1), atol=1e-6
+    )
+    np.testing.assert_allclose(
+        back.derivative(middle, 2), motion().derivative(middle, 2), atol=1e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -55,10 +68,19 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
     [
         ("", "cannot read the motion"),
         ("t,q_a\n", "a header but no data"),
-        ("time,x\n0,1\n1,2\n", "not a motion: it needs a column t and columns q_<joint>; it has time, x"),
-        ("t,q_a,qd_a,qdd_a\n0,1,0,0\n0,2,0,0\n", "rise from line to line and there must be two; they do not at line 3"),
+        (
+            "time,x\n0,1\n1,2\n",
+            "not a motion: it needs a column t and columns q_<joint>; it has time, x",
+        ),
+        (
+            "t,q_a,qd_a,qdd_a\n0,1,0,0\n0,2,0,0\n",
+            "rise from line to line and there must be two; they do not at line 3",
+        ),
         ("t,q_a,qd_a,qdd_a\n0,1,0,0\n", "must be two"),
-        ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1,oops,0,0\n", "line 3, column q_a holds 'oops', not a number"),
+        (
+            "t,q_a,qd_a,qdd_a\n0,1,0,0\n1,oops,0,0\n",
+            "line 3, column q_a holds 'oops', not a number",
+        ),
         ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1,,0,0\n", "line 3, column q_a is empty or not finite"),
         ("t,q_a,qd_a,qdd_a\n0,1,0,0\n1,NaN,0,0\n", "line 3, column q_a is empty or not finite"),
         ("t,q_a,q_b,qd_a,qdd_a,qdd_b\n0,1,0,0,0,0\n1,2,0,0,0,0\n", "has no column qd_b"),

@@ -41,15 +41,24 @@ class SlowAbove(StateConstraint):
 def weakened(name: str, share: float):
     model = load_robot(name)
     return replace(
-        model, joints=tuple(replace(joint, limits=replace(joint.limits, torque=share * joint.limits.torque)) for joint in model.joints)
+        model,
+        joints=tuple(
+            replace(joint, limits=replace(joint.limits, torque=share * joint.limits.torque))
+            for joint in model.joints
+        ),
     )
 
 
 def test_only_the_move_that_asks_for_it_is_slowed_down() -> None:
-    fast = PointToPointMotion.within(POSES, velocity=PLANE.velocity, acceleration=PLANE.acceleration)
+    fast = PointToPointMotion.within(
+        POSES, velocity=PLANE.velocity, acceleration=PLANE.acceleration
+    )
     paced = paced_moves(POSES, PLANE, [SlowAbove(0.4)])
     assert paced is not None
-    arrival = fast.breaks[-1] - PointToPointMotion.within(POSES[2:], velocity=1.0, acceleration=4.0).duration
+    arrival = (
+        fast.breaks[-1]
+        - PointToPointMotion.within(POSES[2:], velocity=1.0, acceleration=4.0).duration
+    )
     t = np.linspace(0.0, arrival, 500)
     np.testing.assert_allclose(paced.derivative(t), fast.derivative(t), atol=1e-12)
     late = paced.derivative(np.linspace(arrival, paced.duration, 2000), 1)[:, 0]
@@ -73,7 +82,13 @@ def test_the_weight_is_gravity_by_pinocchio() -> None:
     for k in range(6):
         step = 1e-6 * np.eye(6)[k]
         change = np.array(
-            [(pin.computeGeneralizedGravity(other, data, p + step) - pin.computeGeneralizedGravity(other, data, p - step)) for p in q]
+            [
+                (
+                    pin.computeGeneralizedGravity(other, data, p + step)
+                    - pin.computeGeneralizedGravity(other, data, p - step)
+                )
+                for p in q
+            ]
         )
         np.testing.assert_allclose(slopes[:, :, k], change / 2e-6 / limit, atol=1e-7)
     assert not weight.binds(q)
@@ -82,10 +97,19 @@ def test_the_weight_is_gravity_by_pinocchio() -> None:
 
 def test_poses_are_designed_for_a_robot_that_hardly_carries_itself() -> None:
     model = weakened("ur10e", 0.3)
-    options = DesignOptions(parametrisation="point-to-point", duration=5.0, size=6, starts=2, time_limit=20.0)
-    motion = design_motion(model, DriveSet.parse("viscous,coulomb,offset"), options, with_bound=False, cores=1).motion
+    options = DesignOptions(
+        parametrisation="point-to-point", duration=5.0, size=6, starts=2, time_limit=20.0
+    )
+    motion = design_motion(
+        model, DriveSet.parse("viscous,coulomb,offset"), options, with_bound=False, cores=1
+    ).motion
     other = pinocchio_model(model)
     data = other.createData()
-    tau = np.array([pin.rnea(other, data, *map(np.array, state)) for state in zip(*motion.at(motion.sample_times(1000.0)), strict=True)])
+    tau = np.array(
+        [
+            pin.rnea(other, data, *map(np.array, state))
+            for state in zip(*motion.at(motion.sample_times(1000.0)), strict=True)
+        ]
+    )
     allowed = 0.8 * np.array([joint.limits.torque for joint in model.joints])
     assert np.all(np.abs(tau) <= allowed * (1 + 1e-9))

@@ -22,14 +22,20 @@ def test_limiting_joint_attains_its_limit_and_the_path_is_straight(seed: int) ->
     assert a == pytest.approx(1.0, abs=1e-12)
     if motion.breaks.size == 4:
         assert v == pytest.approx(1.0, abs=1e-12)
-    progress = (motion.derivative(np.linspace(0, motion.duration, 50)) - poses[0]) / (poses[1] - poses[0])
+    progress = (motion.derivative(np.linspace(0, motion.duration, 50)) - poses[0]) / (
+        poses[1] - poses[0]
+    )
     np.testing.assert_allclose(progress, progress[:, :1] * np.ones(5), atol=1e-9)
 
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.01, 5), st.floats(0.05, 5), st.floats(0.05, 50))
-def test_duration_is_the_minimum_of_bang_bang_control(distance: float, velocity: float, acceleration: float) -> None:
-    motion = PointToPointMotion.within([[0.0], [distance]], velocity=velocity, acceleration=acceleration)
+def test_duration_is_the_minimum_of_bang_bang_control(
+    distance: float, velocity: float, acceleration: float
+) -> None:
+    motion = PointToPointMotion.within(
+        [[0.0], [distance]], velocity=velocity, acceleration=acceleration
+    )
     if distance <= velocity**2 / acceleration:
         expected = 2 * np.sqrt(distance / acceleration)
     else:
@@ -72,8 +78,12 @@ def test_poses_that_differ_by_rounding_are_one() -> None:
 
 
 def test_joints_that_do_not_move_stay_put() -> None:
-    motion = PointToPointMotion.within([[0.0, 1.0], [2.0, 1.0], [2.0, 1.0]], velocity=1.0, acceleration=1.0)
-    np.testing.assert_array_equal(motion.derivative(np.linspace(0, motion.duration, 100))[:, 1], 1.0)
+    motion = PointToPointMotion.within(
+        [[0.0, 1.0], [2.0, 1.0], [2.0, 1.0]], velocity=1.0, acceleration=1.0
+    )
+    np.testing.assert_array_equal(
+        motion.derivative(np.linspace(0, motion.duration, 100))[:, 1], 1.0
+    )
 
 
 @pytest.mark.parametrize(

@@ -27,15 +27,22 @@ def test_passes_the_way_points_with_continuous_derivatives(degree: int, ends: st
     motion = SplineMotion.through(POINTS, TIMES, degree=degree, ends=ends)  # type: ignore[arg-type]
     np.testing.assert_allclose(motion.derivative(TIMES), POINTS, atol=1e-11)
     for order in range(degree):
-        left, right = motion.derivative(motion.breaks[1:-1] - 1e-10, order), motion.derivative(motion.breaks[1:-1] + 1e-10, order)
+        left, right = (
+            motion.derivative(motion.breaks[1:-1] - 1e-10, order),
+            motion.derivative(motion.breaks[1:-1] + 1e-10, order),
+        )
         np.testing.assert_allclose(left, right, atol=1e-5 * (1 + motion.peaks(order).max()))
 
 
-@pytest.mark.parametrize(("degree", "ends", "orders"), [(3, "rest", (1, 2)), (5, "rest", (1, 2)), (5, "natural", (3, 4))])
+@pytest.mark.parametrize(
+    ("degree", "ends", "orders"), [(3, "rest", (1, 2)), (5, "rest", (1, 2)), (5, "natural", (3, 4))]
+)
 def test_end_derivatives_vanish(degree: int, ends: str, orders: tuple[int, ...]) -> None:
     motion = SplineMotion.through(POINTS, TIMES, degree=degree, ends=ends)  # type: ignore[arg-type]
     for order in orders:
-        np.testing.assert_allclose(motion.derivative([0.0, TIMES[-1]], order), 0.0, atol=1e-9 * motion.peaks(order).max())
+        np.testing.assert_allclose(
+            motion.derivative([0.0, TIMES[-1]], order), 0.0, atol=1e-9 * motion.peaks(order).max()
+        )
 
 
 def test_natural_quintic_has_the_least_squared_jerk() -> None:
@@ -43,17 +50,27 @@ def test_natural_quintic_has_the_least_squared_jerk() -> None:
     rest = SplineMotion.through(POINTS[:, :1], TIMES, ends="rest")
     # The first variation of the squared jerk vanishes in every direction that keeps the way points.
     difference = quad(
-        lambda t: float(natural.jerk(t)[0] * (rest.jerk(t) - natural.jerk(t))[0]), 0, TIMES[-1], points=TIMES[1:-1], limit=200
+        lambda t: float(natural.jerk(t)[0] * (rest.jerk(t) - natural.jerk(t))[0]),
+        0,
+        TIMES[-1],
+        points=TIMES[1:-1],
+        limit=200,
     )[0]
-    energy = quad(lambda t: float(natural.jerk(t)[0] ** 2), 0, TIMES[-1], points=TIMES[1:-1], limit=200)[0]
+    energy = quad(
+        lambda t: float(natural.jerk(t)[0] ** 2), 0, TIMES[-1], points=TIMES[1:-1], limit=200
+    )[0]
     assert abs(difference) < 1e-7 * energy
 
 
 @pytest.mark.parametrize(("degree", "ends"), KINDS)
 @pytest.mark.parametrize("limits", [(1.5, 5.0, np.inf), (10.0, 2.0, np.inf), (2.0, 5.0, 8.0)])
-def test_fastest_spline_attains_one_limit_and_keeps_the_others(degree: int, ends: str, limits: tuple[float, float, float]) -> None:
+def test_fastest_spline_attains_one_limit_and_keeps_the_others(
+    degree: int, ends: str, limits: tuple[float, float, float]
+) -> None:
     velocity, acceleration, jerk = limits
-    motion = SplineMotion.within(POINTS, velocity=velocity, acceleration=acceleration, jerk=jerk, degree=degree, ends=ends)  # type: ignore[arg-type]
+    motion = SplineMotion.within(
+        POINTS, velocity=velocity, acceleration=acceleration, jerk=jerk, degree=degree, ends=ends
+    )  # type: ignore[arg-type]
     ratios = [motion.peaks(order).max() / limit for order, limit in enumerate(limits, start=1)]
     assert max(ratios) == pytest.approx(1.0, abs=1e-9)
     fine = motion.sample(2000)
@@ -66,13 +83,18 @@ def test_fastest_spline_attains_one_limit_and_keeps_the_others(degree: int, ends
 def test_two_way_points_suffice(degree: int) -> None:
     motion = SplineMotion.through([[0.0], [1.0]], [0.0, 2.0], degree=degree)
     np.testing.assert_allclose([motion.start, motion.end], [[0.0], [1.0]], atol=1e-12)
-    np.testing.assert_allclose(np.abs([motion.derivative([0.0, 2.0], k) for k in (1, 2)]), 0, atol=1e-10)
+    np.testing.assert_allclose(
+        np.abs([motion.derivative([0.0, 2.0], k) for k in (1, 2)]), 0, atol=1e-10
+    )
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: SplineMotion.through(POINTS, TIMES, degree=4), r"degree 4 with ends 'rest'; choose from degree 3 'rest'"),
+        (
+            lambda: SplineMotion.through(POINTS, TIMES, degree=4),
+            r"degree 4 with ends 'rest'; choose from degree 3 'rest'",
+        ),
         (lambda: SplineMotion.through(POINTS, TIMES, degree=5, ends="clamped"), "choose from"),
         (lambda: SplineMotion.through(POINTS, TIMES[::-1]), "rising times"),
         (lambda: SplineMotion.through(POINTS[:2], TIMES[:2], ends="natural"), "at least 3"),

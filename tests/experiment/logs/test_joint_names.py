@@ -37,34 +37,64 @@ NAMES = (
 
 def robot_with(names: tuple[str, ...]) -> RobotModel:
     scara = bundled_robot("scara")
-    return replace(scara, joints=tuple(replace(joint, name=name) for joint, name in zip(scara.joints, names, strict=True)))
+    return replace(
+        scara,
+        joints=tuple(
+            replace(joint, name=name) for joint, name in zip(scara.joints, names, strict=True)
+        ),
+    )
 
 
 def columns(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return np.arange(30) / 100, np.cumsum(rng.normal(size=(30, 4)), axis=0), rng.normal(size=(30, 4))
+    return (
+        np.arange(30) / 100,
+        np.cumsum(rng.normal(size=(30, 4)), axis=0),
+        rng.normal(size=(30, 4)),
+    )
 
 
 @pytest.mark.parametrize("names", NAMES, ids=lambda names: names[0])
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 0, 3, 1), (3, 2, 1, 0)], ids=str)
-def test_columns_reach_the_joints_whose_names_they_bear(tmp_path: Path, names: tuple[str, ...], order: tuple[int, ...]) -> None:
+def test_columns_reach_the_joints_whose_names_they_bear(
+    tmp_path: Path, names: tuple[str, ...], order: tuple[int, ...]
+) -> None:
     t, q, tau = columns(0)
-    logged = Recording(t=t, q=q[:, order], tau=tau[:, order], joint_names=tuple(names[k] for k in order), source="log")
+    logged = Recording(
+        t=t,
+        q=q[:, order],
+        tau=tau[:, order],
+        joint_names=tuple(names[k] for k in order),
+        source="log",
+    )
     read = read_recording(write_recording(tmp_path / "log.csv", logged), model=robot_with(names))
     np.testing.assert_allclose(read.q, q)
     np.testing.assert_allclose(read.tau, tau)
     assert read.joint_names == names
 
 
-@pytest.mark.parametrize("names", [("j1", "j2", "j3", "hand"), ("j1", "j2", "finger1", "finger2")], ids=lambda names: names[-1])
-def test_numbered_and_named_joints_of_other_spelling(tmp_path: Path, names: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "names",
+    [("j1", "j2", "j3", "hand"), ("j1", "j2", "finger1", "finger2")],
+    ids=lambda names: names[-1],
+)
+def test_numbered_and_named_joints_of_other_spelling(
+    tmp_path: Path, names: tuple[str, ...]
+) -> None:
     """`pos_joint_1` is joint j1, though named columns stand among the numbered ones."""
     t, q, tau = columns(1)
     spelled = [name.replace("j", "joint_") for name in names]
     order = (3, 1, 0, 2)
     head = ["time", *(f"pos_{spelled[k]}" for k in order), *(f"torque_{spelled[k]}" for k in order)]
     path = tmp_path / "log.csv"
-    np.savetxt(path, np.column_stack([t, q[:, order], tau[:, order]]), delimiter=",", header=",".join(head), comments="", fmt="%.17g")
+    np.savetxt(
+        path,
+        np.column_stack([t, q[:, order], tau[:, order]]),
+        delimiter=",",
+        header=",".join(head),
+        comments="",
+        fmt="%.17g",
+    )
     read = read_recording(path, model=robot_with(names))
     np.testing.assert_array_equal(read.q, q)
     np.testing.assert_array_equal(read.tau, tau)
@@ -72,8 +102,13 @@ def test_numbered_and_named_joints_of_other_spelling(tmp_path: Path, names: tupl
 
 def test_counting_from_zero_among_names_is_not_guessed(tmp_path: Path) -> None:
     t, q, tau = columns(2)
-    head = ["time", *(f"{letter}_{name}" for letter in ("q", "tau") for name in ("0", "1", "2", "hand"))]
+    head = [
+        "time",
+        *(f"{letter}_{name}" for letter in ("q", "tau") for name in ("0", "1", "2", "hand")),
+    ]
     path = tmp_path / "log.csv"
-    np.savetxt(path, np.column_stack([t, q, tau]), delimiter=",", header=",".join(head), comments="")
+    np.savetxt(
+        path, np.column_stack([t, q, tau]), delimiter=",", header=",".join(head), comments=""
+    )
     with pytest.raises(RecordingError, match="Choose the right robot, or say in a recording sheet"):
         read_recording(path, model=robot_with(("j1", "j2", "j3", "hand")))

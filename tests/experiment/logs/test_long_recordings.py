@@ -28,7 +28,11 @@ def model():
 @pytest.fixture(scope="module", params=["parquet", "csv"])
 def log(request, model, tmp_path_factory):
     recording = simulate_recording(model, random_fourier(model, rng=1, duration=60.0), rate=200.0)
-    columns = {"t": recording.t} | {f"q_{k}": recording.q[:, k] for k in range(7)} | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+    columns = (
+        {"t": recording.t}
+        | {f"q_{k}": recording.q[:, k] for k in range(7)}
+        | {f"tau_{k}": recording.tau[:, k] for k in range(7)}
+    )
     path = tmp_path_factory.mktemp("logs") / f"run.{request.param}"
     frame = pl.DataFrame(columns)
     frame.write_parquet(path) if request.param == "parquet" else frame.write_csv(path)
@@ -43,10 +47,16 @@ def test_what_the_filters_leave_is_that_of_the_whole(model, log):
     pieces = stream.prepared(chain)
     np.testing.assert_allclose(pieces.filtered_times, samples.filtered_times, atol=1e-9)
     for name in ("tau", "q", "qd", "qdd"):
-        np.testing.assert_allclose(pieces.filtered(getattr(pieces, name)), samples.filtered(getattr(samples, name)), atol=1e-8)
+        np.testing.assert_allclose(
+            pieces.filtered(getattr(pieces, name)),
+            samples.filtered(getattr(samples, name)),
+            atol=1e-8,
+        )
     assert pieces.rate == samples.rate
     assert pieces.origin == samples.origin
-    for (_, ours), (_, theirs) in zip([hold_out(pieces, "blocks:5s:3")], [hold_out(samples, "blocks:5s:3")], strict=True):
+    for (_, ours), (_, theirs) in zip(
+        [hold_out(pieces, "blocks:5s:3")], [hold_out(samples, "blocks:5s:3")], strict=True
+    ):
         assert np.all(np.isin(np.round(ours.filtered_times, 6), np.round(theirs.filtered_times, 6)))
 
 
@@ -71,7 +81,8 @@ def test_only_long_files_are_streamed(model, log, monkeypatch):
 def test_file_without_samples_is_refused(model, tmp_path):
     path = tmp_path / "empty.parquet"
     pl.DataFrame(
-        {"t": pl.Series([], dtype=pl.Float64)} | {f"{x}_{k}": pl.Series([], dtype=pl.Float64) for x in ("q", "tau") for k in range(7)}
+        {"t": pl.Series([], dtype=pl.Float64)}
+        | {f"{x}_{k}": pl.Series([], dtype=pl.Float64) for x in ("q", "tau") for k in range(7)}
     ).write_parquet(path)
     with pytest.raises(RecordingError, match="no samples"):
         _ = RecordingStream(path, {"model": model}).head

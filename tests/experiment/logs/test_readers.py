@@ -37,7 +37,12 @@ def logged() -> dict[str, np.ndarray]:
     rng = np.random.default_rng(5)
     t = np.arange(300) / 100
     q = np.sin(t[:, None] * np.array([1.0, 2.0, 3.0]))
-    return {"t": t, "q": q, "qd": np.cos(t[:, None]) * np.array([1.0, 2.0, 3.0]), "tau": rng.normal(size=q.shape)}
+    return {
+        "t": t,
+        "q": q,
+        "qd": np.cos(t[:, None]) * np.array([1.0, 2.0, 3.0]),
+        "tau": rng.normal(size=q.shape),
+    }
 
 
 def spread(logged: dict[str, np.ndarray]) -> pl.DataFrame:
@@ -49,7 +54,12 @@ def spread(logged: dict[str, np.ndarray]) -> pl.DataFrame:
 
 def assert_same(recording: Recording, logged: dict[str, np.ndarray], exactly: bool = True) -> None:
     for name in ("t", "q", "qd", "tau"):
-        np.testing.assert_allclose(getattr(recording, name), logged[name], rtol=0 if exactly else 1e-12, atol=0 if exactly else 1e-12)
+        np.testing.assert_allclose(
+            getattr(recording, name),
+            logged[name],
+            rtol=0 if exactly else 1e-12,
+            atol=0 if exactly else 1e-12,
+        )
 
 
 def test_csv(tmp_path: Path, logged: dict) -> None:
@@ -76,9 +86,23 @@ def test_parquet(tmp_path: Path, logged: dict) -> None:
 
 
 def test_matrices_in_npz_and_mat_whatever_their_orientation(tmp_path: Path, logged: dict) -> None:
-    np.savez(tmp_path / "log.npz", time=logged["t"], positions=logged["q"], velocities=logged["qd"], torques=logged["tau"], comment="run 3")
+    np.savez(
+        tmp_path / "log.npz",
+        time=logged["t"],
+        positions=logged["q"],
+        velocities=logged["qd"],
+        torques=logged["tau"],
+        comment="run 3",
+    )
     assert_same(read_recording(tmp_path / "log.npz"), logged)
-    savemat(tmp_path / "log.mat", {"t": logged["t"][None], "q": logged["q"].T, "data": {"dq": logged["qd"].T, "tau": logged["tau"].T}})
+    savemat(
+        tmp_path / "log.mat",
+        {
+            "t": logged["t"][None],
+            "q": logged["q"].T,
+            "data": {"dq": logged["qd"].T, "tau": logged["tau"].T},
+        },
+    )
     assert_same(read_recording(tmp_path / "log.mat"), logged)
 
 
@@ -98,38 +122,66 @@ def test_ros_bag_with_changing_joint_order(tmp_path: Path, logged: dict, storage
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    names = store.types["sensor_msgs/msg/JointState"], store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+    names = (
+        store.types["sensor_msgs/msg/JointState"],
+        store.types["std_msgs/msg/Header"],
+        store.types["builtin_interfaces/msg/Time"],
+    )
     state_type, header_type, time_type = names
     joints = np.array(["base", "elbow", "wrist"])
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     with writer_module.Writer(tmp_path / "bag", version=9, storage_plugin=plugin) as bag:
-        connection = bag.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        connection = bag.add_connection(
+            "/joint_states", "sensor_msgs/msg/JointState", typestore=store
+        )
         for row in range(300):
             order = np.roll([0, 1, 2], row)
             stamp = time_type(sec=1_700_000_000 + row // 100, nanosec=(row % 100) * 10_000_000)
             values = [np.ascontiguousarray(logged[name][row, order]) for name in ("q", "qd", "tau")]
             message = state_type(header_type(stamp, ""), joints[order].tolist(), *values)
-            bag.write(connection, row + 1, store.serialize_cdr(message, "sensor_msgs/msg/JointState"))
-    for path in (tmp_path / "bag", next((tmp_path / "bag").glob("*.mcap" if storage == "mcap" else "*.db3"))):
+            bag.write(
+                connection, row + 1, store.serialize_cdr(message, "sensor_msgs/msg/JointState")
+            )
+    for path in (
+        tmp_path / "bag",
+        next((tmp_path / "bag").glob("*.mcap" if storage == "mcap" else "*.db3")),
+    ):
         recording = read_recording(path)
         order = [recording.joint_names.index(name) for name in joints]
-        assert_same(recording.reordered([recording.joint_names[k] for k in order]), logged, exactly=False)
+        assert_same(
+            recording.reordered([recording.joint_names[k] for k in order]), logged, exactly=False
+        )
 
 
 def test_files_of_one_quantity_each_in_shuffled_order(tmp_path: Path, logged: dict) -> None:
     order = {"positions": [2, 0, 1], "velocities": [0, 1, 2], "efforts": [1, 2, 0]}
     for (what, joints), name in zip(order.items(), ("q", "qd", "tau"), strict=True):
-        pl.DataFrame({"time": logged["t"]} | {f"arm_joint_{k}": logged[name][:, k] for k in joints}).write_csv(tmp_path / f"run_{what}.csv")
+        pl.DataFrame(
+            {"time": logged["t"]} | {f"arm_joint_{k}": logged[name][:, k] for k in joints}
+        ).write_csv(tmp_path / f"run_{what}.csv")
     paths = [tmp_path / f"run_{what}.csv" for what in order]
     (recording,) = read_recordings(paths)
     assert_same(recording.reordered(["arm_joint_0", "arm_joint_1", "arm_joint_2"]), logged)
-    assert_same(read_recording(paths).reordered(["arm_joint_0", "arm_joint_1", "arm_joint_2"]), logged)
-    with pytest.raises(RecordingError, match=r"seems to hold the position alone.*run_efforts.csv, run_velocities.csv lie beside it"):
+    assert_same(
+        read_recording(paths).reordered(["arm_joint_0", "arm_joint_1", "arm_joint_2"]), logged
+    )
+    with pytest.raises(
+        RecordingError,
+        match=(
+            r"seems to hold the position alone.*run_efforts.csv, run_velocities.csv lie beside it"
+        ),
+    ):
         read_recording(paths[0])
     (tmp_path / "all.toml").write_text(
-        '[files]\nposition = "run_positions.csv"\nvelocity = "run_velocities.csv"\ntorque = "run_efforts.csv"'
+        '[files]\nposition = "run_positions.csv"\nvelocity = "run_velocities.csv"\ntorque ='
+        ' "run_efforts.csv"'
     )
-    assert_same(read_recording(tmp_path / "all.toml").reordered(["arm_joint_0", "arm_joint_1", "arm_joint_2"]), logged)
+    assert_same(
+        read_recording(tmp_path / "all.toml").reordered(
+            ["arm_joint_0", "arm_joint_1", "arm_joint_2"]
+        ),
+        logged,
+    )
 
 
 def test_independent_recordings_stay_apart(tmp_path: Path, logged: dict) -> None:
@@ -141,17 +193,22 @@ def test_independent_recordings_stay_apart(tmp_path: Path, logged: dict) -> None
 
 
 def test_sheet_changes_units_sign_gains_and_windows(tmp_path: Path, logged: dict) -> None:
-    frame = spread(logged).with_columns(pl.col("t") * 1e3, *[pl.col(f"q_{k}").degrees() for k in range(3)])
+    frame = spread(logged).with_columns(
+        pl.col("t") * 1e3, *[pl.col(f"q_{k}").degrees() for k in range(3)]
+    )
     frame.write_csv(tmp_path / "log.csv")
     (tmp_path / "log.toml").write_text(
-        'sign = -1\ngains = [2, 3, 4]\n[units]\ntime = "ms"\nposition = "deg"\n[[windows]]\nstart = 0.5\nstop = 1.0\n[[windows]]\nstart = 2.0'
+        'sign = -1\ngains = [2, 3, 4]\n[units]\ntime = "ms"\nposition = "deg"\n[[windows]]\nstart ='
+        " 0.5\nstop = 1.0\n[[windows]]\nstart = 2.0"
     )
     recording = read_recording(tmp_path / "log.csv")
     keep = ((logged["t"] >= 0.5) & (logged["t"] < 1.0)) | (logged["t"] >= 2.0)
     np.testing.assert_allclose(recording.t, logged["t"][keep])
     np.testing.assert_allclose(recording.q, logged["q"][keep], atol=1e-14)
     np.testing.assert_allclose(recording.tau, -logged["tau"][keep] * [2, 3, 4])
-    flipped = read_recording(tmp_path / "log.csv", flip_torque=True, gain=1.0, torque_source="motor")
+    flipped = read_recording(
+        tmp_path / "log.csv", flip_torque=True, gain=1.0, torque_source="motor"
+    )
     np.testing.assert_allclose(flipped.tau, logged["tau"][keep])
     assert flipped.torque_source == "motor"
 
@@ -163,15 +220,21 @@ def test_external_torques_and_currents_are_kept_apart(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.tau[0], [2, 3])
     np.testing.assert_array_equal(recording.extra["tau_ext"][0], [4, 5])
     np.testing.assert_array_equal(recording.extra["current"][0], [6, 7])
-    pl.DataFrame(np.arange(40.0).reshape(10, 4), schema=["q1", "q2", "i_1", "i_2"]).write_csv(tmp_path / "amp.csv")
+    pl.DataFrame(np.arange(40.0).reshape(10, 4), schema=["q1", "q2", "i_1", "i_2"]).write_csv(
+        tmp_path / "amp.csv"
+    )
     assert read_recording(tmp_path / "amp.csv", rate=100).torque_source == "current"
 
 
-def test_blank_lines_units_below_the_header_and_byte_order_mark(tmp_path: Path, logged: dict) -> None:
+def test_blank_lines_units_below_the_header_and_byte_order_mark(
+    tmp_path: Path, logged: dict
+) -> None:
     spread(logged).write_csv(tmp_path / "log.csv")
     lines = (tmp_path / "log.csv").read_text().splitlines()
     units = "s,deg,deg,deg,deg/s,deg/s,deg/s,mN m,mN m,mN m"
-    (tmp_path / "log.csv").write_text("\ufeff" + "\r\n\r\n".join([lines[0], units, *lines[1:]]), encoding="utf-8")
+    (tmp_path / "log.csv").write_text(
+        "\ufeff" + "\r\n\r\n".join([lines[0], units, *lines[1:]]), encoding="utf-8"
+    )
     recording = read_recording(tmp_path / "log.csv")
     np.testing.assert_array_equal(recording.t, logged["t"])
     np.testing.assert_allclose(recording.q, np.radians(logged["q"]), atol=1e-15)
@@ -188,12 +251,29 @@ def test_whole_recordings_named_after_a_quantity_stay_apart(tmp_path: Path, logg
 
 def test_what_is_logged_beside_is_kept_under_its_own_name(tmp_path: Path) -> None:
     t = np.arange(50) * 0.01
-    names = ("q", "qd", "tau", "motor_torque", "external_torque", "torque_sensor", "current", "position_sensor", "temperature")
-    columns = {f"{name}_{k}": 10.0 * i + np.sin(t + k) for i, name in enumerate(names) for k in (1, 2)}
+    names = (
+        "q",
+        "qd",
+        "tau",
+        "motor_torque",
+        "external_torque",
+        "torque_sensor",
+        "current",
+        "position_sensor",
+        "temperature",
+    )
+    columns = {
+        f"{name}_{k}": 10.0 * i + np.sin(t + k) for i, name in enumerate(names) for k in (1, 2)
+    }
     pl.DataFrame({"t": t} | columns).write_csv(tmp_path / "log.csv")
     recording = read_recording(tmp_path / "log.csv")
     np.testing.assert_array_equal(recording.tau[:, 1], columns["tau_2"])
-    expected = {"tau_motor": "motor_torque", "tau_ext": "external_torque", "tau_sensor": "torque_sensor", "current": "current"}
+    expected = {
+        "tau_motor": "motor_torque",
+        "tau_ext": "external_torque",
+        "tau_sensor": "torque_sensor",
+        "current": "current",
+    }
     expected |= {"position_sensor": "position_sensor"}
     assert set(recording.extra) == set(expected)
     for name, column in expected.items():
@@ -208,21 +288,39 @@ BAD = {
     "cell.csv": ("t,q1,tau1\n0,1,2\n0.1,oops,2\n", "line 3, column 'q1': 'oops' is not a number"),
     "long.csv": ("t,q1,tau1\n0,1,2\n0.1,1,2,3\n", "line 3: 4 fields where 3 columns are expected"),
     "twice.csv": ("t,q1,q1,tau1\n0,1,2,3\n", "column name 'q1' appears 2 times (columns 2, 3)"),
-    "alias.csv": ("t,q1,actual_q_1,tau1\n0,1,2,3\n", "columns 'q1' and 'actual_q_1' both look like the position of the same joint"),
-    "gone.csv": ("t,q1,q3,tau1,tau3\n0,1,2,3,4\n", "the position column of joint number 2 is missing; there are q1, q3"),
+    "alias.csv": (
+        "t,q1,actual_q_1,tau1\n0,1,2,3\n",
+        "columns 'q1' and 'actual_q_1' both look like the position of the same joint",
+    ),
+    "gone.csv": (
+        "t,q1,q3,tau1,tau3\n0,1,2,3,4\n",
+        "the position column of joint number 2 is missing; there are q1, q3",
+    ),
     "short.csv": ("t,q1,q2,tau1\n0,1,2,3\n", "2 position columns but 1 torque columns (tau1)"),
-    "other.csv": ("t,x,y\n0,1,2\n", "has no columns for joint positions and joint torques. Its columns are: t, x, y"),
+    "other.csv": (
+        "t,x,y\n0,1,2\n",
+        "has no columns for joint positions and joint torques. Its columns are: t, x, y",
+    ),
     "notau.csv": ("t,q1\n0,1\n", "has no columns for joint torques"),
     "norate.csv": ("q1,tau1\n0,1\n", "give it with --rate HZ"),
-    "bare.csv": ("0,1,2\n0.1,1,2\n", "has 3 columns without names. Say what they are in a recording sheet bare.toml"),
+    "bare.csv": (
+        "0,1,2\n0.1,1,2\n",
+        "has 3 columns without names. Say what they are in a recording sheet bare.toml",
+    ),
     "fake.npz": ("PK nonsense", "NumPy cannot read it as an .npz archive"),
     "fake.mat": ("nonsense", "cannot be read as a MATLAB file"),
     "fake.parquet": ("nonsense", "cannot be read as Parquet"),
     "fake.h5": ("nonsense", "cannot be read as HDF5"),
     "fake.db3": ("nonsense", "cannot be read as a ROS 2 bag"),
     "fake.mcap": ("nonsense", "cannot be read as a ROS 2 bag"),
-    "comma.csv": ("t,q1,tau1\n0,0,1,5,2,5\n", "line 2: 6 fields where 3 columns are expected; export decimal points, or semicolons"),
-    "preamble.csv": ("Robot: R\nDate: D\n\nt,q1,tau1\n0,1,2\n", "remove what stands above the header"),
+    "comma.csv": (
+        "t,q1,tau1\n0,0,1,5,2,5\n",
+        "line 2: 6 fields where 3 columns are expected; export decimal points, or semicolons",
+    ),
+    "preamble.csv": (
+        "Robot: R\nDate: D\n\nt,q1,tau1\n0,1,2\n",
+        "remove what stands above the header",
+    ),
     "old.csv": ("t,q1,tau1\r0,1,2\r1,1,2\r", "its lines end in a carriage return alone"),
     "wide.csv": ("\ufefft\0,\0", "it holds binary data"),
     "log.csv.gz": ("nonsense", "can be read; unpack it first"),
@@ -245,7 +343,9 @@ def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "image.csv").write_bytes(b"\x89PNG\r\n\x1a\n\x00\x00")
     np.savez(tmp_path / "objects.npz", q=np.array([{"a": 1}], dtype=object))
     np.savez(tmp_path / "uneven.npz", t=np.arange(9.0), q=np.ones((8, 2)), tau=np.ones((9, 2)))
-    pl.DataFrame({"t": [0.0, 1.0], "q": [[0.0, 1.0]] * 2, "tau": [[0.0, 1.0]] * 2}).write_parquet(tmp_path / "lists.parquet")
+    pl.DataFrame({"t": [0.0, 1.0], "q": [[0.0, 1.0]] * 2, "tau": [[0.0, 1.0]] * 2}).write_parquet(
+        tmp_path / "lists.parquet"
+    )
     (tmp_path / "wide.csv").write_text("t,q1,tau1\n0,1,2\n", encoding="utf-16")
     (tmp_path / "packed.csv").write_bytes(gzip.compress(b"t,q1,tau1\n0,1,2\n"))
     (tmp_path / "book.csv").write_bytes(b"PK\x03\x04 and so on")
@@ -254,7 +354,13 @@ def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
     for name, message in (
         ("image.csv", "holds binary data"),
         ("objects.npz", r"pickled objects \(q\), which are not read for safety"),
-        ("uneven.npz", r"no columns for joint positions.*variables without the common length 9 were left out: q \(8, 2\)"),
+        (
+            "uneven.npz",
+            (
+                r"no columns for joint positions.*variables without the common length 9 were left"
+                r" out: q \(8, 2\)"
+            ),
+        ),
         ("lists.parquet", "columns that hold no numbers: q, tau"),
         ("wide.csv", "UTF-16 text; save it as UTF-8"),
         ("packed.csv", "a gzip archive; unpack it"),
@@ -269,7 +375,9 @@ def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["log.csv", "log.parquet", "log.npz", "log.mat", "bag"])
-def test_what_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_what_may_not_be_read_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     place = tmp_path / name
     place.mkdir() if name == "bag" else place.write_text("x")
 
@@ -277,14 +385,20 @@ def test_what_may_not_be_read_is_told(tmp_path: Path, monkeypatch: pytest.Monkey
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "iterdir" if name == "bag" else "open", refuse)
-    for read in (lambda: read_recording(place), lambda: read_recordings([place]), lambda: list(stream_recording(place))):
+    for read in (
+        lambda: read_recording(place),
+        lambda: read_recordings([place]),
+        lambda: list(stream_recording(place)),
+    ):
         with pytest.raises(RecordingError, match=f"{name} cannot be read: Permission denied"):
             read()
 
 
 def test_wrong_robot_and_wrong_rate(tmp_path: Path, logged: dict) -> None:
     spread(logged).drop("t").write_csv(tmp_path / "log.csv")
-    with pytest.raises(RecordingError, match=r"has 3 position columns \(q_0 ... q_2\) but ur10e has 6 joints"):
+    with pytest.raises(
+        RecordingError, match=r"has 3 position columns \(q_0 ... q_2\) but ur10e has 6 joints"
+    ):
         read_recording(tmp_path / "log.csv", model=bundled_robot("ur10e"), rate=100)
     for rate in (-1, 0, float("nan"), float("inf")):
         with pytest.raises(UsageError, match="sampling rate must be a positive number of Hz, got"):
@@ -300,12 +414,16 @@ def test_sheet_columns_that_are_not_there(tmp_path: Path, logged: dict) -> None:
         ({"position": [99]}, "columns run from 1 to 10"),
     ):
         with pytest.raises(RecordingError, match=message):
-            read_recording(tmp_path / "log.csv", sheet=RecordingSheet.model_validate({"columns": columns}))
+            read_recording(
+                tmp_path / "log.csv", sheet=RecordingSheet.model_validate({"columns": columns})
+            )
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 @pytest.mark.parametrize("with_time", [True, False])
-def test_stream_is_the_whole_in_stretches(tmp_path: Path, logged: dict, suffix: str, with_time: bool) -> None:
+def test_stream_is_the_whole_in_stretches(
+    tmp_path: Path, logged: dict, suffix: str, with_time: bool
+) -> None:
     frame = spread(logged) if with_time else spread(logged).drop("t")
     path = tmp_path / f"log{suffix}"
     if suffix == ".npz":
@@ -325,34 +443,47 @@ def test_stream_keeps_windows_of_the_sheet(tmp_path: Path, logged: dict) -> None
     spread(logged).write_csv(tmp_path / "log.csv")
     (tmp_path / "log.toml").write_text("[[windows]]\nstart = 0.95\nstop = 1.55")
     whole = read_recording(tmp_path / "log.csv")
-    joined = np.concatenate([part.t for part in stream_recording(tmp_path / "log.csv", chunk_samples=50)])
+    joined = np.concatenate(
+        [part.t for part in stream_recording(tmp_path / "log.csv", chunk_samples=50)]
+    )
     np.testing.assert_array_equal(joined, whole.t)
 
 
 def test_real_recordings(shared: Path, tmp_path: Path) -> None:
     data, models = shared / "data", shared / "models"
     med7 = load_robot(models / "lbrstack_med7.urdf")
-    slow = read_recording(data / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv", model=med7, rate=100)
+    slow = read_recording(
+        data / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv", model=med7, rate=100
+    )
     assert slow.q.shape == slow.extra["tau_ext"].shape == (10007, 7)
     assert slow.joint_names == med7.joint_names
     (states,) = read_recordings(sorted((data / "lbr_med7").glob("joint_states_*.csv")), model=med7)
     assert states.q.shape == (12048, 7)
     raw = pl.read_csv(data / "lbr_med7" / "joint_states_positions.csv")
-    np.testing.assert_array_equal(states.q, raw.select([f"lbr_joint_{k}" for k in range(7)]).to_numpy())
+    np.testing.assert_array_equal(
+        states.q, raw.select([f"lbr_joint_{k}" for k in range(7)]).to_numpy()
+    )
     assert any("lbr_joint_0 -> lbr_A1" in note for note in states.notes)
 
-    lwr = read_recording(data / "kuka_lwr4" / "measurements_1.npz", model=load_robot(models / "kuka_lwr4.urdf"))
+    lwr = read_recording(
+        data / "kuka_lwr4" / "measurements_1.npz", model=load_robot(models / "kuka_lwr4.urdf")
+    )
     assert lwr.q.shape == (5027, 7)
     assert lwr.qd is not None
     assert lwr.qdd is not None
 
-    bag = read_recording(data / "ur10_rosbag2" / "ur10_exciting_trajectory.db3", model=load_robot(models / "ur10.urdf"))
+    bag = read_recording(
+        data / "ur10_rosbag2" / "ur10_exciting_trajectory.db3",
+        model=load_robot(models / "ur10.urdf"),
+    )
     assert bag.q.shape == (3441, 6)
     assert bag.rate == pytest.approx(125)
 
     ur10e = load_robot(models / "ur10e.urdf")
     log = data / "ur10e" / "ur-20_02_10-30sec_12harm.csv"
-    with pytest.raises(RecordingError, match=r'time = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"'):
+    with pytest.raises(
+        RecordingError, match=r'time = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"'
+    ):
         read_recording(log, model=ur10e)
     (tmp_path / "ur10e.toml").write_text(UR10E_SHEET)
     run = read_recording(log, model=ur10e, sheet=tmp_path / "ur10e.toml")

@@ -50,7 +50,17 @@ def test_usual_names(name: str, quantity: str, joint: str, index: int | None) ->
 
 
 @pytest.mark.parametrize(
-    "name", ["target_q_1", "q_d_1", "joint_3_temperature", "J1", "tcp_position_x", "comment", "q_cmd_2", "position_error_1"]
+    "name",
+    [
+        "target_q_1",
+        "q_d_1",
+        "joint_3_temperature",
+        "J1",
+        "tcp_position_x",
+        "comment",
+        "q_cmd_2",
+        "position_error_1",
+    ],
 )
 def test_other_columns_are_left_alone(name: str) -> None:
     assert recognise(name) is None
@@ -74,7 +84,11 @@ def test_units_in_names(name: str, scale: float) -> None:
 
 
 def test_kinds_of_torque() -> None:
-    kinds = [role.kind for role in map(recognise, ("tau_1", "tau_ext_1", "motor_torque_1", "torque_sensor_1")) if role is not None]
+    kinds = [
+        role.kind
+        for role in map(recognise, ("tau_1", "tau_ext_1", "motor_torque_1", "torque_sensor_1"))
+        if role is not None
+    ]
     assert kinds == ["", "external", "motor", "sensor"]
 
 
@@ -119,10 +133,16 @@ def test_other_names_are_matched_by_number_and_said() -> None:
     order, notes = match_joints(labels, ["lbr_A1", "lbr_A2", "lbr_A3"], source="log", robot="med7")
     assert [labels[k] for k in order] == ["lbr_joint_0", "lbr_joint_1", "lbr_joint_2"]
     assert "lbr_joint_0 -> lbr_A1" in notes[0]
-    assert matched(["joint_0", "joint_2", "joint_1"], ["joint_1", "joint_2", "joint_3"]) == ["joint_0", "joint_1", "joint_2"]
+    assert matched(["joint_0", "joint_2", "joint_1"], ["joint_1", "joint_2", "joint_3"]) == [
+        "joint_0",
+        "joint_1",
+        "joint_2",
+    ]
 
 
-@pytest.mark.parametrize("labels", [["x", "y"], ["shoulder", "elbow", "wrist"], ["joint_1", "joint_3"]])
+@pytest.mark.parametrize(
+    "labels", [["x", "y"], ["shoulder", "elbow", "wrist"], ["joint_1", "joint_3"]]
+)
 def test_names_that_fit_nothing_are_refused_with_both_lists(labels: list[str]) -> None:
     with pytest.raises(RecordingError, match=r"Joints of the log: .*Joints of arm: base, tip"):
         match_joints(labels, ["base", "tip"], source="log", robot="arm")

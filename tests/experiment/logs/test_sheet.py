@@ -48,7 +48,9 @@ def test_every_field(tmp_path: Path) -> None:
 
 
 def test_windows_are_half_open_and_count_from_the_start() -> None:
-    sheet = RecordingSheet.model_validate({"windows": [{"start": 1.0, "stop": 2.0}, {"start": 3.0}]})
+    sheet = RecordingSheet.model_validate(
+        {"windows": [{"start": 1.0, "stop": 2.0}, {"start": 3.0}]}
+    )
     t = np.array([10.0, 11.0, 11.5, 12.0, 13.0, 99.0, np.nan])
     assert sheet.in_windows(t, 10.0).tolist() == [False, True, True, False, True, True, False]
 
@@ -59,7 +61,10 @@ def test_windows_are_half_open_and_count_from_the_start() -> None:
         ("rate = -5", "field 'rate' is -5"),
         ('rate = "fast"', "field 'rate' is 'fast'"),
         ("speed = 3", "field 'speed' is not known here; known are rate, header"),
-        ('[columns]\ntorques = "1-7"', "field 'columns.torques' is not known here; known are time, position"),
+        (
+            '[columns]\ntorques = "1-7"',
+            "field 'columns.torques' is not known here; known are time, position",
+        ),
         ('[units]\nposition = "furlong"', "units.position: 'furlong' is not known; write s, ms"),
         ("sign = 2", "each sign is 1 or -1"),
         ("gains = [1.0, 0.0]", "each must be finite and not zero"),
@@ -91,5 +96,11 @@ def test_a_robot_file_beside_the_log_is_no_sheet(tmp_path: Path) -> None:
 
 
 def test_ranges_keep_their_prefix() -> None:
-    assert RecordingSheet.model_validate({"columns": {"position": "q_1-q_3"}}).columns.position == ["q_1", "q_2", "q_3"]
-    assert RecordingSheet.model_validate({"columns": {"position": "positions"}}).columns.position == ["positions"]
+    assert RecordingSheet.model_validate({"columns": {"position": "q_1-q_3"}}).columns.position == [
+        "q_1",
+        "q_2",
+        "q_3",
+    ]
+    assert RecordingSheet.model_validate(
+        {"columns": {"position": "positions"}}
+    ).columns.position == ["positions"]

@@ -71,11 +71,18 @@ def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
         check.raise_errors()
     for i in range(6):
         both = replace(
-            recording, q=swapped(recording.q, i, i + 1), qd=swapped(recording.qd, i, i + 1), tau=swapped(recording.tau, i, i + 1)
+            recording,
+            q=swapped(recording.q, i, i + 1),
+            qd=swapped(recording.qd, i, i + 1),
+            tau=swapped(recording.tau, i, i + 1),
         )
         torques = replace(recording, tau=swapped(recording.tau, i, i + 1))
         if i < 5:
-            assert {item.code for spoilt in (both, torques) for item in check_recording(model, spoilt).errors} == {"joints-swapped"}
+            assert {
+                item.code
+                for spoilt in (both, torques)
+                for item in check_recording(model, spoilt).errors
+            } == {"joints-swapped"}
 
 
 @pytest.mark.parametrize("joint", [1, 3])
@@ -91,28 +98,42 @@ def test_one_joint_flipped(iiwa: RobotModel, clean: Recording, joint: int) -> No
 def test_friction_tells_the_sign_of_joints_that_carry_nothing(shared: Path, joint: int) -> None:
     lwr = load_robot(shared / "models" / "kuka_lwr4.urdf")
     recording = read_recording(shared / "data" / "kuka_lwr4" / "measurements_1.npz", model=lwr)
-    check = check_recording(lwr, replace(recording, tau=recording.tau * np.where(np.arange(7) == joint, -1, 1)))
-    assert [item.joint for item in check.findings if item.code == "joint-torque-flipped"] == [lwr.joint_names[joint]]
+    check = check_recording(
+        lwr, replace(recording, tau=recording.tau * np.where(np.arange(7) == joint, -1, 1))
+    )
+    assert [item.joint for item in check.findings if item.code == "joint-torque-flipped"] == [
+        lwr.joint_names[joint]
+    ]
 
 
-def test_without_friction_nothing_is_said_of_silent_joints(iiwa: RobotModel, clean: Recording) -> None:
+def test_without_friction_nothing_is_said_of_silent_joints(
+    iiwa: RobotModel, clean: Recording
+) -> None:
     rng = np.random.default_rng(8)
     built = iiwa.parameters * np.repeat(1 + 0.5 * rng.uniform(-1, 1, 7), 10)
     qdd = np.gradient(clean.qd, clean.t, axis=0)
-    check = check_recording(iiwa, replace(clean, tau=inverse_dynamics(iiwa, clean.q, clean.qd, qdd, parameters=built)))
+    check = check_recording(
+        iiwa, replace(clean, tau=inverse_dynamics(iiwa, clean.q, clean.qd, qdd, parameters=built))
+    )
     assert "joint-torque-flipped" not in check.codes
 
 
 def test_swapped_joints_are_named(iiwa: RobotModel, clean: Recording) -> None:
     found = finding(iiwa, replace(clean, tau=swapped(clean.tau, 1, 3)), "joints-swapped")
     assert "A2 fits the position of A2 and the torque of A4" in found.message
-    both = replace(clean, q=swapped(clean.q, 1, 3), qd=swapped(clean.qd, 1, 3), tau=swapped(clean.tau, 1, 3))
-    assert "A2 fits position and torque logged for A4" in finding(iiwa, both, "joints-swapped").message
+    both = replace(
+        clean, q=swapped(clean.q, 1, 3), qd=swapped(clean.qd, 1, 3), tau=swapped(clean.tau, 1, 3)
+    )
+    assert (
+        "A2 fits position and torque logged for A4" in finding(iiwa, both, "joints-swapped").message
+    )
 
 
 def test_a_whole_shuffle_is_found(iiwa: RobotModel, clean: Recording) -> None:
     order = [1, 2, 3, 0, 4, 5, 6]
-    assert finding(iiwa, replace(clean, tau=clean.tau[:, order]), "joints-swapped").severity == "error"
+    assert (
+        finding(iiwa, replace(clean, tau=clean.tau[:, order]), "joints-swapped").severity == "error"
+    )
 
 
 def test_flipped_and_swapped_at_once(iiwa: RobotModel, clean: Recording) -> None:
@@ -124,9 +145,14 @@ def test_units(iiwa: RobotModel, clean: Recording) -> None:
     degree = np.pi / 180
     assert (
         "as degrees every joint keeps its limits"
-        in finding(iiwa, replace(clean, q=clean.q / degree, qd=clean.qd / degree), "degrees").message
+        in finding(
+            iiwa, replace(clean, q=clean.q / degree, qd=clean.qd / degree), "degrees"
+        ).message
     )
-    assert "degrees per second" in finding(iiwa, replace(clean, qd=clean.qd / degree), "velocity-units").message
+    assert (
+        "degrees per second"
+        in finding(iiwa, replace(clean, qd=clean.qd / degree), "velocity-units").message
+    )
     assert "mN m" in finding(iiwa, replace(clean, tau=clean.tau * 1000), "torque-scale").message
     assert "--gain" in finding(iiwa, replace(clean, tau=clean.tau / 12), "torque-scale").cure
 
@@ -138,7 +164,10 @@ def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) 
 
 def test_velocities(iiwa: RobotModel, clean: Recording) -> None:
     assert clean.qd is not None
-    assert "velocity of A3 is that of A6" in finding(iiwa, replace(clean, qd=swapped(clean.qd, 2, 5)), "velocity-swapped").message
+    assert (
+        "velocity of A3 is that of A6"
+        in finding(iiwa, replace(clean, qd=swapped(clean.qd, 2, 5)), "velocity-swapped").message
+    )
     late = finding(iiwa, replace(clean, qd=np.roll(clean.qd, 4, axis=0)), "velocity-lag")
     assert "lag behind the derivative of the positions by 20 to 20 ms" in late.message
     sign = np.array([1, 1, -1, 1, 1, 1, 1])
@@ -153,44 +182,66 @@ def test_missing_values(iiwa: RobotModel, clean: Recording) -> None:
     first = finding(iiwa, replace(clean, q=q), "not-finite")
     assert (first.joint, first.time) == ("A1", pytest.approx(0.035))
     assert "the first infinite at sample 8" in first.message
-    assert "1 of 4000 values of the torque of A5" in finding(iiwa, replace(clean, tau=tau), "not-finite").message
+    assert (
+        "1 of 4000 values of the torque of A5"
+        in finding(iiwa, replace(clean, tau=tau), "not-finite").message
+    )
 
 
 def test_clock(iiwa: RobotModel, clean: Recording) -> None:
     t = clean.t.copy()
     t[2000:] += 0.3
-    assert "the longest 0.305 s after 9.995 s" in finding(iiwa, replace(clean, t=t), "clock-gap").message
+    assert (
+        "the longest 0.305 s after 9.995 s"
+        in finding(iiwa, replace(clean, t=t), "clock-gap").message
+    )
     t = clean.t.copy()
     t[1000] = t[999]
     assert finding(iiwa, replace(clean, t=t), "clock-repeated").severity == "warning"
     t = clean.t.copy()
     t[1000:] -= 0.1
-    assert "from 4.995 s to 4.9 s at sample 1001" in finding(iiwa, replace(clean, t=t), "clock-backward").message
+    assert (
+        "from 4.995 s to 4.9 s at sample 1001"
+        in finding(iiwa, replace(clean, t=t), "clock-backward").message
+    )
     jitter = clean.t + 0.001 * np.random.default_rng(0).uniform(-1, 1, clean.t.size)
     assert finding(iiwa, replace(clean, t=jitter), "clock-irregular").severity == "info"
 
 
 def test_stale_samples(iiwa: RobotModel, clean: Recording) -> None:
     held = np.repeat(np.arange(0, 4000, 2), 2)
-    found = finding(iiwa, replace(clean, q=clean.q[held], qd=clean.qd[held], tau=clean.tau[held]), "stale-samples")
+    found = finding(
+        iiwa,
+        replace(clean, q=clean.q[held], qd=clean.qd[held], tau=clean.tau[held]),
+        "stale-samples",
+    )
     assert "about every 2 samples (100 Hz)" in found.message
 
 
 def test_saturation(iiwa: RobotModel, clean: Recording) -> None:
     ceiling = float(np.percentile(clean.tau[:, 1], 95))
-    found = finding(iiwa, replace(clean, tau=np.minimum(clean.tau, np.where(np.arange(7) == 1, ceiling, np.inf))), "saturation")
+    found = finding(
+        iiwa,
+        replace(clean, tau=np.minimum(clean.tau, np.where(np.arange(7) == 1, ceiling, np.inf))),
+        "saturation",
+    )
     assert found.joint == "A2"
     assert f"{ceiling:.5g} N m in 200 of 4000 samples" in found.message
 
 
 def test_coarse_torques_are_not_saturated(iiwa: RobotModel, clean: Recording) -> None:
-    assert "saturation" not in check_recording(iiwa, replace(clean, tau=np.round(clean.tau, 1))).codes
+    assert (
+        "saturation" not in check_recording(iiwa, replace(clean, tau=np.round(clean.tau, 1))).codes
+    )
 
 
 def test_joints_that_stand_or_move_alike(iiwa: RobotModel, clean: Recording) -> None:
     q = clean.q.copy()
     q[:, 2] = 0.4 + 0.005 * np.sin(clean.t)
-    assert "A3 hardly moves: 0.01 rad" in finding(iiwa, replace(clean, q=q, qd=None), "joint-still").message
+    assert (
+        "A3 hardly moves: 0.01 rad"
+        in finding(iiwa, replace(clean, q=q, qd=None), "joint-still").message
+    )
     alike = np.outer(np.sin(clean.t), np.ones(7))
     assert finding(iiwa, replace(clean, q=alike, qd=None), "joints-alike").severity == "warning"
 
@@ -198,7 +249,9 @@ def test_joints_that_stand_or_move_alike(iiwa: RobotModel, clean: Recording) -> 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("quantity", ["q", "tau", "qd"])
 @pytest.mark.parametrize("value", [1e300, -1e20, np.inf, np.nan])
-def test_values_that_no_robot_logs(iiwa: RobotModel, clean: Recording, quantity: str, value: float) -> None:
+def test_values_that_no_robot_logs(
+    iiwa: RobotModel, clean: Recording, quantity: str, value: float
+) -> None:
     values = getattr(clean, quantity).copy()
     values[500, 2] = value
     found = finding(iiwa, replace(clean, **{quantity: values}), "not-finite")
@@ -212,11 +265,16 @@ def test_a_row_cut_short_is_told_once(iiwa: RobotModel, clean: Recording) -> Non
     q[-1, 5:], tau[-1] = np.nan, np.nan
     check = check_recording(iiwa, replace(clean, q=q, tau=tau))
     assert [item.code for item in check.errors] == ["not-finite"]
-    assert "the position of A6 and A7 and the torque of A1, A2, A3, A4, A5, A6 and A7" in check.errors[0].message
+    assert (
+        "the position of A6 and A7 and the torque of A1, A2, A3, A4, A5, A6 and A7"
+        in check.errors[0].message
+    )
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
-def test_clocks_in_other_units(iiwa: RobotModel, clean: Recording, unit: str, factor: float) -> None:
+def test_clocks_in_other_units(
+    iiwa: RobotModel, clean: Recording, unit: str, factor: float
+) -> None:
     found = finding(iiwa, replace(clean, t=clean.t * factor), "clock-unit")
     assert f"look like {unit}" in found.message
     assert f'time = "{unit}"' in found.cure
@@ -234,24 +292,42 @@ def test_limits_and_filtering(iiwa: RobotModel, clean: Recording) -> None:
     q = clean.q.copy()
     q[:, 1] += 1.5
     assert finding(iiwa, replace(clean, q=q), "position-limit").joint == "A2"
-    smooth = replace(clean, tau=inverse_dynamics(iiwa, clean.q * 0 + np.sin(clean.t)[:, None], clean.q * 0, clean.q * 0))
-    assert "low-pass filtered before, or simulated without noise" in finding(iiwa, smooth, "already-filtered").message
+    smooth = replace(
+        clean,
+        tau=inverse_dynamics(
+            iiwa, clean.q * 0 + np.sin(clean.t)[:, None], clean.q * 0, clean.q * 0
+        ),
+    )
+    assert (
+        "low-pass filtered before, or simulated without noise"
+        in finding(iiwa, smooth, "already-filtered").message
+    )
 
 
 def test_too_little(iiwa: RobotModel, clean: Recording) -> None:
-    assert "40 samples are fewer than the 64 parameters" in finding(iiwa, clean.taken(slice(0, 40)), "too-few-samples").message
-    assert finding(iiwa, replace(clean, tau=np.zeros_like(clean.tau)), "no-torque").severity == "error"
+    assert (
+        "40 samples are fewer than the 64 parameters"
+        in finding(iiwa, clean.taken(slice(0, 40)), "too-few-samples").message
+    )
+    assert (
+        finding(iiwa, replace(clean, tau=np.zeros_like(clean.tau)), "no-torque").severity == "error"
+    )
     with pytest.raises(RecordingError, match=r"has 7 joints .* but ur10e has 6"):
         check_recording(bundled_robot("ur10e"), clean)
 
 
 def test_joints_in_another_order_are_sorted_by_name(iiwa: RobotModel, clean: Recording) -> None:
-    assert check_recording(iiwa, clean.reordered(iiwa.joint_names[::-1])).findings == check_recording(iiwa, clean).findings
+    assert (
+        check_recording(iiwa, clean.reordered(iiwa.joint_names[::-1])).findings
+        == check_recording(iiwa, clean).findings
+    )
 
 
 def test_text_is_whole_sentences(iiwa: RobotModel, clean: Recording) -> None:
     text = check_recording(iiwa, clean.flipped()).as_text()
-    assert text.startswith("log.csv on kuka-iiwa7-r800: 4000 samples x 7 joints, 20 s at 200 Hz\n1 errors")
+    assert text.startswith(
+        "log.csv on kuka-iiwa7-r800: 4000 samples x 7 joints, 20 s at 200 Hz\n1 errors"
+    )
     assert "ERROR torque-flipped: the torque sign looks flipped" in text
 
 
@@ -263,16 +339,36 @@ def test_real_recordings(shared: Path) -> None:
     data, models = shared / "data", shared / "models"
     med7 = load_robot(models / "lbrstack_med7.urdf")
     folder = data / "lbr_med7"
-    assert codes(med7, read_recording(folder / "measurements_with_ext_tau_1_dgr.csv", model=med7, rate=100)) == {"torque-flipped"}
-    assert codes(med7, read_recording(folder / "measurements_with_ext_tau_1_dgr.csv", model=med7, rate=100, flip_torque=True)) == set()
+    assert codes(
+        med7, read_recording(folder / "measurements_with_ext_tau_1_dgr.csv", model=med7, rate=100)
+    ) == {"torque-flipped"}
+    assert (
+        codes(
+            med7,
+            read_recording(
+                folder / "measurements_with_ext_tau_1_dgr.csv",
+                model=med7,
+                rate=100,
+                flip_torque=True,
+            ),
+        )
+        == set()
+    )
     fast = read_recording(folder / "measurements.csv", model=med7, rate=100, flip_torque=True)
     assert codes(med7, fast) == {"weak-excitation"}
-    (states,) = read_recordings(sorted(folder.glob("joint_states_*.csv")), model=med7, flip_torque=True)
+    (states,) = read_recordings(
+        sorted(folder.glob("joint_states_*.csv")), model=med7, flip_torque=True
+    )
     assert codes(med7, states) == {"stale-samples", "joints-alike", "weak-excitation"}
     lwr = load_robot(models / "kuka_lwr4.urdf")
     for k in (1, 2):
         recording = read_recording(data / "kuka_lwr4" / f"measurements_{k}.npz", model=lwr)
-        assert codes(lwr, recording) == {"joints-alike", "velocity-lag", "end-transient", "already-filtered"}
+        assert codes(lwr, recording) == {
+            "joints-alike",
+            "velocity-lag",
+            "end-transient",
+            "already-filtered",
+        }
     ur10 = load_robot(models / "ur10.urdf")
     assert codes(ur10, read_recording(data / "ur10_rosbag2", model=ur10)) == {"already-filtered"}
 
@@ -280,10 +376,14 @@ def test_real_recordings(shared: Path) -> None:
 def test_real_currents(shared: Path) -> None:
     ur10e = load_robot(shared / "models" / "ur10e.urdf")
     columns = {"time": 1, "position": "2-7", "velocity": "8-13", "torque": "14-19"}
-    sheet = RecordingSheet.model_validate({"header": False, "torque_source": "current", "columns": columns})
+    sheet = RecordingSheet.model_validate(
+        {"header": False, "torque_source": "current", "columns": columns}
+    )
     for path in sorted((shared / "data" / "ur10e").glob("*.csv")):
         amperes = read_recording(path, model=ur10e, sheet=sheet)
-        assert codes(ur10e, amperes.scaled([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])) == {"clock-irregular"}
+        assert codes(ur10e, amperes.scaled([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])) == {
+            "clock-irregular"
+        }
         assert codes(ur10e, amperes) == {"clock-irregular", "torque-scale"}
 
 
@@ -293,11 +393,24 @@ def test_torque_beneath_noise_is_no_torque_of_another_robot(seed: int) -> None:
     model = bundled_robot("scara")
     recording = record(model, seed)
     rng = np.random.default_rng(seed)
-    smooth = np.array([np.convolve(noise, np.ones(40) / 40, mode="same") for noise in rng.normal(size=recording.tau.T.shape)]).T
+    smooth = np.array(
+        [
+            np.convolve(noise, np.ones(40) / 40, mode="same")
+            for noise in rng.normal(size=recording.tau.T.shape)
+        ]
+    ).T
     noise = 1.5 * smooth / smooth.std(axis=0) * recording.tau.std(axis=0)
-    codes = {finding.code for finding in check_recording(model, replace(recording, tau=recording.tau + noise)).findings}
+    codes = {
+        finding.code
+        for finding in check_recording(
+            model, replace(recording, tau=recording.tau + noise)
+        ).findings
+    }
     assert "torque-unlike-model" not in codes
     codes = {
-        finding.code for finding in check_recording(model, replace(recording, tau=np.roll(recording.tau, 700, axis=0) + noise)).findings
+        finding.code
+        for finding in check_recording(
+            model, replace(recording, tau=np.roll(recording.tau, 700, axis=0) + noise)
+        ).findings
     }
     assert "torque-unlike-model" in codes

@@ -48,7 +48,9 @@ def written(recording: Recording, path: Path) -> Path:
     return path
 
 
-def changed(recording: Recording, what: str, rows: object, columns: object, value: object) -> Recording:
+def changed(
+    recording: Recording, what: str, rows: object, columns: object, value: object
+) -> Recording:
     values = np.array(getattr(recording, what))
     values[rows, columns] = value  # type: ignore[index]
     return replace(recording, **{what: values})  # type: ignore[arg-type]
@@ -86,15 +88,38 @@ SPOILT: dict[str, tuple[Callable[[Recording], Recording], set[str]]] = {
     "flipped": (lambda r: r.flipped(), {"torque-flipped"}),
     "swapped": (lambda r: replace(r, tau=r.tau[:, [0, 3, 2, 1, 4, 5, 6]]), {"joints-swapped"}),
     "across stretches": (across, {"clock-gap", "clock-repeated"}),
-    "time runs back": (lambda r: replace(r, t=np.where(np.arange(r.n_samples) < 2 * STRETCH, r.t, r.t - 5.0)), {"clock-backward"}),
+    "time runs back": (
+        lambda r: replace(r, t=np.where(np.arange(r.n_samples) < 2 * STRETCH, r.t, r.t - 5.0)),
+        {"clock-backward"},
+    ),
     "samples twice": (doubled, {"stale-samples"}),
     "standing for a while": (resting, set()),
-    "a joint stands": (lambda r: changed(changed(r, "q", slice(None), 4, 0.1), "qd", slice(None), 4, 0.0), {"joint-still"}),
-    "joints alike": (lambda r: replace(r, q=np.repeat(r.q[:, :1], 7, axis=1), qd=np.repeat(r.qd[:, :1], 7, axis=1)), {"joints-alike"}),
-    "missing": (lambda r: changed(r, "tau", [5, STRETCH, 2 * STRETCH + 1], 2, np.nan), {"not-finite"}),
-    "absurd": (lambda r: changed(r, "q", [STRETCH - 1, 3 * STRETCH], slice(2, 4), 1e20), {"not-finite"}),
-    "beyond limits": (lambda r: changed(r, "q", slice(STRETCH - 10, STRETCH + 20), 1, 2.5), {"position-limit"}),
-    "cut off": (lambda r: replace(r, tau=np.clip(r.tau, -np.inf, np.percentile(r.tau, 90, axis=0))), {"saturation"}),
+    "a joint stands": (
+        lambda r: changed(changed(r, "q", slice(None), 4, 0.1), "qd", slice(None), 4, 0.0),
+        {"joint-still"},
+    ),
+    "joints alike": (
+        lambda r: replace(
+            r, q=np.repeat(r.q[:, :1], 7, axis=1), qd=np.repeat(r.qd[:, :1], 7, axis=1)
+        ),
+        {"joints-alike"},
+    ),
+    "missing": (
+        lambda r: changed(r, "tau", [5, STRETCH, 2 * STRETCH + 1], 2, np.nan),
+        {"not-finite"},
+    ),
+    "absurd": (
+        lambda r: changed(r, "q", [STRETCH - 1, 3 * STRETCH], slice(2, 4), 1e20),
+        {"not-finite"},
+    ),
+    "beyond limits": (
+        lambda r: changed(r, "q", slice(STRETCH - 10, STRETCH + 20), 1, 2.5),
+        {"position-limit"},
+    ),
+    "cut off": (
+        lambda r: replace(r, tau=np.clip(r.tau, -np.inf, np.percentile(r.tau, 90, axis=0))),
+        {"saturation"},
+    ),
     "in coarse steps": (lambda r: replace(r, tau=np.round(20 * r.q) / 20), set()),
     "degrees": (lambda r: replace(r, q=np.rad2deg(r.q), qd=np.rad2deg(r.qd)), {"degrees"}),
     "smooth": (lambda r: replace(r, tau=np.cumsum(np.cumsum(r.q, axis=0), axis=0)), set()),
@@ -102,7 +127,9 @@ SPOILT: dict[str, tuple[Callable[[Recording], Recording], set[str]]] = {
 
 
 @pytest.mark.parametrize("how", SPOILT)
-def test_findings_are_those_of_the_whole(iiwa: RobotModel, clean: Recording, tmp_path: Path, how: str) -> None:
+def test_findings_are_those_of_the_whole(
+    iiwa: RobotModel, clean: Recording, tmp_path: Path, how: str
+) -> None:
     spoil, expected = SPOILT[how]
     path = written(spoil(clean), tmp_path / "log.parquet")
     whole = check_recording(iiwa, read_recording(path, model=iiwa))
@@ -112,21 +139,37 @@ def test_findings_are_those_of_the_whole(iiwa: RobotModel, clean: Recording, tmp
     assert long.findings == whole.findings
 
 
-def test_a_survey_does_not_depend_on_where_stretches_end(iiwa: RobotModel, clean: Recording) -> None:
+def test_a_survey_does_not_depend_on_where_stretches_end(
+    iiwa: RobotModel, clean: Recording
+) -> None:
     spoilt = changed(across(clean), "tau", [5, 900, 901], 2, np.nan)
     rng = np.random.default_rng(1)
     one = survey(iiwa, [spoilt])
     for _ in range(5):
-        edges = [0, *np.unique([STRETCH, *rng.choice(np.arange(1, clean.n_samples), 9, replace=False)]), clean.n_samples]
+        edges = [
+            0,
+            *np.unique([STRETCH, *rng.choice(np.arange(1, clean.n_samples), 9, replace=False)]),
+            clean.n_samples,
+        ]
         other = survey(iiwa, [spoilt.taken(slice(a, b)) for a, b in pairwise(edges)])
         for name in ("t", "fresh", "usable", "heard"):
             np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
-        for name, parts in (("reach", ("count", "low", "high")), ("effort", ("count", "low", "high")), ("loud", ("count", "value", "row"))):
+        for name, parts in (
+            ("reach", ("count", "low", "high")),
+            ("effort", ("count", "low", "high")),
+            ("loud", ("count", "value", "row")),
+        ):
             for part in parts:
-                np.testing.assert_array_equal(getattr(getattr(other, name), part), getattr(getattr(one, name), part))
+                np.testing.assert_array_equal(
+                    getattr(getattr(other, name), part), getattr(getattr(one, name), part)
+                )
         joints = other.likeness.moving
-        np.testing.assert_allclose(other.likeness.correlations(joints), np.corrcoef(spoilt.q[:, joints].T), atol=1e-12)
-        assert [(found.quantity, found.joint, found.rows.tolist()) for found in other.missing] == [("torque", 2, [5, 900, 901])]
+        np.testing.assert_allclose(
+            other.likeness.correlations(joints), np.corrcoef(spoilt.q[:, joints].T), atol=1e-12
+        )
+        assert [(found.quantity, found.joint, found.rows.tolist()) for found in other.missing] == [
+            ("torque", 2, [5, 900, 901])
+        ]
 
 
 def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_path: Path) -> None:
@@ -137,7 +180,10 @@ def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_pa
         path = written(
             replace(
                 clean,
-                **{name: np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "qd", "tau")},  # type: ignore[arg-type]
+                **{
+                    name: np.concatenate([getattr(part, name) for part in parts])
+                    for name in ("t", "q", "qd", "tau")
+                },  # type: ignore[arg-type]
             ),
             tmp_path / f"{minutes}.parquet",
         )
@@ -154,7 +200,11 @@ def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_pa
 
 
 def test_command_checks_long_files_in_stretches(
-    iiwa: RobotModel, clean: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    iiwa: RobotModel,
+    clean: Recording,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     path = written(clean, tmp_path / "log.parquet")
     whole = document(capsys, "check", "kuka-iiwa7-r800", path)
@@ -163,15 +213,23 @@ def test_command_checks_long_files_in_stretches(
     monkeypatch.setattr(long_recordings, "read_recording", None)
     long = document(capsys, "check", "kuka-iiwa7-r800", path)
     one, other = whole["recordings"][0], long["recordings"][0]
-    assert {key: other[key] for key in other if key != "information"} == {key: one[key] for key in one if key != "information"}
-    np.testing.assert_allclose(other["information"]["d_efficiency"], one["information"]["d_efficiency"], rtol=0.1)
+    assert {key: other[key] for key in other if key != "information"} == {
+        key: one[key] for key in one if key != "information"
+    }
+    np.testing.assert_allclose(
+        other["information"]["d_efficiency"], one["information"]["d_efficiency"], rtol=0.1
+    )
     assert other["information"]["moved_too_little"] == one["information"]["moved_too_little"]
 
 
-def test_information_of_a_stream_is_that_of_the_whole(iiwa: RobotModel, clean: Recording, tmp_path: Path) -> None:
+def test_information_of_a_stream_is_that_of_the_whole(
+    iiwa: RobotModel, clean: Recording, tmp_path: Path
+) -> None:
     path = written(clean, tmp_path / "log.parquet")
     whole = recorded_information(iiwa, read_recording(path, model=iiwa)).efficiency
-    long = recorded_information(iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=STRETCH)).efficiency
+    long = recorded_information(
+        iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=STRETCH)
+    ).efficiency
     np.testing.assert_allclose(long.by_joint, whole.by_joint, rtol=0.1)
 
 

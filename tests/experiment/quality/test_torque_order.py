@@ -25,7 +25,11 @@ from asbuilt.experiment.virtual.simulation import InstalledRobot
 
 
 def recorded(model: RobotModel, seed: int = 1, duration: float = 12.0) -> Recording:
-    return InstalledRobot.typical(model, rng=seed).record(random_fourier(model, seed, duration=duration), 100.0, rng=seed).recording
+    return (
+        InstalledRobot.typical(model, rng=seed)
+        .record(random_fourier(model, seed, duration=duration), 100.0, rng=seed)
+        .recording
+    )
 
 
 def exchanged(recording: Recording, one: int, other: int) -> Recording:
@@ -37,7 +41,9 @@ def exchanged(recording: Recording, one: int, other: int) -> Recording:
 def fit_of(model: RobotModel, recording: Recording) -> TorqueFit:
     q = recording.q
     qd, order = np.gradient(q, recording.t, axis=0), tuple(range(model.n_joints))
-    return TorqueFit(model, q, qd, np.gradient(qd, recording.t, axis=0), recording.tau, order, order)
+    return TorqueFit(
+        model, q, qd, np.gradient(qd, recording.t, axis=0), recording.tau, order, order
+    )
 
 
 @pytest.mark.parametrize("robot", ["scara", "ur10e", "puma-560"])
@@ -64,7 +70,9 @@ def test_unexplained_shares_are_those_of_a_dense_fit() -> None:
     samples, n = fit.tau.shape
     dry = np.zeros((samples, n, n))
     dry[:, range(n), range(n)] = np.tanh(fit.qd / 0.02)
-    rigid = observation_matrix(model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns).reshape(samples, n, -1)
+    rigid = observation_matrix(
+        model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns
+    ).reshape(samples, n, -1)
     for order, told in (([0, 1, 2, 3], found.as_logged), ([0, 3, 2, 1], found.exchanged)):
         tau = fit.tau[:, order]
         spread = tau.std(axis=0)
@@ -77,19 +85,28 @@ def test_unexplained_shares_are_those_of_a_dense_fit() -> None:
 def test_too_few_samples_tell_nothing() -> None:
     model = bundled_robot("ur10e")
     fit = fit_of(model, exchanged(recorded(model), 4, 5))
-    assert exchanged_torques(replace(fit, q=fit.q[:25], qd=fit.qd[:25], qdd=fit.qdd[:25], tau=fit.tau[:25])) is None
+    assert (
+        exchanged_torques(
+            replace(fit, q=fit.q[:25], qd=fit.qd[:25], qdd=fit.qdd[:25], tau=fit.tau[:25])
+        )
+        is None
+    )
 
 
 @pytest.mark.parametrize("log", ["ur-20_02_10-30sec_12harm.csv", "ur-20_01_17-ptp_10_points.csv"])
 def test_wrists_of_a_real_arm(shared: Path, tmp_path: Path, log: str) -> None:
     sheet = tmp_path / "sheet.toml"
     sheet.write_text(
-        'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"\n',
+        'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity'
+        ' = "8-13"\ntorque = "14-19"\n',
         encoding="utf-8",
     )
     model = load_robot(shared / "models" / "ur10e.urdf")
     (recording,) = read_recordings(
-        [shared / "data" / "ur10e" / log], model=model, sheet=sheet, gain=[14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+        [shared / "data" / "ur10e" / log],
+        model=model,
+        sheet=sheet,
+        gain=[14.87, 13.26, 11.13, 10.62, 11.03, 11.47],
     )
 
     def codes(of: Recording) -> list[str]:

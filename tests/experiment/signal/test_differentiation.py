@@ -15,13 +15,17 @@ T = np.arange(0, 10, 1 / RATE)
 
 def test_central_differences_are_exact_on_parabolas_to_the_ends():
     x = np.column_stack([1 + 2 * T - 3 * T**2, T**2])
-    np.testing.assert_allclose(central_differences(x, RATE), np.column_stack([2 - 6 * T, 2 * T]), atol=1e-9)
+    np.testing.assert_allclose(
+        central_differences(x, RATE), np.column_stack([2 - 6 * T, 2 * T]), atol=1e-9
+    )
 
 
 def test_central_differences_scale_a_sine_by_sinc():
     w = 2 * np.pi * 5.0
     expected = np.sin(w / RATE) / (w / RATE) * w * np.cos(w * T)
-    np.testing.assert_allclose(central_differences(np.sin(w * T), RATE)[1:-1], expected[1:-1], atol=1e-9)
+    np.testing.assert_allclose(
+        central_differences(np.sin(w * T), RATE)[1:-1], expected[1:-1], atol=1e-9
+    )
 
 
 def test_savitzky_golay_is_exact_on_polynomials_to_the_ends():
@@ -39,7 +43,9 @@ def test_smoothers_have_minus_3_db_near_the_cutoff_and_no_phase(method, cutoff):
     q = method(np.sin(w * T)[:, None], RATE, cutoff=cutoff)[0][:, 0]
     inside = slice(500, 1500)
     sine, cosine = np.sin(w * T[inside]), np.cos(w * T[inside])
-    assert 2 * np.mean(q[inside] * sine) == pytest.approx(np.sqrt(0.5), abs=0.06 if method is savitzky_golay else 0.01)
+    assert 2 * np.mean(q[inside] * sine) == pytest.approx(
+        np.sqrt(0.5), abs=0.06 if method is savitzky_golay else 0.01
+    )
     assert abs(np.mean(q[inside] * cosine)) < 1e-3
 
 

@@ -10,7 +10,17 @@ from asbuilt.experiment.signal.samples import Samples
 def made(seconds=60.0, rate=100.0, parallel=None, segments=()):
     t = 7.0 + np.arange(round(seconds * rate)) / rate
     tau = np.random.default_rng(0).normal(size=(t.size, 2))
-    return Samples(t, tau, tau, tau, tau, rate=rate, joint_names=("a", "b"), parallel=parallel, segments=segments)
+    return Samples(
+        t,
+        tau,
+        tau,
+        tau,
+        tau,
+        rate=rate,
+        joint_names=("a", "b"),
+        parallel=parallel,
+        segments=segments,
+    )
 
 
 def test_blocks_partition_the_samples_and_every_third_is_held():
@@ -40,11 +50,23 @@ def test_no_held_out_torque_reaches_the_training_rows():
     train, held = hold_out(samples, "blocks:5s:3")
     poisoned = np.where(np.isin(samples.t, held.t)[:, None], 1e9, samples.tau)
     other, _ = hold_out(
-        Samples(samples.t, poisoned, poisoned, poisoned, poisoned, rate=100.0, joint_names=("a", "b"), parallel=samples.parallel),
+        Samples(
+            samples.t,
+            poisoned,
+            poisoned,
+            poisoned,
+            poisoned,
+            rate=100.0,
+            joint_names=("a", "b"),
+            parallel=samples.parallel,
+        ),
         "blocks:5s:3",
     )
     np.testing.assert_array_equal(other.filtered_torque, train.filtered_torque)
-    assert np.min(np.abs(train.filtered_times[:, None] - held.t[None, ::500])) > samples.parallel.margin / 100.0 - 1e-9
+    assert (
+        np.min(np.abs(train.filtered_times[:, None] - held.t[None, ::500]))
+        > samples.parallel.margin / 100.0 - 1e-9
+    )
 
 
 @pytest.mark.parametrize(

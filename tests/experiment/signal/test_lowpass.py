@@ -29,15 +29,21 @@ def gain_and_phase(x, y, frequency):
 def test_the_double_pass_has_minus_3_db_at_the_cutoff_and_no_phase(order):
     for frequency, expected in ((10.0, np.sqrt(0.5)), (5.0, None), (20.0, None)):
         x = sine(frequency)
-        gain, phase = gain_and_phase(x, butterworth(x, cutoff=10.0, rate=RATE, order=order), frequency)
+        gain, phase = gain_and_phase(
+            x, butterworth(x, cutoff=10.0, rate=RATE, order=order), frequency
+        )
         ratio = np.tan(np.pi * frequency / RATE) / np.tan(np.pi * 10.0 / RATE)
-        assert gain == pytest.approx(expected or 1 / (1 + (np.sqrt(2) - 1) * ratio ** (2 * order)), abs=2e-6)
+        assert gain == pytest.approx(
+            expected or 1 / (1 + (np.sqrt(2) - 1) * ratio ** (2 * order)), abs=2e-6
+        )
         assert abs(phase) < 1e-6
 
 
 def test_uncorrected_the_double_pass_has_minus_6_db_at_the_cutoff():
     x = sine(10.0)
-    assert gain_and_phase(x, butterworth(x, cutoff=10.0, rate=RATE, order=2, corrected=False), 10.0)[0] == pytest.approx(0.5, abs=1e-6)
+    assert gain_and_phase(
+        x, butterworth(x, cutoff=10.0, rate=RATE, order=2, corrected=False), 10.0
+    )[0] == pytest.approx(0.5, abs=1e-6)
 
 
 def test_butterworth_agrees_with_filtfilt_away_from_the_ends():
@@ -67,7 +73,9 @@ def test_settling_is_where_the_impulse_response_has_died(order, tolerance):
 
 def test_chebyshev_decimation_is_scipys():
     x = np.random.default_rng(2).normal(size=(1234, 2))
-    np.testing.assert_array_equal(decimate_chebyshev(x, 10), signal.decimate(x, 10, n=8, ftype="iir", axis=0, zero_phase=True))
+    np.testing.assert_array_equal(
+        decimate_chebyshev(x, 10), signal.decimate(x, 10, n=8, ftype="iir", axis=0, zero_phase=True)
+    )
     assert decimate_chebyshev(x, 1) is x
 
 

@@ -10,7 +10,9 @@ def response(f, frequency):
     return f.taps @ np.cos(2 * np.pi * frequency / f.rate * k)
 
 
-@pytest.mark.parametrize(("cutoff", "rate"), [(3.0, 100.0), (10.9, 100.0), (25.0, 1000.0), (20.0, 80.0)])
+@pytest.mark.parametrize(
+    ("cutoff", "rate"), [(3.0, 100.0), (10.9, 100.0), (25.0, 1000.0), (20.0, 80.0)]
+)
 def test_the_response_is_flat_then_minus_3_db_then_nothing(cutoff, rate):
     f = design_parallel_filter(cutoff, rate)
     assert response(f, 0.0) == pytest.approx(1.0, abs=1e-14)
@@ -25,7 +27,9 @@ def test_sines_come_out_scaled_without_phase_at_their_own_instants():
     t = np.arange(0, 7.03, 0.01)
     for frequency in (1.0, 5.0, 7.0):
         y = f.apply(np.sin(2 * np.pi * frequency * t)[None, :])[0]
-        np.testing.assert_allclose(y, response(f, frequency) * np.sin(2 * np.pi * frequency * f.times(t)), atol=1e-12)
+        np.testing.assert_allclose(
+            y, response(f, frequency) * np.sin(2 * np.pi * frequency * f.times(t)), atol=1e-12
+        )
     assert len(f.times(t)) == f.n_outputs(len(t)) == y.size
 
 
@@ -36,7 +40,9 @@ def test_apply_is_a_plain_convolution_along_any_axis():
     expected = np.stack([np.convolve(row, f.taps, mode="valid")[::3] for row in x])
     np.testing.assert_allclose(f.apply(x), expected, atol=1e-13)
     np.testing.assert_allclose(f.apply(np.ascontiguousarray(x.T), axis=0), expected.T, atol=1e-13)
-    np.testing.assert_allclose(f.apply(x.reshape(5, 7, 43).swapaxes(1, 2), axis=1).shape, (5, f.n_outputs(43), 7))
+    np.testing.assert_allclose(
+        f.apply(x.reshape(5, 7, 43).swapaxes(1, 2), axis=1).shape, (5, f.n_outputs(43), 7)
+    )
     out = np.empty_like(expected)
     assert f.apply(x, out=out) is out
 

@@ -13,7 +13,13 @@ def motion(t):
 
 
 def recorded(t, **changes):
-    return Recording(t=t, q=changes.pop("q", motion(t)), tau=changes.pop("tau", np.cos(np.outer(t, W))), source="log", **changes)
+    return Recording(
+        t=t,
+        q=changes.pop("q", motion(t)),
+        tau=changes.pop("tau", np.cos(np.outer(t, W))),
+        source="log",
+        **changes,
+    )
 
 
 def test_a_uniform_log_is_passed_on_untouched():
@@ -40,7 +46,9 @@ def test_an_irregular_clock_is_resampled_within_the_spline_error_bound():
 def test_stamps_that_jitter_about_an_even_clock_are_not_believed():
     rng = np.random.default_rng(1)
     even = np.arange(0, 20, 0.005)
-    (run,), rate, notes = uniform_runs(recorded(even + rng.normal(0, 3e-4, even.size), q=motion(even), tau=motion(even)))
+    (run,), rate, notes = uniform_runs(
+        recorded(even + rng.normal(0, 3e-4, even.size), q=motion(even), tau=motion(even))
+    )
     assert rate == 200.0
     assert np.abs(run.q - motion(run.t))[5:-5].max() < 2e-4 * W.max()
     assert np.abs(np.diff(run.q, n=3, axis=0)).max() < 1e-4
@@ -72,7 +80,10 @@ def test_nothing_is_interpolated_across_a_gap():
     jitter = np.random.default_rng(3).uniform(-2e-3, 2e-3, t.size)
     for clock in (t, t + jitter):
         runs, _, notes = uniform_runs(recorded(clock[keep]))
-        assert [bool((run.t < 4.01).all()) or bool((run.t > 4.19).all()) for run in runs] == [True, True]
+        assert [bool((run.t < 4.01).all()) or bool((run.t > 4.19).all()) for run in runs] == [
+            True,
+            True,
+        ]
         assert any("1 gaps longer than 0.045" in note for note in notes)
 
 

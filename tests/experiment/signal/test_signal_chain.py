@@ -20,7 +20,11 @@ def moving(rate=1000.0, seconds=30.0, noise=0.0, seed=0):
     rng = np.random.default_rng(seed)
     q = states(t)[0] + noise * rng.normal(size=(t.size, 2))
     return Recording(
-        t=t, q=q, tau=3 * states(t)[2] + states(t)[0] + 0.1 * noise * rng.normal(size=q.shape), joint_names=("a", "b"), source="log"
+        t=t,
+        q=q,
+        tau=3 * states(t)[2] + states(t)[0] + 0.1 * noise * rng.normal(size=q.shape),
+        joint_names=("a", "b"),
+        source="log",
     )
 
 
@@ -32,9 +36,16 @@ def test_paper2015_is_the_papers_calls_one_by_one():
     qd = np.gradient(q, 0.001, axis=0)
     qdd = np.gradient(qd, 0.001, axis=0)
     inside = slice(200, -200)
-    for ours, theirs in ((samples.q, q), (samples.qd, qd), (samples.qdd, qdd), (samples.tau, recording.tau)):
+    for ours, theirs in (
+        (samples.q, q),
+        (samples.qd, qd),
+        (samples.qdd, qdd),
+        (samples.tau, recording.tau),
+    ):
         expected = signal.decimate(theirs, 10, n=8, ftype="iir", axis=0, zero_phase=True)
-        np.testing.assert_allclose(ours[inside], expected[inside], rtol=0, atol=1e-7 * np.abs(expected).max())
+        np.testing.assert_allclose(
+            ours[inside], expected[inside], rtol=0, atol=1e-7 * np.abs(expected).max()
+        )
     np.testing.assert_array_equal(samples.t, recording.t[::10])
     np.testing.assert_array_equal(samples.tau_raw, recording.tau[::10])
     assert samples.parallel is None
@@ -45,7 +56,9 @@ def test_paper2015_is_the_papers_calls_one_by_one():
 @pytest.mark.parametrize("derivative", ["central", "savitzky-golay", "spline"])
 def test_a_clean_motion_comes_back_without_lag_also_at_the_ends(rate, derivative):
     samples = prepare_samples(moving(rate, 20.0), SignalChain(derivative=derivative))
-    for ours, exact, scale in zip((samples.q, samples.qd, samples.qdd), states(samples.t), (1.0, W, W**2), strict=True):
+    for ours, exact, scale in zip(
+        (samples.q, samples.qd, samples.qdd), states(samples.t), (1.0, W, W**2), strict=True
+    ):
         assert np.abs(ours - exact).max() < 0.006 * np.max(scale)
         inside = slice(round(samples.rate), -round(samples.rate))
         assert np.abs(ours - exact)[inside].max() < 1.5e-3 * np.max(scale)
@@ -81,7 +94,12 @@ def test_rests_are_left_out_and_standing_joints_have_exactly_no_velocity():
     rng = np.random.default_rng(5)
     t = np.arange(0, 20, 0.005)
     s = np.clip((t - 4) / 8, 0, 1)
-    q = np.column_stack([10 * s**3 - 15 * s**4 + 6 * s**5, np.where(t < 8, 0, np.sin(np.maximum(t - 8, 0)) ** 2 * (t < 8 + np.pi))])
+    q = np.column_stack(
+        [
+            10 * s**3 - 15 * s**4 + 6 * s**5,
+            np.where(t < 8, 0, np.sin(np.maximum(t - 8, 0)) ** 2 * (t < 8 + np.pi)),
+        ]
+    )
     recording = Recording(t=t, q=q + 1e-6 * rng.normal(size=q.shape), tau=q, source="log")
     samples = prepare_samples(recording, SignalChain(cutoff=6.0))
     shoulder = samples.parallel.margin / samples.rate
@@ -98,8 +116,14 @@ def test_logged_velocities_are_used_when_quieter_and_in_step_only():
     used = prepare_samples(replace(recording, qd=good), SignalChain(cutoff=6.0))
     rejected = prepare_samples(replace(recording, qd=late), SignalChain(cutoff=6.0))
     assert any(line.startswith("logged velocities used") for line in used.provenance)
-    assert any(line.startswith("logged velocities not used: they lag the positions' derivative by 20 ms") for line in rejected.provenance)
-    assert np.abs(used.qdd - states(used.t)[2]).max() < np.abs(rejected.qdd - states(rejected.t)[2]).max()
+    assert any(
+        line.startswith("logged velocities not used: they lag the positions' derivative by 20 ms")
+        for line in rejected.provenance
+    )
+    assert (
+        np.abs(used.qdd - states(used.t)[2]).max()
+        < np.abs(rejected.qdd - states(rejected.t)[2]).max()
+    )
     with pytest.raises(UsageError, match="the recording has none"):
         prepare_samples(recording, SignalChain(velocity="measured"))
 
@@ -116,14 +140,21 @@ def test_chunks_give_what_the_whole_gives(chunk, rest):
     recording = recording.taken(keep)
     chain = SignalChain(cutoff=6.0, standstill=(0.05, 0.05))
     whole = prepare_samples(recording, chain)
-    parts = list(stream_samples((recording.taken(slice(i, i + chunk)) for i in range(0, recording.n_samples, chunk)), chain))
+    parts = list(
+        stream_samples(
+            (recording.taken(slice(i, i + chunk)) for i in range(0, recording.n_samples, chunk)),
+            chain,
+        )
+    )
     assert len(parts) > 3
     times = np.concatenate([part.filtered_times for part in parts])
     np.testing.assert_allclose(times, whole.filtered_times, atol=1e-9)
     for name in ("q", "qd", "qdd", "tau"):
         ours = np.concatenate([part.filtered(getattr(part, name)) for part in parts])
         expected = whole.filtered(getattr(whole, name))
-        np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-9 * np.abs(expected).max(), err_msg=name)
+        np.testing.assert_allclose(
+            ours, expected, rtol=0, atol=1e-9 * np.abs(expected).max(), err_msg=name
+        )
 
 
 def test_paper2015_cannot_be_streamed():
@@ -142,7 +173,13 @@ def test_decimation_is_as_asked_and_lowers_the_cutoff_where_it_must():
 
 
 def test_wrong_options_are_refused():
-    for wrong in ({"cutoff": -1.0}, {"decimate": 0}, {"derivative": "magic"}, {"velocity": "guess"}, {"order": 0}):
+    for wrong in (
+        {"cutoff": -1.0},
+        {"decimate": 0},
+        {"derivative": "magic"},
+        {"velocity": "guess"},
+        {"order": 0},
+    ):
         with pytest.raises(UsageError):
             SignalChain(**wrong)
     with pytest.raises(UsageError, match="paper2015"):
@@ -159,8 +196,12 @@ def test_wrong_options_are_refused():
 
 
 def test_the_shuffled_states_are_found_to_be_polled(shared):
-    columns = np.loadtxt(shared / "data/lbr_med7/joint_states_positions.csv", delimiter=",", skiprows=1)
-    efforts = np.loadtxt(shared / "data/lbr_med7/joint_states_efforts.csv", delimiter=",", skiprows=1)
+    columns = np.loadtxt(
+        shared / "data/lbr_med7/joint_states_positions.csv", delimiter=",", skiprows=1
+    )
+    efforts = np.loadtxt(
+        shared / "data/lbr_med7/joint_states_efforts.csv", delimiter=",", skiprows=1
+    )
     samples = prepare_samples(Recording(t=columns[:, 0], q=columns[:, 1:], tau=efforts[:, 1:]))
     assert samples.rate == 100.0
     assert "9044 samples that only repeat" in samples.provenance[0]
@@ -168,6 +209,12 @@ def test_the_shuffled_states_are_found_to_be_polled(shared):
 
 def test_the_lagging_velocities_of_the_lwr_are_rejected(shared):
     with np.load(shared / "data/kuka_lwr4/measurements_1.npz") as log:
-        recording = Recording(t=log["times"], q=log["positions"], qd=log["velocities"], tau=log["torques"])
-    verdict = next(line for line in prepare_samples(recording).provenance if line.startswith("logged velocities not used"))
+        recording = Recording(
+            t=log["times"], q=log["positions"], qd=log["velocities"], tau=log["torques"]
+        )
+    verdict = next(
+        line
+        for line in prepare_samples(recording).provenance
+        if line.startswith("logged velocities not used")
+    )
     assert "lag the positions' derivative by 37 ms" in verdict

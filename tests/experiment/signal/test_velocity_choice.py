@@ -15,7 +15,8 @@ def speeds(lag=0.0, gain=1.0):
 
 
 @pytest.mark.parametrize(
-    ("lag", "gain", "noise", "helps"), [(0, 1, 0.2, True), (0.01, 1, 0.2, False), (0, 1.05, 0.2, False), (0, 1, 0.8, False)]
+    ("lag", "gain", "noise", "helps"),
+    [(0, 1, 0.2, True), (0.01, 1, 0.2, False), (0, 1.05, 0.2, False), (0, 1, 0.8, False)],
 )
 def test_lag_gain_and_noise_are_measured_and_each_can_disqualify(lag, gain, noise, helps):
     v, w = speeds(), speeds(lag, gain)
@@ -24,11 +25,15 @@ def test_lag_gain_and_noise_are_measured_and_each_can_disqualify(lag, gain, nois
     assert verdict.gain == pytest.approx(gain, abs=2e-3)
     assert verdict.noise == pytest.approx(noise, rel=0.05)
     assert verdict.helps is helps
-    assert str(verdict).startswith("logged velocities used" if helps else "logged velocities not used")
+    assert str(verdict).startswith(
+        "logged velocities used" if helps else "logged velocities not used"
+    )
 
 
 def test_bandwidth_is_that_of_the_fastest_moving_joint():
-    q = np.column_stack([np.sin(2 * np.pi * 0.3 * T), 0.1 * np.sin(2 * np.pi * 2.0 * T), 1e-6 * NOISE[:, 0]])
+    q = np.column_stack(
+        [np.sin(2 * np.pi * 0.3 * T), 0.1 * np.sin(2 * np.pi * 2.0 * T), 1e-6 * NOISE[:, 0]]
+    )
     assert motion_bandwidth([q], 100.0) == pytest.approx(2.0, abs=0.11)
     assert motion_bandwidth([q[:, :1], q[:2500, :1]], 100.0) == pytest.approx(0.3, abs=0.11)
     assert motion_bandwidth([np.zeros((500, 2))], 100.0) > 0
@@ -39,7 +44,9 @@ def test_bandwidth_is_that_of_the_fastest_moving_joint():
 def test_noise_of_positions_is_no_motion(rate, noise):
     """White noise of 0.1 mrad makes most of the velocity's power at 1 kHz; the motion ends where it did."""
     t = np.arange(round(25.0 * rate)) / rate
-    q = np.column_stack([np.sin(2 * np.pi * 0.3 * t), 0.5 * np.sin(2 * np.pi * 2.0 * t), np.zeros_like(t)])
+    q = np.column_stack(
+        [np.sin(2 * np.pi * 0.3 * t), 0.5 * np.sin(2 * np.pi * 2.0 * t), np.zeros_like(t)]
+    )
     q = q + noise * np.random.default_rng(0).normal(size=q.shape)
     assert motion_bandwidth([q], rate) == pytest.approx(2.0, abs=0.11)
     chain = SignalChain().resolved(Recording(t=t, q=q, tau=q))

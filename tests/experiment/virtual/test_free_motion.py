@@ -18,13 +18,17 @@ from asbuilt.experiment.virtual.free_motion import heaviest_pose, run_free
 
 
 def with_drives(model: RobotModel, **values: float) -> RobotModel:
-    return replace(model, joints=tuple(replace(joint, drive=DriveValues(**values)) for joint in model.joints))
+    return replace(
+        model, joints=tuple(replace(joint, drive=DriveValues(**values)) for joint in model.joints)
+    )
 
 
 @pytest.mark.parametrize("name", robot_names())
 def test_energy_stays_in_free_motion(name: str) -> None:
     motion = run_free(bundled_robot(name), "free", duration=2.0)
-    np.testing.assert_allclose(motion.total, motion.total[0], rtol=1e-6, atol=1e-6 * np.ptp(motion.kinetic))
+    np.testing.assert_allclose(
+        motion.total, motion.total[0], rtol=1e-6, atol=1e-6 * np.ptp(motion.kinetic)
+    )
     assert motion.imbalance < 1e-6
     assert np.ptp(motion.kinetic) > 0.1
     assert not motion.work.any()
@@ -41,7 +45,9 @@ def test_energy_balances_with_friction_and_drives(name: str, release: str) -> No
 
 
 def test_heavy_friction_on_light_joints_brakes_a_fall() -> None:
-    motion = run_free(with_drives(bundled_robot("kuka-iiwa7-r800"), viscous=30.0), "drop", duration=1.0)
+    motion = run_free(
+        with_drives(bundled_robot("kuka-iiwa7-r800"), viscous=30.0), "drop", duration=1.0
+    )
     assert motion.imbalance < 1e-5
     assert motion.dissipated[-1] > 1.0
 
@@ -64,7 +70,9 @@ def test_free_fall_of_mujoco_is_that_of_scipy_with_our_equations() -> None:
         rtol=1e-10,
         atol=1e-12,
     )
-    np.testing.assert_allclose(np.r_[motion.q[-1], motion.qd[-1]], other.y[:, -1], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(
+        np.r_[motion.q[-1], motion.qd[-1]], other.y[:, -1], rtol=1e-6, atol=1e-7
+    )
 
 
 def test_a_pendulum_swings_as_the_textbook_says() -> None:
@@ -72,10 +80,14 @@ def test_a_pendulum_swings_as_the_textbook_says() -> None:
     mass, length = 2.0, 0.4
     bob = LinkInertia.from_com(mass, [0.0, -length, 0.0], np.eye(3) * 1e-3)
     joint = Joint("hinge", "continuous", -1, np.eye(4), np.eye(4))
-    pendulum = RobotModel("pendulum", (joint,), (Link("bob", bob),), gravity=np.array([0.0, -9.81, 0.0]))
+    pendulum = RobotModel(
+        "pendulum", (joint,), (Link("bob", bob),), gravity=np.array([0.0, -9.81, 0.0])
+    )
     period = 2 * np.pi * np.sqrt((mass * length**2 + 1e-3) / (mass * 9.81 * length))
     motion = run_free(pendulum, "drop", duration=1.5 * period, start=[1e-3])
-    np.testing.assert_allclose(motion.q[:, 0], 1e-3 * np.cos(2 * np.pi * motion.t / period), atol=1e-9)
+    np.testing.assert_allclose(
+        motion.q[:, 0], 1e-3 * np.cos(2 * np.pi * motion.t / period), atol=1e-9
+    )
 
 
 def test_bad_releases_are_refused() -> None:

@@ -23,7 +23,10 @@ def states(model: RobotModel, seed: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "model",
-    [*map(bundled_robot, robot_names()), *(random_robot(np.random.default_rng(seed), 6) for seed in range(20))],
+    [
+        *map(bundled_robot, robot_names()),
+        *(random_robot(np.random.default_rng(seed), 6) for seed in range(20)),
+    ],
     ids=lambda model: model.name,
 )
 def test_inverse_dynamics_of_mujoco_is_ours_to_nine_digits(model: RobotModel) -> None:
@@ -38,11 +41,16 @@ def test_inverse_dynamics_of_mujoco_is_ours_to_nine_digits(model: RobotModel) ->
 def test_inertias_that_no_body_has_are_taken_as_they_are() -> None:
     model = bundled_robot("ur10e")
     rng = np.random.default_rng(3)
-    strange = model.with_parameters(model.parameters + 0.3 * rng.normal(size=model.parameters.shape))
+    strange = model.with_parameters(
+        model.parameters + 0.3 * rng.normal(size=model.parameters.shape)
+    )
     assert not all(link.inertia.is_consistent for link in strange.links)
     q, qd, qdd = states(strange)
     expected = inverse_dynamics(strange, q, qd, qdd) + 5.0 * qdd
-    assert np.abs(Physics(strange, armature=5.0).inverse_dynamics(q, qd, qdd) - expected).max() < 1e-9 * np.abs(expected).max()
+    assert (
+        np.abs(Physics(strange, armature=5.0).inverse_dynamics(q, qd, qdd) - expected).max()
+        < 1e-9 * np.abs(expected).max()
+    )
 
 
 def test_accelerations_obey_the_equations_of_motion() -> None:
@@ -51,11 +59,17 @@ def test_accelerations_obey_the_equations_of_motion() -> None:
     physics = Physics(model, armature=armature, viscous=viscous, coulomb=coulomb)
     q, qd, tau = states(model, 4)
     ones = np.ones_like(q)
-    qdd, friction = physics.accelerations(q, qd, tau, coulomb=coulomb * ones, viscous=viscous * ones)
+    qdd, friction = physics.accelerations(
+        q, qd, tau, coulomb=coulomb * ones, viscous=viscous * ones
+    )
     sliding = np.abs(qd) > 0.002 * np.abs(qdd)
     assert sliding.mean() > 0.9
-    np.testing.assert_allclose(friction[sliding], (viscous * qd + coulomb * np.sign(qd))[sliding], atol=1e-9)
-    np.testing.assert_allclose(inverse_dynamics(model, q, qd, qdd) + armature * qdd + friction, tau, atol=1e-8)
+    np.testing.assert_allclose(
+        friction[sliding], (viscous * qd + coulomb * np.sign(qd))[sliding], atol=1e-9
+    )
+    np.testing.assert_allclose(
+        inverse_dynamics(model, q, qd, qdd) + armature * qdd + friction, tau, atol=1e-8
+    )
     bare = Physics(model)
     free, none = bare.accelerations(q, qd, tau, coulomb=0 * ones, viscous=0 * ones)
     np.testing.assert_allclose(free, forward_dynamics(model, q, qd, tau), rtol=1e-8, atol=1e-8)
@@ -76,20 +90,33 @@ def test_dry_friction_holds_what_it_can_hold() -> None:
 
 def test_robots_that_no_engine_can_move_are_refused() -> None:
     model = bundled_robot("ur10e")
-    massless = replace(model, links=(*model.links[:-1], replace(model.links[-1], inertia=LinkInertia.zero())))
+    massless = replace(
+        model, links=(*model.links[:-1], replace(model.links[-1], inertia=LinkInertia.zero()))
+    )
     with pytest.raises(
-        InertiaError, match=r"not positive definite .* mostly joint 'wrist_3_joint'\), so torques .* give the joint an armature"
+        InertiaError,
+        match=(
+            r"not positive definite .* mostly joint 'wrist_3_joint'\), so torques .* give the joint"
+            r" an armature"
+        ),
     ):
         Physics(massless)
     assert Physics(massless, armature=0.1).compiled.nv == 6
     odd = LinkInertia(np.r_[np.zeros(6), 0.1, 0.0, 0.0, 0.0])
-    with pytest.raises(InertiaError, match=r"link 'wrist_3_link' has no mass but the first moment \[0.1, 0.0, 0.0\] kg m"):
+    with pytest.raises(
+        InertiaError,
+        match=r"link 'wrist_3_link' has no mass but the first moment \[0.1, 0.0, 0.0\] kg m",
+    ):
         Physics(replace(model, links=(*model.links[:-1], replace(model.links[-1], inertia=odd))))
 
 
 def test_without_mujoco_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mujoco", None)
     with pytest.raises(
-        MissingExtraError, match=r"a virtual robot needs the package mujoco, which is not installed: pip install 'asbuilt\[sim\]'"
+        MissingExtraError,
+        match=(
+            r"a virtual robot needs the package mujoco, which is not installed: pip install"
+            r" 'asbuilt\[sim\]'"
+        ),
     ):
         Physics(bundled_robot("two-link"))

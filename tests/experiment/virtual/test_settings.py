@@ -54,7 +54,10 @@ def logged(*settings: str) -> Recording:
 
 def same(a: Recording, b: Recording) -> bool:
     pairs = ((a.t, b.t), (a.q, b.q), (a.tau, b.tau), (a.qd, b.qd))
-    return all((x is None and y is None) or (x is not None and y is not None and np.array_equal(x, y)) for x, y in pairs)
+    return all(
+        (x is None and y is None) or (x is not None and y is not None and np.array_equal(x, y))
+        for x, y in pairs
+    )
 
 
 @pytest.mark.parametrize("name", setting_names())
@@ -67,7 +70,9 @@ def test_settings_are_the_fields_they_name() -> None:
     model = bundled_robot("two-link")
     lab = VirtualRobot.preset("lab", model, rng=1)
     assert with_settings(lab, ()) is lab
-    said = with_settings(lab, ["backlash=1e-4,2e-4", " torque_gain = -1 ", "controller.rate=500", "logger.rate=250"])
+    said = with_settings(
+        lab, ["backlash=1e-4,2e-4", " torque_gain = -1 ", "controller.rate=500", "logger.rate=250"]
+    )
     built = replace(
         lab,
         train=replace(lab.train, backlash=(1e-4, 2e-4)),
@@ -80,7 +85,9 @@ def test_settings_are_the_fields_they_name() -> None:
 
 def test_the_truth_of_an_ideal_robot_has_what_was_set() -> None:
     model = bundled_robot("two-link")
-    robot = with_settings(VirtualRobot.preset("ideal", model), ["coulomb=2,3", "torque_bias=0.5,-0.5"])
+    robot = with_settings(
+        VirtualRobot.preset("ideal", model), ["coulomb=2,3", "torque_bias=0.5,-0.5"]
+    )
     assert robot.drive.keys == ("coulomb", "offset")
     np.testing.assert_array_equal(robot.truth[20:], [2.0, 0.5, 3.0, -0.5])
 

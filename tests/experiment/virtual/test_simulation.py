@@ -33,12 +33,20 @@ def pinocchio_of(model: RobotModel) -> tuple[pin.Model, pin.Data]:
     ids: list[int] = []
     for joint, link in zip(model.joints, model.links, strict=True):
         parent = 0 if joint.parent < 0 else ids[joint.parent]
-        before = joint.before if joint.parent < 0 else model.joints[joint.parent].after @ joint.before
+        before = (
+            joint.before if joint.parent < 0 else model.joints[joint.parent].after @ joint.before
+        )
         kind = pin.JointModelRZ() if joint.is_revolute else pin.JointModelPZ()
-        ids.append(other.addJoint(parent, kind, pin.SE3(before[:3, :3].copy(), before[:3, 3].copy()), joint.name))
+        ids.append(
+            other.addJoint(
+                parent, kind, pin.SE3(before[:3, :3].copy(), before[:3, 3].copy()), joint.name
+            )
+        )
         mass, com = link.inertia.mass, link.inertia.com
         body = pin.Inertia(mass, com, link.inertia.inertia_about_com)
-        other.appendBodyToJoint(ids[-1], body, pin.SE3(joint.after[:3, :3].copy(), joint.after[:3, 3].copy()))
+        other.appendBodyToJoint(
+            ids[-1], body, pin.SE3(joint.after[:3, :3].copy(), joint.after[:3, 3].copy())
+        )
     return other, other.createData()
 
 
@@ -55,7 +63,8 @@ def test_noise_free_recording_is_that_of_pinocchio(name: str) -> None:
     assert recording.qd is not None
     assert recording.qdd is not None
     expected = [
-        pin.rnea(other, data, *(np.array(x) for x in state)) for state in zip(recording.q, recording.qd, recording.qdd, strict=True)
+        pin.rnea(other, data, *(np.array(x) for x in state))
+        for state in zip(recording.q, recording.qd, recording.qdd, strict=True)
     ]
     np.testing.assert_allclose(recording.tau, expected, atol=1e-10)
     np.testing.assert_array_equal(recording.q, motion.sample(50).q)
@@ -72,7 +81,9 @@ def test_tool_in_pinocchio_is_the_same_tool(iiwa: RobotModel) -> None:
     robot = InstalledRobot(iiwa).with_tool(tool, frame.name)
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 20, 7))
-    expected = [pin.rnea(other, data, *(x.copy() for x in state)) for state in zip(q, qd, qdd, strict=True)]
+    expected = [
+        pin.rnea(other, data, *(x.copy() for x in state)) for state in zip(q, qd, qdd, strict=True)
+    ]
     np.testing.assert_allclose(robot.torque(q, qd, qdd), expected, atol=1e-10)
     assert robot.model.links[6].parts[-1][0] == "tool"
 
@@ -85,7 +96,9 @@ def test_tilting_the_robot_turns_its_root_against_the_world(iiwa: RobotModel) ->
     robot = InstalledRobot(iiwa).tilted(roll, pitch)
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 20, 7))
-    expected = [pin.rnea(other, data, *(x.copy() for x in state)) for state in zip(q, qd, qdd, strict=True)]
+    expected = [
+        pin.rnea(other, data, *(x.copy() for x in state)) for state in zip(q, qd, qdd, strict=True)
+    ]
     np.testing.assert_allclose(robot.torque(q, qd, qdd), expected, atol=1e-10)
 
 
@@ -96,7 +109,9 @@ def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotMode
     r = simulated.recording
     assert r.qd is not None
     assert r.qdd is not None
-    W = observation_matrix(iiwa.with_gravity(robot.model.gravity), r.q, r.qd, r.qdd, drive=robot.drive)
+    W = observation_matrix(
+        iiwa.with_gravity(robot.model.gravity), r.q, r.qd, r.qdd, drive=robot.drive
+    )
     scale = np.linalg.norm(W, axis=0)
     scale[scale == 0] = 1.0
     found, _, rank, _ = np.linalg.lstsq(W / scale, r.tau.ravel(), rcond=1e-10)
@@ -109,7 +124,9 @@ def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotMode
     assert 43 + 21 < rank <= 73
     np.testing.assert_allclose(robot.torque(q, qd, qdd).ravel(), expected, atol=1e-9)
     drives = [k for k, name in enumerate(simulated.names) if name.startswith(("Fv", "Fc", "Fo"))]
-    np.testing.assert_allclose((found / scale)[drives], simulated.truth[drives], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        (found / scale)[drives], simulated.truth[drives], rtol=1e-7, atol=1e-9
+    )
 
 
 def test_base_parameters_of_the_truth_are_found_to_nine_digits(iiwa: RobotModel) -> None:
@@ -130,20 +147,29 @@ def test_base_parameters_of_the_truth_are_found_to_nine_digits(iiwa: RobotModel)
 
 def test_the_same_seed_gives_the_same_recording_and_robot(iiwa: RobotModel) -> None:
     motion = random_fourier(iiwa, 1, duration=2.0)
-    first, second = (InstalledRobot.typical(iiwa, rng=3).record(motion, 100, rng=4) for _ in range(2))
+    first, second = (
+        InstalledRobot.typical(iiwa, rng=3).record(motion, 100, rng=4) for _ in range(2)
+    )
     np.testing.assert_array_equal(first.recording.tau, second.recording.tau)
     np.testing.assert_array_equal(first.recording.q, second.recording.q)
     np.testing.assert_array_equal(first.truth, second.truth)
     other = InstalledRobot.typical(iiwa, rng=3).record(motion, 100, rng=5)
     assert np.abs(other.recording.tau - first.recording.tau).max() > 0
     assert "seed 4" in first.recording.notes[0]
-    generator = InstalledRobot.typical(iiwa, np.random.default_rng(3)).record(motion, 100, np.random.default_rng(4))
+    generator = InstalledRobot.typical(iiwa, np.random.default_rng(3)).record(
+        motion, 100, np.random.default_rng(4)
+    )
     np.testing.assert_array_equal(generator.recording.tau, first.recording.tau)
 
 
 def test_sensors_distort_as_stated(iiwa: RobotModel) -> None:
     motion = QuinticMotion.between(np.full(7, 0.3), np.full(7, 0.5), 10.0)
-    noise = SensorNoise(position_noise=1e-3, torque_noise=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7), torque_bias=-1.0, velocity_noise=0.01)
+    noise = SensorNoise(
+        position_noise=1e-3,
+        torque_noise=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7),
+        torque_bias=-1.0,
+        velocity_noise=0.01,
+    )
     truth = simulate_recording(iiwa, motion)
     noisy = simulate_recording(iiwa, motion, noise=noise, rng=8)
     n = truth.n_samples
@@ -154,7 +180,9 @@ def test_sensors_distort_as_stated(iiwa: RobotModel) -> None:
     assert noisy.qd is not None
     np.testing.assert_allclose((noisy.qd - truth.qd).std(axis=0), 0.01, rtol=5 / np.sqrt(n))
     assert noisy.qdd is None
-    rounded = simulate_recording(iiwa, motion, noise=SensorNoise(encoder_counts=4096, torque_resolution=0.5), rng=8)
+    rounded = simulate_recording(
+        iiwa, motion, noise=SensorNoise(encoder_counts=4096, torque_resolution=0.5), rng=8
+    )
     counts, steps = rounded.q * 4096 / (2 * np.pi), rounded.tau / 0.5
     np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
@@ -166,9 +194,16 @@ def test_quantisation_counts_per_metre_on_a_sliding_joint() -> None:
     from asbuilt.description.model import Joint, Link
 
     slide = RobotModel(
-        "slide", (Joint("z", "prismatic", -1, np.eye(4), np.eye(4)),), (Link("load", LinkInertia.from_com(2.0, np.zeros(3), np.eye(3))),)
+        "slide",
+        (Joint("z", "prismatic", -1, np.eye(4), np.eye(4)),),
+        (Link("load", LinkInertia.from_com(2.0, np.zeros(3), np.eye(3))),),
     )
-    recording = simulate_recording(slide, QuinticMotion.between([0.0], [0.1], 1.0), noise=SensorNoise(encoder_counts=1000), rng=0)
+    recording = simulate_recording(
+        slide,
+        QuinticMotion.between([0.0], [0.1], 1.0),
+        noise=SensorNoise(encoder_counts=1000),
+        rng=0,
+    )
     np.testing.assert_allclose(recording.q * 1000, np.round(recording.q * 1000), atol=1e-9)
     assert np.unique(recording.q).size == 101
 
@@ -179,7 +214,9 @@ def test_drive_torque_is_the_sum_of_its_terms(iiwa: RobotModel) -> None:
     plain = simulate_recording(iiwa, motion, drive=DriveSet())
     full = simulate_recording(iiwa, motion, drive=ALL_DRIVES, drive_values=values.ravel())
     s = motion.sample(1000)
-    expected = s.qdd * values[:, 0] + s.qd * values[:, 1] + np.sign(s.qd) * values[:, 2] + values[:, 3]
+    expected = (
+        s.qdd * values[:, 0] + s.qd * values[:, 1] + np.sign(s.qd) * values[:, 2] + values[:, 3]
+    )
     np.testing.assert_allclose(full.tau - plain.tau, expected, atol=1e-10)
 
 
@@ -205,7 +242,12 @@ def test_typical_robot_is_consistent_and_near_its_description(name: str, seed: i
 
 def test_errors_say_what_to_give(iiwa: RobotModel) -> None:
     motion = QuinticMotion.between(np.zeros(7), np.ones(7), 1.0)
-    with pytest.raises(UsageError, match=r"drive parameter Fv1 of .* has no value; the description is silent: give drive_values"):
+    with pytest.raises(
+        UsageError,
+        match=(
+            r"drive parameter Fv1 of .* has no value; the description is silent: give drive_values"
+        ),
+    ):
         simulate_recording(iiwa, motion, drive=DriveSet.parse("viscous"))
     with pytest.raises(UsageError, match="has 7 drive parameters, got shape"):
         simulate_recording(iiwa, motion, drive=DriveSet.parse("viscous"), drive_values=[1.0])
@@ -213,7 +255,9 @@ def test_errors_say_what_to_give(iiwa: RobotModel) -> None:
         simulate_recording(iiwa, motion, drive_values=[1.0] * 7)
     with pytest.raises(UsageError, match="moves 1 joints"):
         simulate_recording(iiwa, QuinticMotion.between([0.0], [1.0], 1.0))
-    with pytest.raises(UsageError, match="torque_noise must be one non-negative number or one per joint"):
+    with pytest.raises(
+        UsageError, match="torque_noise must be one non-negative number or one per joint"
+    ):
         simulate_recording(iiwa, motion, noise=SensorNoise(torque_noise=-1.0))
     with pytest.raises(UsageError, match="no moving link or frame 'hand' to carry a tool; it has"):
         InstalledRobot(iiwa).with_tool(LinkInertia.zero(), "hand")

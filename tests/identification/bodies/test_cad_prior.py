@@ -35,7 +35,9 @@ def test_divergence_is_twice_that_of_gaussian_densities(around_cad):
     P, P0 = pseudo_inertias(chi[:10]), prior.pseudo_inertias[0]
     x = rng.normal(size=(400_000, 4)) @ np.linalg.cholesky(P).T
     log_ratio = 0.5 * (
-        np.einsum("ni,ij,nj->n", x, np.linalg.inv(P0) - np.linalg.inv(P), x) + np.linalg.slogdet(P0)[1] - np.linalg.slogdet(P)[1]
+        np.einsum("ni,ij,nj->n", x, np.linalg.inv(P0) - np.linalg.inv(P), x)
+        + np.linalg.slogdet(P0)[1]
+        - np.linalg.slogdet(P)[1]
     )
     error = log_ratio.std() / np.sqrt(len(x))
     assert 2.0 * log_ratio.mean() == pytest.approx(prior.divergence(chi)[0], abs=10.0 * error)
@@ -50,18 +52,25 @@ def test_divergence_and_metric_do_not_depend_on_frame_or_unit(around_cad):
     T[:3, :3], T[:3, 3] = turn * np.sign(np.linalg.det(turn)), rng.normal(size=3)
 
     def elsewhere(parameters):
-        return np.concatenate([LinkInertia(body).moved(T).parameters for body in parameters.reshape(-1, 10)])
+        return np.concatenate(
+            [LinkInertia(body).moved(T).parameters for body in parameters.reshape(-1, 10)]
+        )
 
     moved = replace(prior, parameters=elsewhere(prior.parameters))
     np.testing.assert_allclose(moved.divergence(elsewhere(chi)), prior.divergence(chi), rtol=1e-8)
     grams = np.array([1000.0] * 10 * 7)
     np.testing.assert_allclose(
-        replace(prior, parameters=grams * prior.parameters).divergence(grams * chi), prior.divergence(chi), rtol=1e-9
+        replace(prior, parameters=grams * prior.parameters).divergence(grams * chi),
+        prior.divergence(chi),
+        rtol=1e-9,
     )
     step = chi - prior.parameters
     here = np.einsum("na,nab,nb->n", step.reshape(7, 10), prior.metric, step.reshape(7, 10))
     there = np.einsum(
-        "na,nab,nb->n", (elsewhere(chi) - moved.parameters).reshape(7, 10), moved.metric, (elsewhere(chi) - moved.parameters).reshape(7, 10)
+        "na,nab,nb->n",
+        (elsewhere(chi) - moved.parameters).reshape(7, 10),
+        moved.metric,
+        (elsewhere(chi) - moved.parameters).reshape(7, 10),
     )
     np.testing.assert_allclose(there, here, rtol=1e-7)
 
@@ -71,7 +80,11 @@ def test_metric_is_the_curvature_of_the_divergence(around_cad):
     prior = cad_prior(bundled_robot("kuka-iiwa7-r800"), NO_DRIVE)
     step = 1e-3 * (around_cad(prior, rng, 0.3) - prior.parameters)
     curved = prior.divergence(prior.parameters + step) + prior.divergence(prior.parameters - step)
-    np.testing.assert_allclose(curved, np.einsum("na,nab,nb->n", step.reshape(7, 10), prior.metric, step.reshape(7, 10)), rtol=1e-4)
+    np.testing.assert_allclose(
+        curved,
+        np.einsum("na,nab,nb->n", step.reshape(7, 10), prior.metric, step.reshape(7, 10)),
+        rtol=1e-4,
+    )
 
 
 def test_svec_keeps_the_inner_product():
@@ -95,7 +108,9 @@ def test_a_negative_mass_is_called_impossible():
     chi = np.array(model.parameters)
     chi[9] = -1.5
     prior = cad_prior(model.with_parameters(chi), NO_DRIVE)
-    assert prior.notes[0].startswith(f"CAD gives {model.link_names[0]} an impossible mass of -1.5 kg: ")
+    assert prior.notes[0].startswith(
+        f"CAD gives {model.link_names[0]} an impossible mass of -1.5 kg: "
+    )
     assert prior.parameters[9] > 0.0
 
 

@@ -29,7 +29,10 @@ def objective(trial, factor, chi, weight):
     n = trial.prior.n_links
     bodies = step[: 10 * n].reshape(n, 10)
     drives = step[10 * n :] / trial.prior.drive_scale
-    pull = weight * np.einsum("na,nab,nb->", bodies, trial.prior.metric, bodies) + min(weight, 1.0) * 1e-3 * drives @ drives
+    pull = (
+        weight * np.einsum("na,nab,nb->", bodies, trial.prior.metric, bodies)
+        + min(weight, 1.0) * 1e-3 * drives @ drives
+    )
     return 0.5 * (error @ error + pull)
 
 
@@ -38,15 +41,29 @@ def test_same_minimum_as_an_independent_program(trial, weight):
     cp = pytest.importorskip("cvxpy")
     case = trial("two-link", "viscous,coulomb", noise=0.3, seed=4, duration=4.0)
     factor, bounds = factor_of(case), non_negative_drives(case.prior)
-    ours = fit_real_bodies(case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight, smallest_part=0.05)
+    ours = fit_real_bodies(
+        case.prior,
+        case.base.regrouping,
+        factor=factor,
+        bounds=bounds,
+        weight=weight,
+        smallest_part=0.05,
+    )
     chi = cp.Variable(case.base.n_standard)
     roots = np.linalg.cholesky(case.prior.metric)
     error = factor[:-1, :-1] @ case.base.regrouping @ chi - factor[:-1, -1]
-    cost = cp.sum_squares(error) + min(weight, 1.0) * 1e-3 * cp.sum_squares(chi[20:] - case.prior.parameters[20:])
+    cost = cp.sum_squares(error) + min(weight, 1.0) * 1e-3 * cp.sum_squares(
+        chi[20:] - case.prior.parameters[20:]
+    )
     for i, root in enumerate(roots):
-        cost += weight * cp.sum_squares(root.T @ (chi[10 * i : 10 * i + 10] - case.prior.parameters[10 * i : 10 * i + 10]))
+        cost += weight * cp.sum_squares(
+            root.T @ (chi[10 * i : 10 * i + 10] - case.prior.parameters[10 * i : 10 * i + 10])
+        )
     basis = pseudo_inertias(np.eye(10))
-    above = [sum(chi[10 * i + a] * basis[a] for a in range(10)) - 0.05 * case.prior.pseudo_inertias[i] for i in range(2)]
+    above = [
+        sum(chi[10 * i + a] * basis[a] for a in range(10)) - 0.05 * case.prior.pseudo_inertias[i]
+        for i in range(2)
+    ]
     problem = cp.Problem(cp.Minimize(0.5 * cost), [chi[20:] >= 0, *[body >> 0 for body in above]])
     problem.solve(solver="SCS", eps=1e-7, max_iters=100_000)
     assert objective(case, factor, ours.chi, weight) == pytest.approx(problem.value, rel=1e-4)
@@ -61,10 +78,14 @@ def test_no_drive_pushes_by_rounding(trial, robot, weight):
     for seed in range(2):
         case = trial(robot, "viscous,coulomb", noise=0.2, seed=seed, duration=2.0 + 2 * seed)
         factor, chi = factor_of(case), case.prior.parameters.copy()
-        chi[case.prior.non_negative] = -np.abs(np.random.default_rng(seed).normal(size=len(case.prior.non_negative)))
+        chi[case.prior.non_negative] = -np.abs(
+            np.random.default_rng(seed).normal(size=len(case.prior.non_negative))
+        )
         factor[:-1, -1] = factor[:-1, :-1] @ (case.base.regrouping @ chi)
         for bounds in (generous_bounds(case.prior), non_negative_drives(case.prior)):
-            fit = fit_real_bodies(case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight)
+            fit = fit_real_bodies(
+                case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight
+            )
             assert np.all(fit.chi[case.prior.non_negative] >= 0.0)
 
 
@@ -74,20 +95,26 @@ def test_no_feasible_direction_goes_down(trial, around_cad, robot):
     case = trial(robot, noise=0.2, seed=1, duration=6.0, spread=0.5)
     factor, bounds = factor_of(case), non_negative_drives(case.prior)
     weight = 1.0
-    fit = fit_real_bodies(case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight)
+    fit = fit_real_bodies(
+        case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight
+    )
     here = objective(case, factor, fit.chi, weight)
     rng = np.random.default_rng(0)
     for spread in (0.05, 0.3, 1.0):
         for _ in range(10):
             other = around_cad(case.prior, rng, spread)
             t = 1e-4
-            assert objective(case, factor, (1 - t) * fit.chi + t * other, weight) >= here - 1e-6 * abs(here)
+            assert objective(
+                case, factor, (1 - t) * fit.chi + t * other, weight
+            ) >= here - 1e-6 * abs(here)
 
 
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560", "ur10e", "franka-panda"])
 def test_all_links_are_real_and_drives_passive_however_bad_the_data(trial, robot):
     case = trial(robot, noise=2.0, seed=2, duration=4.0)
-    fit = fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case), bounds=generous_bounds(case.prior))
+    fit = fit_real_bodies(
+        case.prior, case.base.regrouping, factor=factor_of(case), bounds=generous_bounds(case.prior)
+    )
     assert fit.part >= 0.999e-3
     assert fit.chi[case.prior.non_negative].min() >= -1e-6
     assert generous_bounds(case.prior).slack(fit.chi).min() >= -1e-5
@@ -96,17 +123,34 @@ def test_all_links_are_real_and_drives_passive_however_bad_the_data(trial, robot
 def test_without_noise_the_truth_comes_back(trial):
     for robot in ("kuka-iiwa7-r800", "ur10e", "scara"):
         case = trial(robot, seed=3)
-        fit = fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case), bounds=generous_bounds(case.prior))
+        fit = fit_real_bodies(
+            case.prior,
+            case.base.regrouping,
+            factor=factor_of(case),
+            bounds=generous_bounds(case.prior),
+        )
         error = case.base.regrouping @ fit.chi - case.beta
-        assert np.sqrt(case.information.residual_energy(case.beta + error).sum() / case.information.torque_energy.sum()) < 1e-4
+        assert (
+            np.sqrt(
+                case.information.residual_energy(case.beta + error).sum()
+                / case.information.torque_energy.sum()
+            )
+            < 1e-4
+        )
         assert fit.part > 0.1
 
 
 def test_bounds_are_kept_and_named(trial):
     case = trial("ur10e", noise=0.1, seed=5, duration=6.0)
     masses = case.prior.parameters[9:60:10]
-    given = body_bounds(case.prior, mass={5: (2.0, 2.5), 1: (0.0, np.inf)}, com={5: ([-0.01, -0.01, 0.0], [0.01, 0.01, 0.1])})
-    fit = fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case), bounds=given, weight=TINY_PULL)
+    given = body_bounds(
+        case.prior,
+        mass={5: (2.0, 2.5), 1: (0.0, np.inf)},
+        com={5: ([-0.01, -0.01, 0.0], [0.01, 0.01, 0.1])},
+    )
+    fit = fit_real_bodies(
+        case.prior, case.base.regrouping, factor=factor_of(case), bounds=given, weight=TINY_PULL
+    )
     body = fit.chi[50:60]
     assert masses[5] < 2.0 - 1e-6 <= body[9] <= 2.5 + 1e-6
     assert np.all(np.abs(body[6:8] / body[9]) <= 0.0101)
@@ -115,9 +159,13 @@ def test_bounds_are_kept_and_named(trial):
 
 def test_impossible_bounds_are_refused(trial):
     case = trial("two-link", "none", noise=0.1, seed=5, duration=4.0)
-    contradiction = body_bounds(case.prior, mass={0: (3.0, 4.0)}).and_also(body_bounds(case.prior, mass={0: (5.0, 6.0)}))
+    contradiction = body_bounds(case.prior, mass={0: (3.0, 4.0)}).and_also(
+        body_bounds(case.prior, mass={0: (5.0, 6.0)})
+    )
     with pytest.raises(IdentifiabilityError, match="widen"):
-        fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case), bounds=contradiction)
+        fit_real_bodies(
+            case.prior, case.base.regrouping, factor=factor_of(case), bounds=contradiction
+        )
     with pytest.raises(UsageError, match="lower bound first"):
         body_bounds(case.prior, mass={0: (4.0, 3.0)})
     with pytest.raises(UsageError, match="links 0 to 1"):
@@ -139,7 +187,9 @@ def test_a_panic_of_the_solver_is_told_as_any_failure(trial, monkeypatch):
             raise PanicException("Eigval error")
 
     monkeypatch.setattr("clarabel.DefaultSolver", Solver)
-    with pytest.raises(IdentifiabilityError, match=r"two-link .* the solver says Panic \(Eigval error\)"):
+    with pytest.raises(
+        IdentifiabilityError, match=r"two-link .* the solver says Panic \(Eigval error\)"
+    ):
         fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
     monkeypatch.setattr(Solver, "solve", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
@@ -161,7 +211,10 @@ def test_bodies_that_are_real_anyway_need_no_cone(trial, monkeypatch, robot, wei
     factor[:-1, -1] -= (
         1.5
         * factor[:-1, :-1]
-        @ case.base.values(np.where(np.arange(len(case.chi)) % 3 == 0, case.chi, 0.0) * (np.arange(len(case.chi)) >= 10 * n))
+        @ case.base.values(
+            np.where(np.arange(len(case.chi)) % 3 == 0, case.chi, 0.0)
+            * (np.arange(len(case.chi)) >= 10 * n)
+        )
     )
     bounds = non_negative_drives(case.prior)
     problem = RealBodies.of(case.prior, case.base.regrouping, bounds)
@@ -178,11 +231,25 @@ def test_bodies_that_are_real_anyway_need_no_cone(trial, monkeypatch, robot, wei
         return
     assert np.any(np.abs(bounds.slack(quick.chi)) < 1e-9)
     roots = [np.sqrt(weight) * np.linalg.cholesky(metric).T for metric in case.prior.metric]
-    pull = block_diag(*roots, np.sqrt(min(weight, 1.0) * 1e-3) * np.diag(1.0 / case.prior.drive_scale))
+    pull = block_diag(
+        *roots, np.sqrt(min(weight, 1.0) * 1e-3) * np.diag(1.0 / case.prior.drive_scale)
+    )
     lower = np.full(len(case.chi), -np.inf)
     lower[case.prior.non_negative] = 0.0
-    scale = np.concatenate([*(1.0 / np.linalg.norm(root, axis=0) for root in roots), case.prior.drive_scale])
-    rows, right = np.vstack([torque, pull]), np.concatenate([factor[:-1, -1], pull @ case.prior.parameters])
-    found = lsq_linear(rows * scale, right, (lower, np.full_like(lower, np.inf)), method="bvls", tol=1e-14).x * scale
-    assert objective(case, factor, quick.chi, weight) == pytest.approx(objective(case, factor, found, weight), rel=1e-9)
+    scale = np.concatenate(
+        [*(1.0 / np.linalg.norm(root, axis=0) for root in roots), case.prior.drive_scale]
+    )
+    rows, right = (
+        np.vstack([torque, pull]),
+        np.concatenate([factor[:-1, -1], pull @ case.prior.parameters]),
+    )
+    found = (
+        lsq_linear(
+            rows * scale, right, (lower, np.full_like(lower, np.inf)), method="bvls", tol=1e-14
+        ).x
+        * scale
+    )
+    assert objective(case, factor, quick.chi, weight) == pytest.approx(
+        objective(case, factor, found, weight), rel=1e-9
+    )
     np.testing.assert_allclose(torque @ quick.chi, torque @ found, atol=1e-5)

@@ -18,7 +18,12 @@ from asbuilt.identification.bodies.consistency import consistency_margin, margin
 def pseudo_inertia(chi):
     xx, xy, xz, yy, yz, zz, hx, hy, hz, m = chi
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return np.block([[0.5 * np.trace(inertia) * np.eye(3) - inertia, np.array([[hx], [hy], [hz]])], [np.array([[hx, hy, hz, m]])]])
+    return np.block(
+        [
+            [0.5 * np.trace(inertia) * np.eye(3) - inertia, np.array([[hx], [hy], [hz]])],
+            [np.array([[hx, hy, hz, m]])],
+        ]
+    )
 
 
 def margin_by_modelling_language(base, beta):
@@ -60,8 +65,12 @@ def test_robot_column_of_the_paper_is_not(iiwa, shared):
 
 def test_agrees_with_another_solver(iiwa):
     model, base = iiwa
-    beta = base.values(model.parameters) + np.random.default_rng(0).normal(scale=0.02, size=base.n_base)
-    assert consistency_margin(base, beta) == pytest.approx(margin_by_modelling_language(base, beta), abs=1e-4)
+    beta = base.values(model.parameters) + np.random.default_rng(0).normal(
+        scale=0.02, size=base.n_base
+    )
+    assert consistency_margin(base, beta) == pytest.approx(
+        margin_by_modelling_language(base, beta), abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))

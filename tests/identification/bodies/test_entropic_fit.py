@@ -36,7 +36,9 @@ def objective(trial, factor, chi, weight):
 
 def closest(case, start, *, weight=1.0, factor=None, bounds=None, barrier=BARRIER):
     problem = EntropicProblem(case.prior, Coordinates.of(case.base), bounds, held=factor is None)
-    return problem.fit(None if factor is None else factor[None], weight, start[None], barrier=barrier)
+    return problem.fit(
+        None if factor is None else factor[None], weight, start[None], barrier=barrier
+    )
 
 
 @pytest.mark.parametrize("robot", ["two-link", "scara", "puma-560", "kuka-iiwa7-r800"])
@@ -45,7 +47,12 @@ def test_gradient_and_hessian_by_differences(trial, around_cad, robot):
     rng = np.random.default_rng(0)
     chi = around_cad(case.prior, rng, 0.1)
     for factors in (None, 1e-2 * factor_of(case)[None]):
-        problem = EntropicProblem(case.prior, Coordinates.of(case.base), non_negative_drives(case.prior), held=factors is None)
+        problem = EntropicProblem(
+            case.prior,
+            Coordinates.of(case.base),
+            non_negative_drives(case.prior),
+            held=factors is None,
+        )
 
         def at(step, problem=problem, factors=factors):
             search = _Search(problem, factors, 3.0, 0.1, (chi + problem.free @ step)[None])
@@ -53,15 +60,21 @@ def test_gradient_and_hessian_by_differences(trial, around_cad, robot):
 
         gradient, hessian, T, V = at(np.zeros(problem.free.shape[1]))[1:]
         Q = smat((problem.whitening @ chi)[: problem.inertial].reshape(-1, 10))
-        np.testing.assert_allclose(T @ Q @ T.transpose(0, 2, 1), V[:, :, None] * np.eye(4), atol=1e-10)
+        np.testing.assert_allclose(
+            T @ Q @ T.transpose(0, 2, 1), V[:, :, None] * np.eye(4), atol=1e-10
+        )
         for _ in range(4):
             step = rng.normal(size=len(gradient))
             scale = np.sqrt(step @ hessian @ step)
             step *= 1e-4 / scale
             ahead, behind = at(step), at(-step)
-            assert (ahead[0] - behind[0]) / 2 == pytest.approx(gradient @ step, abs=1e-12 + 1e-9 * abs(ahead[0]))
+            assert (ahead[0] - behind[0]) / 2 == pytest.approx(
+                gradient @ step, abs=1e-12 + 1e-9 * abs(ahead[0])
+            )
             curved = hessian @ step
-            np.testing.assert_allclose((ahead[1] - behind[1]) / 2, curved, rtol=1e-5, atol=1e-5 * np.abs(curved).max())
+            np.testing.assert_allclose(
+                (ahead[1] - behind[1]) / 2, curved, rtol=1e-5, atol=1e-5 * np.abs(curved).max()
+            )
 
 
 def test_many_problems_side_by_side_are_solved_as_each_alone(trial):
@@ -76,7 +89,9 @@ def test_many_problems_side_by_side_are_solved_as_each_alone(trial):
         alone = closest(case, start[k], factor=factor, bounds=limits)
         for other in (together, warm):
             assert other.values[k] == pytest.approx(alone.values[0], rel=1e-10)
-            np.testing.assert_allclose(case.base.values(other.chi[k]), case.base.values(alone.chi[0]), rtol=1e-5, atol=1e-6)
+            np.testing.assert_allclose(
+                case.base.values(other.chi[k]), case.base.values(alone.chi[0]), rtol=1e-5, atol=1e-6
+            )
 
 
 @pytest.mark.parametrize("robot", ["two-link", "scara"])
@@ -89,11 +104,18 @@ def test_same_minimum_as_a_descent_in_log_cholesky_coordinates(trial, robot, wei
     n = case.prior.n_links
 
     def bodies(theta):
-        return np.concatenate([LinkInertia.from_log_cholesky(row).parameters for row in theta.reshape(n, 10)])
+        return np.concatenate(
+            [LinkInertia.from_log_cholesky(row).parameters for row in theta.reshape(n, 10)]
+        )
 
-    start = np.concatenate([LinkInertia(body).log_cholesky for body in case.prior.parameters.reshape(n, 10)])
+    start = np.concatenate(
+        [LinkInertia(body).log_cholesky for body in case.prior.parameters.reshape(n, 10)]
+    )
     found = minimize(
-        lambda theta: objective(case, factor, bodies(theta), weight), start, method="BFGS", options={"maxiter": 3000, "gtol": 1e-4}
+        lambda theta: objective(case, factor, bodies(theta), weight),
+        start,
+        method="BFGS",
+        options={"maxiter": 3000, "gtol": 1e-4},
     )
     assert objective(case, factor, fit.chi[0], weight) <= found.fun * (1 + 1e-9)
     assert objective(case, factor, fit.chi[0], weight) == pytest.approx(found.fun, rel=1e-3)
@@ -105,7 +127,9 @@ def test_same_minimum_as_an_independent_conic_program(trial):
     factor = 0.1 * factor_of(case)
     weight = 2.0
     limits = non_negative_drives(case.prior)
-    fit = closest(case, inside(case.prior), weight=weight, factor=factor, bounds=limits, barrier=1e-8)
+    fit = closest(
+        case, inside(case.prior), weight=weight, factor=factor, bounds=limits, barrier=1e-8
+    )
     chi, basis = cp.Variable(case.base.n_standard), pseudo_inertias(np.eye(10))
     cost = 0.5 * cp.sum_squares(factor[:-1, :-1] @ case.base.regrouping @ chi - factor[:-1, -1])
     for i, P0 in enumerate(case.prior.pseudo_inertias):

@@ -17,12 +17,21 @@ def pushed_out(trial, robot, drive, seed):
     case = trial(robot, drive, seed=seed, duration=2.0)
     rng = np.random.default_rng(seed)
     beta = case.beta.copy()
-    beta[[case.base.names.index(name) for name in case.base.names if name.startswith(("Izz2", "Fv1"))]] = -0.4
+    beta[
+        [
+            case.base.names.index(name)
+            for name in case.base.names
+            if name.startswith(("Izz2", "Fv1"))
+        ]
+    ] = -0.4
     spread = rng.normal(size=(len(beta), len(beta))) * 0.02
     return case, beta, spread @ spread.T + 0.01**2 * np.eye(len(beta))
 
 
-@pytest.mark.parametrize(("robot", "drive"), [("two-link", "viscous"), ("ur10e", "viscous,coulomb,offset"), ("scara", "armature,viscous")])
+@pytest.mark.parametrize(
+    ("robot", "drive"),
+    [("two-link", "viscous"), ("ur10e", "viscous,coulomb,offset"), ("scara", "armature,viscous")],
+)
 def test_no_real_robot_has_the_combination_below_zero(trial, robot, drive):
     case, beta, covariance = pushed_out(trial, robot, drive, 4)
     proof = why_impossible(case.base, case.prior, beta, covariance)
@@ -35,7 +44,11 @@ def test_no_real_robot_has_the_combination_below_zero(trial, robot, drive):
     size = np.abs(case.base.regrouping.T @ y).sum()
     for _ in range(500):
         bodies = [
-            LinkInertia.from_com(10.0 ** rng.uniform(-2, 1), rng.normal(size=3) * 10.0 ** rng.uniform(-2, 0.5), np.zeros((3, 3))).parameters
+            LinkInertia.from_com(
+                10.0 ** rng.uniform(-2, 1),
+                rng.normal(size=3) * 10.0 ** rng.uniform(-2, 0.5),
+                np.zeros((3, 3)),
+            ).parameters
             for _ in range(case.model.n_joints)
         ]
         drives = np.zeros(case.base.n_standard - 10 * case.model.n_joints)
@@ -47,15 +60,24 @@ def test_no_real_robot_has_the_combination_below_zero(trial, robot, drive):
         assert y @ case.base.regrouping @ chi >= -1e-5 * size * np.abs(chi).max()
 
 
-@pytest.mark.parametrize(("robot", "drive"), [("two-link", "viscous"), ("ur10e", "viscous,coulomb")])
+@pytest.mark.parametrize(
+    ("robot", "drive"), [("two-link", "viscous"), ("ur10e", "viscous,coulomb")]
+)
 def test_sureness_is_the_distance_to_the_nearest_real_robot(trial, robot, drive):
     """The proof's bound and the nearest robot's distance, two programs dual to each other, meet."""
     case, beta, covariance = pushed_out(trial, robot, drive, 5)
     proof = why_impossible(case.base, case.prior, beta, covariance)
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
-    factor = triangular_factor(np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))]))
+    factor = triangular_factor(
+        np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))])
+    )
     nearest = fit_real_bodies(
-        case.prior, case.base.regrouping, factor=factor, bounds=non_negative_drives(case.prior), weight=1e-8, smallest_part=0.0
+        case.prior,
+        case.base.regrouping,
+        factor=factor,
+        bounds=non_negative_drives(case.prior),
+        weight=1e-8,
+        smallest_part=0.0,
     )
     distance = np.linalg.norm(root @ (case.base.regrouping @ nearest.chi - beta))
     assert proof.sigmas == pytest.approx(distance, rel=2e-3)

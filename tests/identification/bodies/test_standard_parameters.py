@@ -26,8 +26,12 @@ def test_real_bodies_with_exactly_the_torques_and_closer_to_cad_than_the_truth(t
     assert found.possible
     assert found.part > 0.0
     np.testing.assert_allclose(case.base.values(found.parameters), case.beta, rtol=0, atol=1e-11)
-    assert not inconsistencies(case.model.with_parameters(found.parameters[: 10 * case.model.n_joints]))
-    assert case.prior.strength @ found.divergence <= case.prior.strength @ case.prior.divergence(case.chi)
+    assert not inconsistencies(
+        case.model.with_parameters(found.parameters[: 10 * case.model.n_joints])
+    )
+    assert case.prior.strength @ found.divergence <= case.prior.strength @ case.prior.divergence(
+        case.chi
+    )
     q, qd, qdd = np.random.default_rng(0).uniform(-1.5, 1.5, (3, 40, case.model.n_joints))
     bodies = [chi[: 10 * case.model.n_joints] for chi in (found.parameters, case.chi)]
     if drive == "none":
@@ -45,7 +49,11 @@ def test_no_other_bodies_with_these_torques_are_closer(trial, robot):
     for size in (1e-4, 1e-3, 1e-2):
         for _ in range(20):
             step = directions @ rng.normal(size=directions.shape[1])
-            step *= size / np.sqrt(np.einsum("na,nab,nb->", step.reshape(-1, 10), case.prior.metric, step.reshape(-1, 10)))
+            step *= size / np.sqrt(
+                np.einsum(
+                    "na,nab,nb->", step.reshape(-1, 10), case.prior.metric, step.reshape(-1, 10)
+                )
+            )
             assert case.prior.divergence(found.parameters + step).sum() >= least - 1e-9
 
 
@@ -92,7 +100,9 @@ def test_nearest_in_the_metric_of_an_estimate(trial):
     case = trial("two-link", "none", seed=10, duration=2.0)
     beta = case.beta.copy()
     beta[0] = -0.05
-    found = standard_parameters(case.model, case.base, beta, nearest=True, information=1e6 * np.eye(len(beta)))
+    found = standard_parameters(
+        case.model, case.base, beta, nearest=True, information=1e6 * np.eye(len(beta))
+    )
     distance = np.linalg.norm(found.beta - beta)
     rng = np.random.default_rng(2)
     for scale in (1e-3, 1e-2, 1e-1):

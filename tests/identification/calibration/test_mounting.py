@@ -26,7 +26,9 @@ def standing(case, tilt, noise=0.02, seed=0):
     rng = np.random.default_rng(seed)
     samples = case.samples
     gravity = Rotation.from_rotvec(tilt).apply(np.array(case.model.gravity))
-    W = observation_matrix(case.model.with_gravity(gravity), samples.q, samples.qd, samples.qdd, drive=case.base.drive)
+    W = observation_matrix(
+        case.model.with_gravity(gravity), samples.q, samples.qd, samples.qdd, drive=case.base.drive
+    )
     tau = (W @ case.chi).reshape(samples.q.shape)
     tau = tau + noise * np.sqrt(np.mean(tau**2, axis=0)) * rng.normal(size=tau.shape)
     return replace(samples, tau=tau, tau_raw=np.zeros(0)), gravity
@@ -39,7 +41,9 @@ def test_tilt_of_a_simulated_robot_is_found_within_its_error(trial, robot):
     found = find_mounting(case.model, samples, drive=DRIVE)
     assert found.is_askew
     np.testing.assert_array_less(np.abs(found.tilt - [0.03, -0.02]), 4.0 * found.std_errors + 1e-4)
-    np.testing.assert_allclose(found.model.gravity, gravity, atol=9.81 * (4.0 * found.std_errors.max() + 1e-4))
+    np.testing.assert_allclose(
+        found.model.gravity, gravity, atol=9.81 * (4.0 * found.std_errors.max() + 1e-4)
+    )
     assert np.linalg.norm(found.gravity) == pytest.approx(9.81)
     assert np.sqrt(np.mean(found.rms**2)) < np.sqrt(np.mean(found.rms_as_given**2))
     assert "stands askew" in found.sentence
@@ -76,7 +80,12 @@ def test_a_real_arm_stood_askew_and_knowing_it_halves_its_errors(shared):
     recordings = read_recordings([log], model=model, rate=100.0, flip_torque=True)
     samples = prepare_samples(recordings[0], SignalChain().resolved(*recordings))
     train, held = hold_out(samples, "blocks:5s:3")
-    study = run_study(model, [train], validation=[held], options=StudyOptions(drive=DRIVE, method="entropic", mounting="estimate"))
+    study = run_study(
+        model,
+        [train],
+        validation=[held],
+        options=StudyOptions(drive=DRIVE, method="entropic", mounting="estimate"),
+    )
     rms = study.validations[0].metrics_as_built.rms
     assert np.all(rms < [0.15, 0.10, 0.15, 0.25, 0.13, 0.12, 0.08])
     tilt = np.rad2deg(np.arccos(-study.result.model.gravity[2] / 9.81))

@@ -26,7 +26,11 @@ from asbuilt.identification.identify import identify
 from asbuilt.identification.information.cause_data import gather_evidence
 from asbuilt.identification.result.result import IdentificationResult
 
-TOOL = LinkInertia.from_com(1.8, [0.03, -0.02, 0.09], np.array([[0.011, 0.001, 0.0], [0.001, 0.009, 0.0005], [0.0, 0.0005, 0.006]]))
+TOOL = LinkInertia.from_com(
+    1.8,
+    [0.03, -0.02, 0.09],
+    np.array([[0.011, 0.001, 0.0], [0.001, 0.009, 0.0005], [0.0, 0.0005, 0.006]]),
+)
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda")
 
@@ -39,7 +43,11 @@ def prepared(robot: InstalledRobot, seed: int, duration: float = 20.0) -> Sample
 def arm_of(name: str, noise: float) -> InstalledRobot:
     model = load_robot(name)
     values = np.tile([1.0, 2.0, 0.3], model.n_joints)
-    return InstalledRobot.ideal(model).with_drive(DRIVE, values).with_noise(SensorNoise(torque_noise=noise))
+    return (
+        InstalledRobot.ideal(model)
+        .with_drive(DRIVE, values)
+        .with_noise(SensorNoise(torque_noise=noise))
+    )
 
 
 @pytest.fixture(scope="module", params=ROBOTS)
@@ -51,7 +59,9 @@ def weighed(request: pytest.FixtureRequest) -> tuple[IdentificationResult, Paylo
     return result, identify_payload(result, loaded), identify_payload(result, loaded, arm="frozen")
 
 
-def test_payload_is_found_within_its_errors(weighed: tuple[IdentificationResult, Payload, Payload]) -> None:
+def test_payload_is_found_within_its_errors(
+    weighed: tuple[IdentificationResult, Payload, Payload],
+) -> None:
     _, refined, frozen = weighed
     about = TOOL.inertia_about_com[np.triu_indices(3)]
     truth = np.concatenate([[TOOL.mass], TOOL.com, about])
@@ -64,7 +74,9 @@ def test_payload_is_found_within_its_errors(weighed: tuple[IdentificationResult,
         assert payload.inertia.is_consistent
 
 
-def test_payload_explains_the_loaded_torque(weighed: tuple[IdentificationResult, Payload, Payload]) -> None:
+def test_payload_explains_the_loaded_torque(
+    weighed: tuple[IdentificationResult, Payload, Payload],
+) -> None:
     _, refined, _ = weighed
     assert refined.metrics[0].relative_error < 0.3 * refined.metrics_bare[0].relative_error
 
@@ -72,7 +84,15 @@ def test_payload_explains_the_loaded_torque(weighed: tuple[IdentificationResult,
 def exact(machine: InstalledRobot, motion: FourierMotion) -> Samples:
     moved = motion.sample(100.0)
     tau = machine.torque(moved.q, moved.qd, moved.qdd)
-    return Samples(moved.t, moved.q, moved.qd, moved.qdd, tau, rate=100.0, joint_names=machine.model.joint_names)
+    return Samples(
+        moved.t,
+        moved.q,
+        moved.qd,
+        moved.qdd,
+        tau,
+        rate=100.0,
+        joint_names=machine.model.joint_names,
+    )
 
 
 def test_noise_free_payload_is_exact() -> None:
@@ -81,7 +101,9 @@ def test_noise_free_payload_is_exact() -> None:
     result = identify(robot.model, exact(robot, motion), drive=DRIVE)
     frame, _, placement = payload_frame(robot.model)
     assert frame == "flange"
-    np.testing.assert_allclose(placement, next(f.placement for f in robot.model.frames if f.name == "flange"))
+    np.testing.assert_allclose(
+        placement, next(f.placement for f in robot.model.frames if f.name == "flange")
+    )
     payload = identify_payload(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
     np.testing.assert_allclose(payload.parameters, TOOL.parameters, atol=1e-8)
     assert not payload.projected
@@ -122,9 +144,13 @@ def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ..
     q, qd, qdd = (np.array(values) for values in (bare.q, bare.qd, bare.qdd))
     q[:, still], qd[:, still], qdd[:, still] = 0.3, 0.0, 0.0
     noise = 0.05 * np.random.default_rng(0).normal(size=(2, *q.shape))
-    stood = replace(bare, q=q, qd=qd, qdd=qdd, tau=robot.torque(q, qd, qdd) + noise[0], tau_raw=np.zeros(0))
+    stood = replace(
+        bare, q=q, qd=qd, qdd=qdd, tau=robot.torque(q, qd, qdd) + noise[0], tau_raw=np.zeros(0)
+    )
     frame, _, _ = payload_frame(robot.model)
-    loaded = exact(robot.with_tool(TOOL, at=frame), random_fourier(robot.model, rng=5, duration=10.0))
+    loaded = exact(
+        robot.with_tool(TOOL, at=frame), random_fourier(robot.model, rng=5, duration=10.0)
+    )
     loaded = replace(loaded, tau=loaded.tau + noise[1], tau_raw=np.zeros(0))
     result = identify(robot.model, stood, drive=DRIVE)
     assert "Fv7" in result.undetermined
@@ -144,7 +170,9 @@ def test_the_frame_of_the_payload_is_named_by_words_and_not_by_chance() -> None:
     pose = np.eye(4)
 
     def chosen(*names: str) -> str:
-        return payload_frame(replace(model, frames=tuple(Frame(name, 1, pose) for name in names)))[0]
+        return payload_frame(replace(model, frames=tuple(Frame(name, 1, pose) for name in names)))[
+            0
+        ]
 
     assert chosen("cable_sleeve", "steel-bracket") == model.link_names[1]
     assert chosen("cable_sleeve", "arm_ee_link") == "arm_ee_link"
@@ -161,7 +189,15 @@ def test_a_pose_held_still_tells_no_payload() -> None:
     robot = arm_of("ur10e", 0.0)
     result = identify(robot.model, prepared(robot, 1), drive=DRIVE)
     q = np.tile([0.3, -1.0, 0.8, 0.2, 0.4, 0.1], (400, 1))
-    still = Samples(np.arange(400) / 100.0, q, 0 * q, 0 * q, robot.torque(q, 0 * q, 0 * q), rate=100.0, joint_names=robot.model.joint_names)
+    still = Samples(
+        np.arange(400) / 100.0,
+        q,
+        0 * q,
+        0 * q,
+        robot.torque(q, 0 * q, 0 * q),
+        rate=100.0,
+        joint_names=robot.model.joint_names,
+    )
     with pytest.raises(IdentifiabilityError, match="different poses"):
         identify_payload(result, still, arm="frozen")
     with pytest.raises(UsageError, match="no samples are given of ur10e under load"):
@@ -193,13 +229,19 @@ def test_what_gains_do_to_a_payload_is_seen_by_changing_them(
         result = identify(robot.model, scaled(bare, factors), drive=DRIVE, method="ols")
         result = replace(result, sigma=np.full(n, 0.1), covariance=reference.covariance)
         if keep_evidence:
-            result = replace(result, evidence=gather_evidence(robot.model, result.base, [scaled(bare, factors)]))
+            result = replace(
+                result, evidence=gather_evidence(robot.model, result.base, [scaled(bare, factors)])
+            )
         return identify_payload(result, scaled(loaded, factors), arm=arm)
 
     payload = found(np.ones(n), True)
-    np.testing.assert_allclose(payload.gain_slopes[:4].sum(axis=1), [payload.values[0], 0.0, 0.0, 0.0], atol=0.02)
+    np.testing.assert_allclose(
+        payload.gain_slopes[:4].sum(axis=1), [payload.values[0], 0.0, 0.0, 0.0], atol=0.02
+    )
     assert not payload.projected
-    seen = np.column_stack([(found(1.0 + 1e-5 * np.eye(n)[k], False).values - payload.values) / 1e-5 for k in range(n)])
+    seen = np.column_stack(
+        [(found(1.0 + 1e-5 * np.eye(n)[k], False).values - payload.values) / 1e-5 for k in range(n)]
+    )
     np.testing.assert_allclose(payload.gain_slopes, seen, atol=1e-3)
     without = found(np.ones(n), False)
     assert (payload.gains_by_evidence, without.gains_by_evidence) == (True, False)
@@ -211,16 +253,22 @@ def test_random_gains_are_covered(by_current: tuple[InstalledRobot, Samples, Sam
     n, rng = robot.model.n_joints, np.random.default_rng(8)
     off = []
     for _ in range(30):
-        factors = 1.0 + 0.07 * (np.sqrt(1.0 / 3.0) * rng.normal() + np.sqrt(2.0 / 3.0) * rng.normal(size=n))
+        factors = 1.0 + 0.07 * (
+            np.sqrt(1.0 / 3.0) * rng.normal() + np.sqrt(2.0 / 3.0) * rng.normal(size=n)
+        )
         result = identify(robot.model, scaled(bare, factors), drive=DRIVE)
-        result = replace(result, evidence=gather_evidence(robot.model, result.base, [scaled(bare, factors)]))
+        result = replace(
+            result, evidence=gather_evidence(robot.model, result.base, [scaled(bare, factors)])
+        )
         payload = identify_payload(result, scaled(loaded, factors))
         off.append((payload.values[:4] - np.array([TOOL.mass, *TOOL.com])) / payload.std_errors[:4])
     assert 0.85 < np.mean(np.abs(off) < 1.96) <= 1.0
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.3
 
 
-def test_gains_of_sensors_are_not_questioned(by_current: tuple[InstalledRobot, Samples, Samples, str]) -> None:
+def test_gains_of_sensors_are_not_questioned(
+    by_current: tuple[InstalledRobot, Samples, Samples, str],
+) -> None:
     robot, bare, loaded, _ = by_current
     result = identify(robot.model, bare, drive=DRIVE)
     ones = np.ones(robot.model.n_joints)
@@ -231,8 +279,12 @@ def test_gains_of_sensors_are_not_questioned(by_current: tuple[InstalledRobot, S
         np.testing.assert_array_equal(payload.gain_errors, 0.0)
         np.testing.assert_array_equal(payload.std_errors, payload.noise_errors)
     np.testing.assert_allclose(current.noise_errors[:4], sensor.std_errors[:4])
-    np.testing.assert_allclose(current.std_errors, np.hypot(current.noise_errors, current.gain_errors))
-    half = identify_payload(result, scaled(loaded, ones), gain_uncertainty=np.full(len(ones), 0.035))
+    np.testing.assert_allclose(
+        current.std_errors, np.hypot(current.noise_errors, current.gain_errors)
+    )
+    half = identify_payload(
+        result, scaled(loaded, ones), gain_uncertainty=np.full(len(ones), 0.035)
+    )
     np.testing.assert_allclose(half.gain_errors[:4], 0.5 * current.gain_errors[:4], rtol=1e-6)
     with pytest.raises(UsageError, match=r"fractions from 0 to 0\.5"):
         identify_payload(result, loaded, gain_uncertainty=7.0)
@@ -244,15 +296,28 @@ def test_ur10e_weighs_its_known_payload(shared: Path, tmp_path: Path) -> None:
     """True mass 2.805 kg; with the gains in use there the estimate is some 8 % high, which gains known to 7 % explain and noise does not."""
     sheet = tmp_path / "ur10e.toml"
     sheet.write_text(
-        'header = false\ntorque_source = "current"\ngains = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]\n'
-        '[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"\n'
+        'header = false\ntorque_source = "current"\ngains = [14.87, 13.26, 11.13, 10.62, 11.03,'
+        ' 11.47]\n[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"\n'
     )
     model = load_robot(shared / "models" / "ur10e.urdf")
-    logs = ("ur-20_02_10-30sec_12harm.csv", "ur-20_02_19_14harm50sec.csv", "ur-20_02_19_14harm50secLoad.csv")
-    train, bare, loaded = (read_recordings([shared / "data" / "ur10e" / log], model=model, sheet=sheet)[0] for log in logs)
+    logs = (
+        "ur-20_02_10-30sec_12harm.csv",
+        "ur-20_02_19_14harm50sec.csv",
+        "ur-20_02_19_14harm50secLoad.csv",
+    )
+    train, bare, loaded = (
+        read_recordings([shared / "data" / "ur10e" / log], model=model, sheet=sheet)[0]
+        for log in logs
+    )
     chain = SignalChain().resolved(train, bare)
-    result = identify(model, prepare_samples(train, chain), drive=DriveSet.parse("armature,viscous,coulomb,offset"))
-    payload = identify_payload(result, prepare_samples(loaded, chain), unloaded=[prepare_samples(bare, chain)])
+    result = identify(
+        model,
+        prepare_samples(train, chain),
+        drive=DriveSet.parse("armature,viscous,coulomb,offset"),
+    )
+    payload = identify_payload(
+        result, prepare_samples(loaded, chain), unloaded=[prepare_samples(bare, chain)]
+    )
     assert abs(payload.values[0] - 2.805) < 2.0 * payload.std_errors[0]
     assert payload.gain_errors[0] > 2.0 * payload.noise_errors[0]
     assert payload.metrics[0].relative_error < 0.3 * payload.metrics_bare[0].relative_error

@@ -38,7 +38,12 @@ def channels():
 
     def samples(tau, noise, source):
         return Samples(
-            trajectory.t, *state, tau + noise * rng.normal(size=shape), rate=100.0, joint_names=ROBOT.joint_names, torque_source=source
+            trajectory.t,
+            *state,
+            tau + noise * rng.normal(size=shape),
+            rate=100.0,
+            joint_names=ROBOT.joint_names,
+            torque_source=source,
         )
 
     return samples(behind, 0.05, "sensor"), samples(ahead, 0.5, "motor"), links, motor
@@ -52,7 +57,9 @@ def test_both_sides_come_back(channels):
     errors = np.array([found.value(name) for name in named]) - truth
     sigmas = np.array([found.std_errors[found.names.index(name)] for name in named])
     assert np.sqrt(np.mean((errors / sigmas) ** 2)) < 1.6
-    np.testing.assert_allclose([found.value(f"Fv{k + 1}") for k in range(7)], links.reshape(7, 3)[:, 0], atol=0.03)
+    np.testing.assert_allclose(
+        [found.value(f"Fv{k + 1}") for k in range(7)], links.reshape(7, 3)[:, 0], atol=0.03
+    )
     np.testing.assert_allclose(found.rms_sensor, 0.05, rtol=0.15)
     np.testing.assert_allclose(found.rms_motor, 0.5, rtol=0.15)
 
@@ -63,31 +70,49 @@ def test_the_sensor_decides_what_both_see_where_it_is_the_better(channels):
     alone = identify(ROBOT, sensor, drive=LINK_SIDE)
     p = len(alone.parameters)
     assert together.names[:p] == tuple(parameter.name for parameter in alone.parameters)
-    np.testing.assert_allclose(together.values[:p], alone.estimates, atol=1.0 * np.abs(alone.std_errors).max())
+    np.testing.assert_allclose(
+        together.values[:p], alone.estimates, atol=1.0 * np.abs(alone.std_errors).max()
+    )
     textbook = np.sqrt(np.diag(together.estimate.covariance))[:p]
-    assert np.all(textbook <= 1.05 * np.array([parameter.textbook_std_error for parameter in alone.parameters]))
+    assert np.all(
+        textbook
+        <= 1.05 * np.array([parameter.textbook_std_error for parameter in alone.parameters])
+    )
 
 
 def test_a_coupled_wrist_is_seen_from_the_motors():
     coupling = np.eye(7)
     coupling[6, 5] = 1.0
     robot = replace(ROBOT, motor_coupling=coupling)
-    ahead = DriveSet.parse("armature,motor_armature:joints=7,viscous,motor_viscous:joints=7,coulomb,motor_coulomb:joints=7,offset")
+    ahead = DriveSet.parse(
+        "armature,motor_armature:joints=7,viscous,motor_viscous:joints=7,coulomb,motor_coulomb:joints=7,offset"
+    )
     rng = np.random.default_rng(6)
     trajectory = random_fourier(ROBOT, 4, duration=30.0).sample(100.0)
     state = (trajectory.q, trajectory.qd, trajectory.qdd)
     truth = rng.uniform(0.3, 1.2, (7, ahead.columns_per_joint))
-    behind = inverse_dynamics(ROBOT, *state) + drive_torque(LINK_SIDE, np.tile([0.1, 0.2, 0.1], 7), *state)
+    behind = inverse_dynamics(ROBOT, *state) + drive_torque(
+        LINK_SIDE, np.tile([0.1, 0.2, 0.1], 7), *state
+    )
     felt = behind + drive_torque(ahead, truth.ravel(), *state, shares=robot.motor_shares)
     sensor, motor = (
         Samples(
-            trajectory.t, *state, tau + noise * rng.normal(size=tau.shape), rate=100.0, joint_names=ROBOT.joint_names, torque_source=source
+            trajectory.t,
+            *state,
+            tau + noise * rng.normal(size=tau.shape),
+            rate=100.0,
+            joint_names=ROBOT.joint_names,
+            torque_source=source,
         )
         for tau, noise, source in ((behind, 0.05, "sensor"), (felt, 0.5, "motor"))
     )
     found = identify_two_channels(robot, sensor, motor)
     assert found.names[-7:] == ("Iam7", "Iamm7", "Fvm7", "Fvmm7", "Fcm7", "Fcmm7", "Fom7")
-    assert len(found.names) == len(set(found.names)) == find_base_parameters(robot, LINK_SIDE).n_base + 28 + 3
+    assert (
+        len(found.names)
+        == len(set(found.names))
+        == find_base_parameters(robot, LINK_SIDE).n_base + 28 + 3
+    )
     assert found.of_motor_side.sum() == 31
     errors = (found.values[-7:] - truth[6]) / found.std_errors[-7:]
     assert np.sqrt(np.mean(errors**2)) < 2.0

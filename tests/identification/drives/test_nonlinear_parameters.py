@@ -39,7 +39,9 @@ def elbow(**changes):
     for k, (a, alpha, b) in enumerate([(0.0, np.pi / 2, 0.3), (0.4, 0.0, 0.0), (0.3, 0.0, 0.0)]):
         square = rng.normal(size=(3, 3)) * 0.05
         inertia = LinkInertia.from_com(
-            6.0 / (k + 1), rng.uniform(-0.1, 0.1, 3), np.trace(square @ square.T) * np.eye(3) - square @ square.T
+            6.0 / (k + 1),
+            rng.uniform(-0.1, 0.1, 3),
+            np.trace(square @ square.T) * np.eye(3) - square @ square.T,
         )
         rows.append(DHRow(a=a, alpha=alpha, b=b, inertia=inertia))
     robot = robot_from_dh(rows, name="elbow")
@@ -53,7 +55,9 @@ def recorded(model, drive, values, *, seed=1, noise=0.02, duration=40.0, source=
     rigid = inverse_dynamics(model, *state)
     tau = rigid + drive_torque(drive, values, *state, load=rigid, shares=model.motor_shares)
     tau = tau + noise * np.random.default_rng(seed).normal(size=tau.shape)
-    return Samples(trajectory.t, *state, tau, rate=100.0, joint_names=model.joint_names, torque_source=source)
+    return Samples(
+        trajectory.t, *state, tau, rate=100.0, joint_names=model.joint_names, torque_source=source
+    )
 
 
 def test_a_stribeck_velocity_comes_back_joint_by_joint():
@@ -97,7 +101,9 @@ def test_load_friction_is_found_with_its_own_load_whatever_cad_says():
     np.testing.assert_allclose([found[f"Fl{k}"] for k in (1, 2, 3)], 0.1, atol=0.005)
     np.testing.assert_allclose(result.train.rms, 0.02, rtol=0.1)
     stored = IdentificationResult.from_json(result.to_json())
-    np.testing.assert_array_equal(stored.predict(samples).predicted, result.predict(samples).predicted)
+    np.testing.assert_array_equal(
+        stored.predict(samples).predicted, result.predict(samples).predicted
+    )
 
 
 def test_a_coupled_wrist_comes_back():
@@ -114,7 +120,9 @@ def test_a_coupled_wrist_comes_back():
     np.testing.assert_allclose(result.train.rms, 0.005, rtol=0.1)
     stored = IdentificationResult.from_json(result.to_json())
     np.testing.assert_array_equal(stored.model.motor_coupling, coupling)
-    np.testing.assert_array_equal(stored.predict(samples).predicted, result.predict(samples).predicted)
+    np.testing.assert_array_equal(
+        stored.predict(samples).predicted, result.predict(samples).predicted
+    )
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.0])
@@ -130,10 +138,17 @@ def test_nothing_is_chosen_where_the_defaults_leave_nothing(scale):
 @pytest.mark.parametrize("key", ["stribeck", "power"])
 def test_a_recording_shorter_than_the_filter_tells_no_shapes(key):
     model, drive = elbow(), DriveSet.parse(f"coulomb,{key},offset")
-    few = replace(recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3), duration=0.5), parallel=design_parallel_filter(2.0, 100.0, 4))
+    few = replace(
+        recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3), duration=0.5),
+        parallel=design_parallel_filter(2.0, 100.0, 4),
+    )
     assert few.n_filtered == 0
     with pytest.raises(
-        IdentifiabilityError, match=rf"no samples of elbow are left to fit the shapes of coulomb,{key},offset to: .* or state the shapes"
+        IdentifiabilityError,
+        match=(
+            rf"no samples of elbow are left to fit the shapes of coulomb,{key},offset to: .* or"
+            r" state the shapes"
+        ),
     ):
         settle_drive(model, [few], drive)
 
@@ -155,10 +170,15 @@ def test_what_fades_at_speed_is_no_stribeck_friction(velocity, at_bound):
 
 def test_the_choice_finds_what_was_put_in_and_where():
     model = elbow(gravity=np.array([0.0, 4.0, -9.0]))
-    truth = DriveSet.parse("viscous,coulomb,load_friction:joints=2,stribeck:joints=1/3:velocity=0.1,offset")
+    truth = DriveSet.parse(
+        "viscous,coulomb,load_friction:joints=2,stribeck:joints=1/3:velocity=0.1,offset"
+    )
     values = np.tile([0.5, 1.0, 2.0, 0.2, 0.2], 3)
     choice = choose_drive(model, [recorded(model, truth, values, noise=0.05)])
-    assert {str(replace(term, **{shape.name: None for shape in term.shapes})) for term in choice.drive.terms} == {
+    assert {
+        str(replace(term, **{shape.name: None for shape in term.shapes}))
+        for term in choice.drive.terms
+    } == {
         "viscous",
         "coulomb",
         "load_friction:joints=2",
@@ -169,10 +189,16 @@ def test_the_choice_finds_what_was_put_in_and_where():
     np.testing.assert_allclose([stribeck.at(k).value("velocity") for k in (0, 2)], 0.1, rtol=0.1)
     assert "chosen beside viscous, coulomb, offset" in choice.sentences[0]
     assert choice.gain.exceeds(3.0)
-    assert all(addition.taken == (addition.objection is None) for addition in choice.additions if addition.gain.exceeds(5.0))
+    assert all(
+        addition.taken == (addition.objection is None)
+        for addition in choice.additions
+        if addition.gain.exceeds(5.0)
+    )
     judged = recorded(model, truth, values, noise=0.05, seed=5)
     errors = [
-        validate(identify(model, recorded(model, truth, values, noise=0.05), drive=drive), judged).metrics_as_built.rms
+        validate(
+            identify(model, recorded(model, truth, values, noise=0.05), drive=drive), judged
+        ).metrics_as_built.rms
         for drive in (PLAIN, choice.drive)
     ]
     assert np.all(errors[1] < errors[0])
@@ -195,7 +221,9 @@ def test_springs_are_for_those_who_ask():
     assert "spring" not in choose_drive(model, [samples]).drive.keys
     asked = settle_drive(model, [samples], "auto,spring:joints=2")
     assert asked.drive == DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
-    grease = recorded(model, DriveSet.parse("power:exponent=0.6,coulomb,offset"), np.tile([1.0, 2.0, 0.2], 3))
+    grease = recorded(
+        model, DriveSet.parse("power:exponent=0.6,coulomb,offset"), np.tile([1.0, 2.0, 0.2], 3)
+    )
     stated = settle_drive(model, [grease], "auto,stribeck:velocity=0.05").drive
     assert {"power", "stribeck"} <= set(stated.keys)
     assert "stribeck:velocity=0.05" in stated.specifications
@@ -210,9 +238,13 @@ def test_friction_that_drives_is_not_believed(seed):
     """Where speed sheds friction of the wrong sign, as an unmodelled effect would, no candidate takes it in."""
     model = elbow()
     truth = DriveSet.parse("viscous,coulomb,load_friction,offset")
-    choice = choose_drive(model, [recorded(model, truth, np.tile([0.5, 1.0, -0.05, 0.2], 3), seed=seed)])
+    choice = choose_drive(
+        model, [recorded(model, truth, np.tile([0.5, 1.0, -0.05, 0.2], 3), seed=seed)]
+    )
     assert "load_friction" not in choice.drive.keys
-    assert any("do not come out positive" in (addition.objection or "") for addition in choice.additions)
+    assert any(
+        "do not come out positive" in (addition.objection or "") for addition in choice.additions
+    )
 
 
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e"])
@@ -223,7 +255,11 @@ def test_friction_under_load_is_found_on_whole_arms(robot):
     train, judged = (recorded(model, truth, values, duration=40.0, seed=seed) for seed in (2, 5))
     choice = choose_drive(model, [train])
     assert choice.drive.keys == truth.keys
-    np.testing.assert_allclose(validate(identify(model, train, drive=choice.drive), judged).metrics_as_built.rms, 0.02, rtol=0.3)
+    np.testing.assert_allclose(
+        validate(identify(model, train, drive=choice.drive), judged).metrics_as_built.rms,
+        0.02,
+        rtol=0.3,
+    )
 
 
 def test_the_defaults_stay_where_nothing_else_is_there():
@@ -239,19 +275,37 @@ def test_the_defaults_stay_where_nothing_else_is_there():
 
 def test_parameters_at_the_motor():
     model = elbow()
-    ratio = replace(model, joints=tuple(replace(joint, drive=DriveValues(gear_ratio=100.0)) for joint in model.joints))
+    ratio = replace(
+        model,
+        joints=tuple(replace(joint, drive=DriveValues(gear_ratio=100.0)) for joint in model.joints),
+    )
     drive = DriveSet.parse("armature,viscous,coulomb,power:exponent=1.5,offset")
-    result = identify(ratio, recorded(ratio, drive, np.tile([0.5, 1.0, 2.0, 0.3, 0.2], 3)), drive=drive)
+    result = identify(
+        ratio, recorded(ratio, drive, np.tile([0.5, 1.0, 2.0, 0.3, 0.2], 3)), drive=drive
+    )
     found = {each.name: each.motor_side / each.joint_side for each in motor_side_parameters(result)}
     assert found["Fv2"] == pytest.approx(1e-4)
     assert found["Fc2"] == pytest.approx(1e-2)
     assert found["Fp2"] == pytest.approx(1e-5)
     assert found["Fo2"] == pytest.approx(1e-2)
-    turned = replace(model, joints=tuple(replace(joint, drive=DriveValues(gear_ratio=-100.0)) for joint in model.joints))
+    turned = replace(
+        model,
+        joints=tuple(
+            replace(joint, drive=DriveValues(gear_ratio=-100.0)) for joint in model.joints
+        ),
+    )
     drive = DriveSet.parse("viscous,spring,balancer,offset")
-    result = identify(turned, recorded(turned, drive, np.tile([1.0, 3.0, 0.4, 0.5, 0.2], 3)), drive=drive)
+    result = identify(
+        turned, recorded(turned, drive, np.tile([1.0, 3.0, 0.4, 0.5, 0.2], 3)), drive=drive
+    )
     found = {each.name: each.motor_side / each.joint_side for each in motor_side_parameters(result)}
-    assert {name[:2]: np.sign(ratio) for name, ratio in found.items()} == {"Fv": 1.0, "Ks": 1.0, "Bs": -1.0, "Bc": -1.0, "Fo": -1.0}
+    assert {name[:2]: np.sign(ratio) for name, ratio in found.items()} == {
+        "Fv": 1.0,
+        "Ks": 1.0,
+        "Bs": -1.0,
+        "Bc": -1.0,
+        "Fo": -1.0,
+    }
     with pytest.raises(DescriptionError, match="gear_ratio"):
         motor_side_parameters(identify(model, recorded(model, PLAIN, np.ones(9)), drive=PLAIN))
 
@@ -259,19 +313,27 @@ def test_parameters_at_the_motor():
 def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
     sheet = tmp_path / "sheet.toml"
     sheet.write_text(
-        'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity = "8-13"\ntorque = "14-19"\n'
+        'header = false\ntorque_source = "current"\n[columns]\ntime = 1\nposition = "2-7"\nvelocity'
+        ' = "8-13"\ntorque = "14-19"\n'
     )
     model = load_robot(str(shared / "models" / "ur10e.urdf"))
-    logs = [shared / "data" / "ur10e" / name for name in ("ur-20_02_10-30sec_12harm.csv", "ur-20_02_12-40sec_12harm.csv")]
+    logs = [
+        shared / "data" / "ur10e" / name
+        for name in ("ur-20_02_10-30sec_12harm.csv", "ur-20_02_12-40sec_12harm.csv")
+    ]
     gains = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
     train, judged = (
-        prepare_samples(read_recordings([log], model=model, sheet=sheet, gain=gains)[0], SignalChain(cutoff=4.0)) for log in logs
+        prepare_samples(
+            read_recordings([log], model=model, sheet=sheet, gain=gains)[0], SignalChain(cutoff=4.0)
+        )
+        for log in logs
     )
     choice = choose_drive(model, [train])
     assert "load_friction" in choice.drive.keys
     assert not {"spring", "balancer", "cubic"} & set(choice.drive.keys)
     plain, rich = (
-        validate(identify(model, train, drive=drive), judged).metrics_as_built.rms for drive in (DriveSet.default("current"), choice.drive)
+        validate(identify(model, train, drive=drive), judged).metrics_as_built.rms
+        for drive in (DriveSet.default("current"), choice.drive)
     )
     assert np.exp(np.mean(np.log(rich / plain))) < 0.85
     assert np.all(rich[1:3] < 0.75 * plain[1:3])
@@ -288,22 +350,37 @@ def test_a_recorded_med7_keeps_its_defaults(shared):
 
 def test_what_a_robot_was_built_with_is_among_its_usual_terms():
     model = elbow()
-    sprung = replace(model.joints[1], drive=DriveValues(terms={"spring": {"Ks": 3.0}, "stribeck": {"Fs": 0.3}}))
+    sprung = replace(
+        model.joints[1], drive=DriveValues(terms={"spring": {"Ks": 3.0}, "stribeck": {"Fs": 0.3}})
+    )
     built = replace(model, joints=(model.joints[0], sprung, model.joints[2]))
     assert usual_drive(built, "sensor") == DriveSet.parse("viscous,coulomb,spring:joints=2,offset")
     wrist = replace(model, motor_coupling=np.array([[1.0, 0, 0], [0, 1, 0], [0, 1, 1]]))
-    assert set(usual_drive(wrist, "motor").specifications) - set(usual_drive(model, "motor").specifications) == {
+    assert set(usual_drive(wrist, "motor").specifications) - set(
+        usual_drive(model, "motor").specifications
+    ) == {
         "motor_armature:joints=3",
         "motor_viscous:joints=3",
         "motor_coulomb:joints=3",
     }
     assert usual_drive(wrist, "sensor") == PLAIN
-    samples = recorded(built, DriveSet.parse("viscous,coulomb,spring:joints=2,offset"), np.tile([0.5, 1.0, 0.2, 3.0], 3), noise=0.05)
-    assert settle_drive(built, [samples]).drive == choose_drive(built, [samples]).drive == usual_drive(built, "sensor")
+    samples = recorded(
+        built,
+        DriveSet.parse("viscous,coulomb,spring:joints=2,offset"),
+        np.tile([0.5, 1.0, 0.2, 3.0], 3),
+        noise=0.05,
+    )
+    assert (
+        settle_drive(built, [samples]).drive
+        == choose_drive(built, [samples]).drive
+        == usual_drive(built, "sensor")
+    )
 
 
 def test_bundled_robots_accept_every_default():
     model = bundled_robot("kuka-iiwa7-r800")
     samples = recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 7), duration=10.0)
     assert settle_drive(model, [samples], None).drive == PLAIN
-    assert settle_drive(model, [replace(samples, torque_source="motor")], None).drive == DriveSet.default("motor")
+    assert settle_drive(
+        model, [replace(samples, torque_source="motor")], None
+    ).drive == DriveSet.default("motor")

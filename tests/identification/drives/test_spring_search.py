@@ -28,10 +28,17 @@ def sprung(case, stiffness, noise=0.02):
     for k in range(1, len(colour)):
         colour[k] = 0.8 * colour[k - 1] + 0.6 * colour[k]
     size = np.sqrt(np.mean(samples.tau**2, axis=0))
-    return replace(samples, tau=samples.tau + samples.q * stiffness + noise * size * colour, tau_raw=np.zeros(0))
+    return replace(
+        samples,
+        tau=samples.tau + samples.q * stiffness + noise * size * colour,
+        tau_raw=np.zeros(0),
+    )
 
 
-@pytest.mark.parametrize(("robot", "joint", "stiffness"), [("kuka-iiwa7-r800", 5, 0.6), ("ur10e", 3, 2.0), ("puma-560", 4, 1.0)])
+@pytest.mark.parametrize(
+    ("robot", "joint", "stiffness"),
+    [("kuka-iiwa7-r800", 5, 0.6), ("ur10e", 3, 2.0), ("puma-560", 4, 1.0)],
+)
 def test_a_spring_is_found_where_it_is_and_nowhere_else(trial, robot, joint, stiffness) -> None:
     case = trial(robot, "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
     springs = np.zeros(case.model.n_joints)
@@ -49,7 +56,12 @@ def test_a_described_spring_and_too_short_a_recording_say_nothing(trial) -> None
     springs = np.zeros(6)
     springs[3] = 2.0
     samples = sprung(case, springs)
-    assert suspected_springs(case.model, [samples], DRIVE.with_term(*DriveSet.parse("spring:joints=4").terms)) == ()
+    assert (
+        suspected_springs(
+            case.model, [samples], DRIVE.with_term(*DriveSet.parse("spring:joints=4").terms)
+        )
+        == ()
+    )
     assert suspected_springs(case.model, [samples], DRIVE, block_seconds=20.0) == ()
 
 
@@ -67,8 +79,11 @@ def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
     assert beside.stiffness == pytest.approx(alone.stiffness, rel=1e-2)
     assert beside.error_with == pytest.approx(alone.error_with, rel=0.05)
 
-    refused = replace(identify(case.model, samples, drive=described), warnings=(IdentificationWarning("bodies_refused", "no real bodies"),))
-    (_, said) = with_hidden_causes(refused, [samples], described).warnings
+    refused = replace(
+        identify(case.model, samples, drive=described),
+        warnings=(IdentificationWarning("bodies_refused", "no real bodies"),),
+    )
+    _, said = with_hidden_causes(refused, [samples], described).warnings
     advised = said.message.rpartition("--drive ")[2].rstrip(".")
     assert DriveSet.parse(advised) == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
 
@@ -77,7 +92,9 @@ def test_two_recordings_of_a_real_arm_tell_of_the_same_spring(shared) -> None:
     model = load_robot(shared / "models/kuka_lwr4.urdf")
     found = []
     for number in (1, 2):
-        recording = read_recordings([shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model)[0]
+        recording = read_recordings(
+            [shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model
+        )[0]
         samples = prepare_samples(recording, SignalChain().resolved(recording))
         (spring,) = suspected_springs(model, [samples], DRIVE)
         found.append(spring)
@@ -87,13 +104,25 @@ def test_two_recordings_of_a_real_arm_tell_of_the_same_spring(shared) -> None:
 
 def test_a_study_says_what_a_spring_would_explain(shared) -> None:
     model = load_robot(shared / "models/kuka_lwr4.urdf")
-    recordings = [read_recordings([shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model)[0] for number in (1, 2)]
-    study = run_study(model, recordings[:1], validation=recordings[1:], options=StudyOptions(method="auto"))
-    (said,) = [warning.message for warning in study.result.warnings if warning.code == "spring_suspected"]
+    recordings = [
+        read_recordings([shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model)[0]
+        for number in (1, 2)
+    ]
+    study = run_study(
+        model, recordings[:1], validation=recordings[1:], options=StudyOptions(method="auto")
+    )
+    (said,) = [
+        warning.message for warning in study.result.warnings if warning.code == "spring_suspected"
+    ]
     assert "lwr_6_joint" in said
     assert "--mounting estimate --drive viscous,coulomb,offset,spring:joints=7" in said
     drive = DriveSet.parse("viscous,coulomb,offset,spring:joints=7")
-    sprung_study = run_study(model, recordings[:1], validation=recordings[1:], options=StudyOptions(method="auto", drive=drive))
+    sprung_study = run_study(
+        model,
+        recordings[:1],
+        validation=recordings[1:],
+        options=StudyOptions(method="auto", drive=drive),
+    )
     before, after = (each.validations[0].metrics_as_built.rms[6] for each in (study, sprung_study))
     assert after < 0.6 * before
     assert sprung_study.result.physically_consistent

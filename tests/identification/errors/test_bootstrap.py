@@ -28,16 +28,33 @@ from asbuilt.identification.information.square_root_information import (
 
 MODEL, DRIVE = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
 BASE = find_base_parameters(MODEL, DRIVE)
-CHI = np.concatenate([np.concatenate([link.inertia.parameters for link in MODEL.links]), [0.8, 1.5, -0.2, 0.4, 0.9, 0.3]])
+CHI = np.concatenate(
+    [
+        np.concatenate([link.inertia.parameters for link in MODEL.links]),
+        [0.8, 1.5, -0.2, 0.4, 0.9, 0.3],
+    ]
+)
 
 
 def made_samples(seed: int = 3, n_samples: int = 4000, noise: float = 1.0) -> Samples:
     rng = np.random.default_rng(seed)
     t = np.arange(n_samples) / 100.0
-    q = np.column_stack([np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t), np.cos(1.7 * t) - 0.4 * np.sin(4.3 * t)])
+    q = np.column_stack(
+        [np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t), np.cos(1.7 * t) - 0.4 * np.sin(4.3 * t)]
+    )
     qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
-    tau = (observation_matrix(MODEL, q, qd, qdd, drive=DRIVE, columns=BASE.columns) @ BASE.values(CHI)).reshape(q.shape)
-    return Samples(t, q, qd, qdd, tau + noise * rng.normal(size=q.shape), rate=100.0, joint_names=MODEL.joint_names)
+    tau = (
+        observation_matrix(MODEL, q, qd, qdd, drive=DRIVE, columns=BASE.columns) @ BASE.values(CHI)
+    ).reshape(q.shape)
+    return Samples(
+        t,
+        q,
+        qd,
+        qdd,
+        tau + noise * rng.normal(size=q.shape),
+        rate=100.0,
+        joint_names=MODEL.joint_names,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -61,11 +78,15 @@ def test_white_residuals_give_the_textbook_errors(information: SquareRootInforma
     found = redraw(information, estimate, rng=1)
     assert np.median(found.std_errors / estimate.std_errors) == pytest.approx(1.0, abs=0.1)
     np.testing.assert_allclose(np.diag(found.covariance), found.std_errors**2)
-    assert np.median(found.std_errors / block_uncertainty(information, estimate).std_errors) == pytest.approx(1.0, abs=0.2)
+    assert np.median(
+        found.std_errors / block_uncertainty(information, estimate).std_errors
+    ) == pytest.approx(1.0, abs=0.2)
 
 
 @pytest.mark.parametrize("method", ["ols", "wls", "ridge", "total"])
-def test_every_draw_of_a_linear_estimate_is_the_fit_of_the_blocks_drawn(information: SquareRootInformation, method: str) -> None:
+def test_every_draw_of_a_linear_estimate_is_the_fit_of_the_blocks_drawn(
+    information: SquareRootInformation, method: str
+) -> None:
     design = design_values(MODEL, BASE)
     estimate = find_method(method).estimate(Evidence(MODEL, information, None, design))
     found = redraw(information, estimate, n_draws=6, rng=4)
@@ -73,15 +94,22 @@ def test_every_draw_of_a_linear_estimate_is_the_fit_of_the_blocks_drawn(informat
         gram, side = normal_equations(information.select(blocks), estimate.weights)
         if method in ("ridge", "total"):
             held = normal_equations(information, estimate.weights)
-            pull = np.linalg.inv(estimate.solution.inverse_root @ estimate.solution.inverse_root.T) - held[0]
+            pull = (
+                np.linalg.inv(estimate.solution.inverse_root @ estimate.solution.inverse_root.T)
+                - held[0]
+            )
             gram, side = gram + pull, side + (held[0] + pull) @ estimate.beta - held[1]
         np.testing.assert_allclose(beta, np.linalg.solve(gram, side), rtol=1e-6, atol=1e-8)
 
 
-def normal_equations(information: SquareRootInformation, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def normal_equations(
+    information: SquareRootInformation, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     p = information.base.n_base
     gram, side = np.zeros((p, p)), np.zeros(p)
-    for support, factors, weight in zip(information.support, information.factors, weights, strict=True):
+    for support, factors, weight in zip(
+        information.support, information.factors, weights, strict=True
+    ):
         for factor in factors:
             whole = weight**2 * factor.T @ factor
             gram[np.ix_(support, support)] += whole[:-1, :-1]
@@ -89,22 +117,35 @@ def normal_equations(information: SquareRootInformation, weights: np.ndarray) ->
     return gram, side
 
 
-def test_every_draw_of_a_consistent_fit_is_the_consistent_fit_of_the_blocks_drawn(information: SquareRootInformation) -> None:
+def test_every_draw_of_a_consistent_fit_is_the_consistent_fit_of_the_blocks_drawn(
+    information: SquareRootInformation,
+) -> None:
     prior = cad_prior(MODEL, DRIVE)
     for estimate, again in (
-        (whole := fit_consistent(information, prior), lambda seen, w=whole.weights: fit_consistent(seen, prior, weights=w)),
+        (
+            whole := fit_consistent(information, prior),
+            lambda seen, w=whole.weights: fit_consistent(seen, prior, weights=w),
+        ),
         (
             whole := fit_toward_cad(information, prior, weight=10.0),
             lambda seen, w=whole.weights: fit_toward_cad(seen, prior, weight=10.0, weights=w),
         ),
     ):
         found = redraw(information, estimate, n_draws=3, rng=2)
-        for beta, blocks in zip(found.estimates, drawn_blocks(information.n_blocks, 3, 2), strict=True):
-            np.testing.assert_allclose(beta, again(information.select(blocks)).beta, rtol=1e-4, atol=1e-5)
+        for beta, blocks in zip(
+            found.estimates, drawn_blocks(information.n_blocks, 3, 2), strict=True
+        ):
+            np.testing.assert_allclose(
+                beta, again(information.select(blocks)).beta, rtol=1e-4, atol=1e-5
+            )
 
 
-def test_dropped_parameters_stay_dropped_and_the_others_are_fitted_without_them(information: SquareRootInformation) -> None:
-    estimate = find_method("essential").estimate(Evidence(MODEL, information, None, design_values(MODEL, BASE)))
+def test_dropped_parameters_stay_dropped_and_the_others_are_fitted_without_them(
+    information: SquareRootInformation,
+) -> None:
+    estimate = find_method("essential").estimate(
+        Evidence(MODEL, information, None, design_values(MODEL, BASE))
+    )
     assert estimate.dropped is not None
     assert 0 < estimate.dropped.sum() < BASE.n_base
     found = redraw(information, estimate, n_draws=4, rng=9)
@@ -112,13 +153,17 @@ def test_dropped_parameters_stay_dropped_and_the_others_are_fitted_without_them(
     kept = ~estimate.dropped
     for beta, blocks in zip(found.estimates, drawn_blocks(information.n_blocks, 4, 9), strict=True):
         gram, side = normal_equations(information.select(blocks), estimate.weights)
-        np.testing.assert_allclose(beta[kept], np.linalg.solve(gram[np.ix_(kept, kept)], side[kept]), rtol=1e-6, atol=1e-8)
+        np.testing.assert_allclose(
+            beta[kept], np.linalg.solve(gram[np.ix_(kept, kept)], side[kept]), rtol=1e-6, atol=1e-8
+        )
     uncertainty = bootstrap_uncertainty(information, estimate, found)
     assert np.all(np.diag(uncertainty.covariance)[estimate.dropped] == 0.0)
     assert np.all(np.diag(uncertainty.covariance)[kept] > 0.0)
 
 
-def test_intervals_contain_the_estimate_and_follow_the_seed(information: SquareRootInformation) -> None:
+def test_intervals_contain_the_estimate_and_follow_the_seed(
+    information: SquareRootInformation,
+) -> None:
     estimate = fit_least_squares(information, weights="joint")
     one, other = (redraw(information, estimate, n_draws=50, rng=7) for _ in range(2))
     np.testing.assert_array_equal(one.estimates, other.estimates)
@@ -128,12 +173,17 @@ def test_intervals_contain_the_estimate_and_follow_the_seed(information: SquareR
 
 def test_what_nothing_excites_stays_where_it_is() -> None:
     samples = made_samples()
-    still = replace(samples, q=samples.q * [0.0, 1.0], qd=samples.qd * [0.0, 1.0], qdd=samples.qdd * [0.0, 1.0])
+    still = replace(
+        samples, q=samples.q * [0.0, 1.0], qd=samples.qd * [0.0, 1.0], qdd=samples.qdd * [0.0, 1.0]
+    )
     information = accumulate(MODEL, BASE, still, block_seconds=1.0)
     estimate = fit_least_squares(information, weights="joint", prior=design_values(MODEL, BASE))
     assert estimate.undetermined
     found = redraw(information, estimate, n_draws=20)
-    open_directions = estimate.solution.open_directions / np.linalg.norm(estimate.solution.open_directions, axis=1)[:, None]
+    open_directions = (
+        estimate.solution.open_directions
+        / np.linalg.norm(estimate.solution.open_directions, axis=1)[:, None]
+    )
     scaled = np.linalg.qr((estimate.solution.inverse_root), mode="complete")[0][:, estimate.rank :]
     assert open_directions.shape[0] == scaled.shape[1]
     np.testing.assert_allclose((found.estimates - estimate.beta) @ scaled, 0.0, atol=1e-9)
@@ -149,7 +199,10 @@ def test_a_block_that_alone_tells_a_direction_is_reported(samples: Samples) -> N
     moving = (samples.t >= 20.0) & (samples.t < 20.9)
     lone = np.where(moving[:, None], 1.0, [0.0, 1.0])
     information = accumulate(
-        MODEL, BASE, replace(samples, q=samples.q * lone, qd=samples.qd * lone, qdd=samples.qdd * lone), block_seconds=1.0
+        MODEL,
+        BASE,
+        replace(samples, q=samples.q * lone, qd=samples.qd * lone, qdd=samples.qdd * lone),
+        block_seconds=1.0,
     )
     estimate = fit_least_squares(information, weights="joint", prior=design_values(MODEL, BASE))
     with pytest.raises(IdentifiabilityError, match="single blocks carry what others do not"):
@@ -157,9 +210,12 @@ def test_a_block_that_alone_tells_a_direction_is_reported(samples: Samples) -> N
 
 
 @pytest.mark.parametrize("method", [name for name in methods if name != "total"])
-def test_identify_takes_its_errors_from_the_draws_whatever_the_method(samples: Samples, method: str) -> None:
+def test_identify_takes_its_errors_from_the_draws_whatever_the_method(
+    samples: Samples, method: str
+) -> None:
     blocks, drawn = (
-        identify(MODEL, samples, base=BASE, method=method, errors=errors, block_seconds=2.0) for errors in ("blocks", "bootstrap")
+        identify(MODEL, samples, base=BASE, method=method, errors=errors, block_seconds=2.0)
+        for errors in ("blocks", "bootstrap")
     )
     np.testing.assert_array_equal(blocks.estimates, drawn.estimates)
     known = np.isfinite(blocks.std_errors)
@@ -168,7 +224,9 @@ def test_identify_takes_its_errors_from_the_draws_whatever_the_method(samples: S
     assert drawn.errors.n_blocks == 20
     assert drawn.errors.n_draws >= 180
     assert ("the choice of " + drawn.method in drawn.errors.held_fixed) == (method == "auto")
-    assert f"scatter of {drawn.errors.n_draws} fits to 20 time blocks of 2 s" in str(drawn.summary())
+    assert f"scatter of {drawn.errors.n_draws} fits to 20 time blocks of 2 s" in str(
+        drawn.summary()
+    )
 
 
 def test_errors_that_do_not_exist_are_named(samples: Samples) -> None:
@@ -176,11 +234,16 @@ def test_errors_that_do_not_exist_are_named(samples: Samples) -> None:
         identify(MODEL, samples, base=BASE, errors="jackknife")  # type: ignore[arg-type]
 
 
-def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(samples: Samples) -> None:
+def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
+    samples: Samples,
+) -> None:
     """Student's quantile with 19 degrees of freedom is 2.093 (tables of Fisher and Yates); 20 blocks drawn with replacement scatter sqrt(20 / 19) too little."""
     information = accumulate(MODEL, BASE, samples, block_seconds=2.0)
     prior = cad_prior(MODEL, DRIVE)
-    for estimate, widening in ((fit_least_squares(information, weights="joint"), 1.0), (fit_consistent(information, prior), 2.093 / 1.96)):
+    for estimate, widening in (
+        (fit_least_squares(information, weights="joint"), 1.0),
+        (fit_consistent(information, prior), 2.093 / 1.96),
+    ):
         drawn = redraw(information, estimate)
         wide = drawn.std_errors * np.sqrt(20 / 19) * widening
         found = bootstrap_uncertainty(information, estimate, drawn).std_errors
@@ -191,19 +254,36 @@ def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(sam
         ("entropic", ["bootstrap_of_pull"]),
         ("ridge", ["bootstrap_of_pull"]),
     ):
-        result = identify(MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0)
-        assert [warning.code for warning in result.warnings if warning.code.startswith("bootstrap")] == codes
+        result = identify(
+            MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0
+        )
+        assert [
+            warning.code for warning in result.warnings if warning.code.startswith("bootstrap")
+        ] == codes
 
 
 @pytest.mark.parametrize(("smoothing", "small"), [(1, False), (25, True)])
-def test_textbook_errors_are_those_of_the_textbook_and_labelled(smoothing: int, small: bool) -> None:
+def test_textbook_errors_are_those_of_the_textbook_and_labelled(
+    smoothing: int, small: bool
+) -> None:
     """Noise averaged over 25 neighbours is 25 times as good as it looks, sample by sample."""
     clean, rng = made_samples(noise=0.0), np.random.default_rng(8)
-    noise = np.apply_along_axis(np.convolve, 0, rng.normal(size=clean.tau.shape), np.ones(smoothing) / np.sqrt(smoothing), mode="same")
+    noise = np.apply_along_axis(
+        np.convolve,
+        0,
+        rng.normal(size=clean.tau.shape),
+        np.ones(smoothing) / np.sqrt(smoothing),
+        mode="same",
+    )
     noisy = replace(clean, tau=clean.tau + noise)
-    result, blocks = (identify(MODEL, noisy, base=BASE, errors=errors, block_seconds=2.0) for errors in ("textbook", "blocks"))
+    result, blocks = (
+        identify(MODEL, noisy, base=BASE, errors=errors, block_seconds=2.0)
+        for errors in ("textbook", "blocks")
+    )
     np.testing.assert_array_equal(result.covariance, result.textbook_covariance)
-    np.testing.assert_array_equal(result.std_errors, [parameter.textbook_std_error for parameter in blocks.parameters])
+    np.testing.assert_array_equal(
+        result.std_errors, [parameter.textbook_std_error for parameter in blocks.parameters]
+    )
     assert result.effective_samples == result.n_samples
     assert (result.errors.kind, result.errors.asked) == ("textbook", "textbook")
     assert result.errors.growth == pytest.approx(np.median(blocks.std_errors / result.std_errors))

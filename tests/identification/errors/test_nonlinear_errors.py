@@ -28,24 +28,46 @@ from asbuilt.workflow.study import StudyOptions, run_study
 
 SHAPED = {
     "power": ("coulomb,power:exponent=0.6,offset", [1.0, 2.0, 0.3], "coulomb,power,offset"),
-    "stribeck": ("viscous,coulomb,stribeck:velocity=0.1,offset", [1.0, 2.0, 1.0, 0.3], "viscous,coulomb,stribeck,offset"),
-    "smooth_coulomb": ("viscous,smooth_coulomb:width=0.1,offset", [1.0, 2.0, 0.3], "viscous,smooth_coulomb,offset"),
+    "stribeck": (
+        "viscous,coulomb,stribeck:velocity=0.1,offset",
+        [1.0, 2.0, 1.0, 0.3],
+        "viscous,coulomb,stribeck,offset",
+    ),
+    "smooth_coulomb": (
+        "viscous,smooth_coulomb:width=0.1,offset",
+        [1.0, 2.0, 0.3],
+        "viscous,smooth_coulomb,offset",
+    ),
 }
 
 
-def samples_of(robot: str, term: str, *, noise: float = 0.2, seed: int = 1, joint_noise: float = 0.0) -> Samples:
+def samples_of(
+    robot: str, term: str, *, noise: float = 0.2, seed: int = 1, joint_noise: float = 0.0
+) -> Samples:
     model = bundled_robot(robot)
     drive, values, _ = SHAPED[term]
     motion = random_fourier(model, 3, duration=20.0).sample(100.0)
     state = motion.q, motion.qd, motion.qdd
-    tau = inverse_dynamics(model, *state) + drive_torque(DriveSet.parse(drive), np.tile(values, model.n_joints), *state)
+    tau = inverse_dynamics(model, *state) + drive_torque(
+        DriveSet.parse(drive), np.tile(values, model.n_joints), *state
+    )
     spread = noise * (1.0 + joint_noise * np.arange(model.n_joints))
     tau = tau + spread * np.random.default_rng(seed).normal(size=tau.shape)
-    return Samples(motion.t, *state, tau, rate=100.0, joint_names=model.joint_names, torque_source="sensor")
+    return Samples(
+        motion.t, *state, tau, rate=100.0, joint_names=model.joint_names, torque_source="sensor"
+    )
 
 
-def fitted(robot: str, samples: Samples, term: str, method: str = "wls", errors: ErrorKind = "blocks") -> IdentificationResult:
-    return identify(bundled_robot(robot), samples, drive=DriveSet.parse(SHAPED[term][2]), method=method, errors=errors)
+def fitted(
+    robot: str, samples: Samples, term: str, method: str = "wls", errors: ErrorKind = "blocks"
+) -> IdentificationResult:
+    return identify(
+        bundled_robot(robot),
+        samples,
+        drive=DriveSet.parse(SHAPED[term][2]),
+        method=method,
+        errors=errors,
+    )
 
 
 @pytest.mark.parametrize("robot", ["scara", "two-link", "ur10e"])
@@ -65,10 +87,15 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
 
     at = np.array([shaped.at(k).value(name) for k in range(n)])
     weights = np.tile(1.0 / result.sigma, samples.t.size)
-    told = [place.joint for place in fit_shapes(model, DriveSet.parse(SHAPED[term][2]), [samples]).places]
+    told = [
+        place.joint
+        for place in fit_shapes(model, DriveSet.parse(SHAPED[term][2]), [samples]).places
+    ]
     assert len(told) >= n - 1
     steps = [1e-5 * np.eye(n)[k] for k in told]
-    changes = np.column_stack([(columns(at + step) - columns(at - step)) @ result.estimates / 2e-5 for step in steps])
+    changes = np.column_stack(
+        [(columns(at + step) - columns(at - step)) @ result.estimates / 2e-5 for step in steps]
+    )
     J = np.column_stack([columns(at), changes]) * weights[:, None]
     size = np.linalg.norm(J, axis=0)
     expected = np.sqrt(np.diag(np.linalg.inv((J / size).T @ (J / size)))) / size
@@ -78,7 +105,9 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
         assert f"{model.joint_names[k]} {' +- '.join(rounded(at[k], error))}" in note
 
 
-@pytest.mark.parametrize(("robot", "method"), [("scara", "wls"), ("scara", "consistent"), ("two-link", "huber")])
+@pytest.mark.parametrize(
+    ("robot", "method"), [("scara", "wls"), ("scara", "consistent"), ("two-link", "huber")]
+)
 def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, method: str) -> None:
     """Twenty recordings that differ in their noise alone: without what the exponent leaves open, Coulomb friction would lie two errors off as a rule."""
     n, sigmas, alone = bundled_robot(robot).n_joints, [], []
@@ -88,7 +117,12 @@ def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, m
         stated = identify(result.model, samples, base=result.base, method=method)
         for found, kept in ((result, sigmas), (stated, alone)):
             values = {parameter.name: parameter for parameter in found.parameters}
-            kept.append([(values[f"Fc{k}"].estimate - 1.0) / values[f"Fc{k}"].std_error for k in range(1, n + 1)])
+            kept.append(
+                [
+                    (values[f"Fc{k}"].estimate - 1.0) / values[f"Fc{k}"].std_error
+                    for k in range(1, n + 1)
+                ]
+            )
         np.testing.assert_allclose(stated.estimates, result.estimates)
     assert np.sqrt(np.mean(np.square(sigmas))) < 1.3
     assert np.sqrt(np.mean(np.square(alone))) > 1.5
@@ -98,7 +132,10 @@ def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     model, samples = bundled_robot("scara"), samples_of("scara", "power")
     found = [
         run_study(model, [samples], options=StudyOptions(drive=drive, method="consistent")).result
-        for drive in (DriveSet.parse(SHAPED["power"][2]), settle_drive(model, [samples], DriveSet.parse(SHAPED["power"][2])).drive)
+        for drive in (
+            DriveSet.parse(SHAPED["power"][2]),
+            settle_drive(model, [samples], DriveSet.parse(SHAPED["power"][2])).drive,
+        )
     ]
     grown = found[0].std_errors / found[1].std_errors
     assert found[0].base.names == found[1].base.names
@@ -119,7 +156,9 @@ def test_a_shape_without_effect_is_not_told() -> None:
     result = identify(model, samples, drive=choice.drive)
     still = replace(samples, qd=np.zeros_like(samples.qd))
     information = accumulate(model, result.base, still)
-    estimate = estimate_wls(Evidence(model, information, [still], np.zeros(result.n_base), "toward_prior", None))
+    estimate = estimate_wls(
+        Evidence(model, information, [still], np.zeros(result.n_base), "toward_prior", None)
+    )
     found = shape_errors(model, result.base, estimate, [still], choice.fitted)
     assert np.all(np.isnan(found.std_errors))
     assert not found.covariance.any()

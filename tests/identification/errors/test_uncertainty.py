@@ -80,7 +80,9 @@ def test_coloured_noise_makes_the_textbook_error_too_small_but_not_the_honest_on
 def test_no_error_is_smaller_than_the_textbook_one_and_correlations_are_kept(experiment):
     model, base, t, q, qd, qdd, w, beta = experiment
     tau = (w @ beta).reshape(q.shape) + coloured(np.random.default_rng(1), q.shape)
-    information = accumulate(model, base, Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names))
+    information = accumulate(
+        model, base, Samples(t, q, qd, qdd, tau, rate=RATE, joint_names=model.joint_names)
+    )
     estimate = fit_least_squares(information, weights="joint")
     uncertainty = block_uncertainty(information, estimate)
     assert uncertainty.basis.kind == "blocks"
@@ -98,5 +100,11 @@ def test_too_few_blocks_fall_back_to_the_textbook(experiment):
     uncertainty = block_uncertainty(information, fit_least_squares(information))
     assert uncertainty.basis.kind == "textbook"
     assert uncertainty.effective_samples == len(t)
-    assert (uncertainty.basis.asked, uncertainty.basis.n_blocks, uncertainty.basis.growth) == ("blocks", FEWEST_BLOCKS - 1, None)
-    assert "7 time blocks are too few to do better" in uncertainty.basis.sentence(uncertainty.effective_samples, len(t))
+    assert (uncertainty.basis.asked, uncertainty.basis.n_blocks, uncertainty.basis.growth) == (
+        "blocks",
+        FEWEST_BLOCKS - 1,
+        None,
+    )
+    assert "7 time blocks are too few to do better" in uncertainty.basis.sentence(
+        uncertainty.effective_samples, len(t)
+    )

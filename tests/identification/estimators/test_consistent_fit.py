@@ -42,7 +42,9 @@ def fits(case):
 
 
 def torque_error(case, beta):
-    return np.sqrt(case.information.residual_energy(beta).sum() / case.information.torque_energy.sum())
+    return np.sqrt(
+        case.information.residual_energy(beta).sum() / case.information.torque_energy.sum()
+    )
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -55,7 +57,9 @@ def test_without_noise_the_torques_of_the_truth_come_back(trial, robot):
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
     case = trial(robot, noise=0.05, seed=4)
-    free = fit_least_squares(case.information, weights="joint", prior=case.base.values(case.prior.parameters))
+    free = fit_least_squares(
+        case.information, weights="joint", prior=case.base.values(case.prior.parameters)
+    )
     truth = trial(robot, noise=0.0, seed=4, chi=case.chi).information
     missed = {"wls": truth.residual_energy(free.beta).sum()}
     for method, estimate in fits(case).items():
@@ -63,7 +67,9 @@ def test_every_estimate_is_real_and_the_prior_helps(trial, robot):
         assert estimate.part > 0
         assert margin_is_consistent(consistency_margin(case.base, estimate.beta), estimate.beta)
         assert estimate.standard[case.prior.non_negative].min() > -1e-6
-        assert not inconsistencies(case.model.with_parameters(estimate.standard[: 10 * case.model.n_joints]))
+        assert not inconsistencies(
+            case.model.with_parameters(estimate.standard[: 10 * case.model.n_joints])
+        )
         missed[method] = truth.residual_energy(estimate.beta).sum()
     assert missed["consistent"] < 1.05 * missed["wls"]
     assert missed["entropic"] < missed["wls"]
@@ -84,7 +90,14 @@ def test_given_weight_bounds_and_joint_weights(trial):
     case = trial("ur10e", noise=0.05, seed=6)
     heavy = body_bounds(case.prior, mass={5: (2.0, 3.0)})
     for metric in ("entropic", "euclidean"):
-        estimate = fit_toward_cad(case.information, case.prior, metric=metric, weight=50.0, bounds=heavy, weights=np.full(6, 2.0))
+        estimate = fit_toward_cad(
+            case.information,
+            case.prior,
+            metric=metric,
+            weight=50.0,
+            bounds=heavy,
+            weights=np.full(6, 2.0),
+        )
         assert estimate.prior_weight == 50.0
         assert estimate.notes[0] == "weight of CAD 50, as given"
         assert 2.0 - 1e-6 <= estimate.standard[59] <= 3.0 + 1e-6
@@ -99,8 +112,14 @@ def test_errors_are_not_too_small(trial, method):
     inside, asked = 0, 0
     for seed in range(12):
         case = trial("scara", "viscous,coulomb", noise=0.05, seed=100 + seed, duration=16.0)
-        estimate = fit_consistent(case.information, case.prior) if method == "consistent" else fit_toward_cad(case.information, case.prior)
-        error = (estimate.beta - case.beta) / block_uncertainty(case.information, estimate).std_errors
+        estimate = (
+            fit_consistent(case.information, case.prior)
+            if method == "consistent"
+            else fit_toward_cad(case.information, case.prior)
+        )
+        error = (estimate.beta - case.beta) / block_uncertainty(
+            case.information, estimate
+        ).std_errors
         inside, asked = inside + int(np.sum(np.abs(error) < 1.96)), asked + len(error)
     assert inside / asked > 0.93
 
@@ -112,11 +131,21 @@ def test_unexcited_directions_lie_at_cad(trial):
     q[:, :5], qd[:, :5], qdd[:, :5] = 0.3, 0.0, 0.0
     W = observation_matrix(case.model, q, qd, qdd, drive=case.base.drive, columns=case.base.columns)
     chi = np.concatenate([case.prior.parameters[:50], case.chi[50:]])
-    samples = replace(case.samples, q=q, qd=qd, qdd=qdd, tau=(W @ case.base.values(chi)).reshape(q.shape), tau_raw=np.zeros(0))
+    samples = replace(
+        case.samples,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        tau=(W @ case.base.values(chi)).reshape(q.shape),
+        tau_raw=np.zeros(0),
+    )
     information = accumulate(case.model, case.base, samples)
     estimate = fit_consistent(information, case.prior)
     assert len(estimate.undetermined) > 10
-    assert np.sqrt(information.residual_energy(estimate.beta).sum() / information.torque_energy.sum()) < 1e-4
+    assert (
+        np.sqrt(information.residual_energy(estimate.beta).sum() / information.torque_energy.sum())
+        < 1e-4
+    )
     assert case.prior.divergence(estimate.standard)[:3].max() < 0.05
     errors = block_uncertainty(information, estimate).std_errors
     assert np.all(errors[~estimate.determined] > 0)
@@ -130,7 +159,12 @@ def test_what_is_known_is_the_inverse_of_the_covariance(trial, method):
     q[:, 5:], qd[:, 5:], qdd[:, 5:] = 0.3, 0.0, 0.0
     W = observation_matrix(case.model, q, qd, qdd, drive=case.base.drive, columns=case.base.columns)
     tau = (W @ case.beta).reshape(q.shape) + 0.05 * np.random.default_rng(0).normal(size=q.shape)
-    result = identify(case.model, replace(case.samples, q=q, qd=qd, qdd=qdd, tau=tau, tau_raw=np.zeros(0)), base=case.base, method=method)
+    result = identify(
+        case.model,
+        replace(case.samples, q=q, qd=qd, qdd=qdd, tau=tau, tau_raw=np.zeros(0)),
+        base=case.base,
+        method=method,
+    )
     assert result.rank < result.n_base
     known, size = known_information(result), np.sqrt(np.diag(result.covariance))
     scaled, covariance = (
@@ -138,12 +172,16 @@ def test_what_is_known_is_the_inverse_of_the_covariance(trial, method):
         result.covariance / np.outer(np.where(size > 0, size, 1.0), np.where(size > 0, size, 1.0)),
     )
     np.testing.assert_allclose(covariance @ scaled @ covariance, covariance, atol=1e-6)
-    assert np.linalg.matrix_rank(scaled, tol=1e-6) == (result.rank if method == "wls" else result.n_base)
+    assert np.linalg.matrix_rank(scaled, tol=1e-6) == (
+        result.rank if method == "wls" else result.n_base
+    )
 
 
 def med7(shared, log, rule):
     model = load_robot(shared / "models" / "lbrstack_med7.urdf")
-    recordings = read_recordings([shared / "data" / "lbr_med7" / log], model=model, rate=100.0, flip_torque=True)
+    recordings = read_recordings(
+        [shared / "data" / "lbr_med7" / log], model=model, rate=100.0, flip_torque=True
+    )
     samples = prepare_samples(recordings[0], SignalChain().resolved(*recordings))
     return model, *hold_out(samples, rule)
 
@@ -151,7 +189,11 @@ def med7(shared, log, rule):
 @pytest.mark.parametrize(
     ("log", "rule", "no_worse"),
     [
-        ("measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3", [0.57, 0.41, 0.39, 0.47, 0.13, 0.12, 0.09]),
+        (
+            "measurements_with_ext_tau_1_dgr.csv",
+            "blocks:5s:3",
+            [0.57, 0.41, 0.39, 0.47, 0.13, 0.12, 0.09],
+        ),
         ("measurements.csv", "last:0.3", [0.6, 0.9, 0.4, 0.6, 0.3, 0.12, 0.16]),
     ],
 )
@@ -171,7 +213,9 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
 def test_result_says_method_margin_and_weight(shared):
     model, train, _ = med7(shared, "measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3")
     for method in ("consistent", "entropic", "euclidean"):
-        result = identify(model, train, drive=DriveSet.parse("viscous,coulomb,offset"), method=method)
+        result = identify(
+            model, train, drive=DriveSet.parse("viscous,coulomb,offset"), method=method
+        )
         assert result.physically_consistent
         text = result.summary().as_text()
         assert "physically consistent" in text.splitlines()[0]
@@ -185,7 +229,9 @@ def test_bodies_far_from_cad_are_reached(trial, weight):
     bare = trial("ur10e", "armature,viscous,coulomb,offset", seed=12, duration=10.0)
     chi = bare.chi.copy()
     chi[50:60] += LinkInertia.from_com(10.0, [0.0, -0.16, 0.05], 0.02 * np.eye(3)).parameters
-    case = trial("ur10e", "armature,viscous,coulomb,offset", noise=0.05, seed=12, duration=10.0, chi=chi)
+    case = trial(
+        "ur10e", "armature,viscous,coulomb,offset", noise=0.05, seed=12, duration=10.0, chi=chi
+    )
     found = fit_toward_cad(case.information, case.prior, weight=weight)
     assert found.part > 0.0
     place = case.base.names.index("my6")
@@ -198,6 +244,8 @@ def test_torques_of_zero_are_fitted_without_overflow(trial, method):
     case = trial("two-link", seed=1)
     still = replace(case.samples, tau=np.zeros_like(case.samples.tau), tau_raw=np.zeros(0))
     with np.errstate(over="raise", invalid="raise"):
-        estimate = find_method(method).estimate(Evidence(case.model, accumulate(case.model, case.base, still), None))
+        estimate = find_method(method).estimate(
+            Evidence(case.model, accumulate(case.model, case.base, still), None)
+        )
     assert np.all(np.isfinite(estimate.beta))
     assert np.all(np.isfinite(estimate.weights))

@@ -43,14 +43,21 @@ def machine() -> InstalledRobot:
 
 
 def moved(robot: InstalledRobot, seed: int):
-    return prepare_samples(robot.record(random_fourier(robot.model, rng=seed, duration=20.0, n_harmonics=8), 200.0, rng=seed).recording)
+    return prepare_samples(
+        robot.record(
+            random_fourier(robot.model, rng=seed, duration=20.0, n_harmonics=8), 200.0, rng=seed
+        ).recording
+    )
 
 
 @pytest.fixture(scope="module")
 def results() -> tuple[IdentificationResult, IdentificationResult]:
     robot = machine()
     recorded = [moved(robot, seed) for seed in (1, 2)]
-    essential, whole = (identify(robot.model, recorded, drive=DRIVE, method=method) for method in ("essential", "wls"))
+    essential, whole = (
+        identify(robot.model, recorded, drive=DRIVE, method=method)
+        for method in ("essential", "wls")
+    )
     return essential, whole
 
 
@@ -68,21 +75,36 @@ def test_what_is_dropped_has_no_error_and_the_rest_has_one(essential: Identifica
     assert np.all(essential.estimates[dropped] == 0.0)
     assert np.all(essential.std_errors[~dropped] > 0.0)
     assert np.all(essential.covariance[dropped] == 0.0)
-    assert f"{essential.n_base - dropped.sum()} of {essential.n_base} parameters are essential" in essential.notes[0]
+    assert (
+        f"{essential.n_base - dropped.sum()} of {essential.n_base} parameters are essential"
+        in essential.notes[0]
+    )
 
 
 def test_files_say_null_and_not_zero(essential: IdentificationResult) -> None:
-    stored, told = json.loads(essential.to_json()), json.loads(json_text(identify_document(essential)))
+    stored, told = (
+        json.loads(essential.to_json()),
+        json.loads(json_text(identify_document(essential))),
+    )
     rows = list(csv.DictReader(io.StringIO(identified_table(essential).as_csv())))
-    for parameter, one, other, row in zip(essential.parameters, stored["parameters"], told["parameters"], rows, strict=True):
-        assert (one["std_error"] is None) == (other["std_error"] is None) == (row["std_error"] == "") == parameter.dropped
+    for parameter, one, other, row in zip(
+        essential.parameters, stored["parameters"], told["parameters"], rows, strict=True
+    ):
+        assert (
+            (one["std_error"] is None)
+            == (other["std_error"] is None)
+            == (row["std_error"] == "")
+            == parameter.dropped
+        )
         assert one["dropped"] == other["dropped"] == (row["dropped"] == "yes") == parameter.dropped
     again = IdentificationResult.from_json(essential.to_json())
     np.testing.assert_array_equal(again.dropped, essential.dropped)
     np.testing.assert_array_equal(again.std_errors, essential.std_errors)
 
 
-def test_files_of_versions_that_said_zero_are_read_as_dropped(essential: IdentificationResult) -> None:
+def test_files_of_versions_that_said_zero_are_read_as_dropped(
+    essential: IdentificationResult,
+) -> None:
     stored = json.loads(essential.to_json())
     del stored["errors"]
     for parameter in stored["parameters"]:
@@ -97,21 +119,32 @@ def test_files_of_versions_that_said_zero_are_read_as_dropped(essential: Identif
 
 def test_the_summary_shows_them_as_dropped(essential: IdentificationResult) -> None:
     lines = str(essential.summary()).splitlines()
-    marked = {int(line.split()[0]) for line in lines if re.match(r" *\d+ +\S", line) and line.count("dropped") == 2}
+    marked = {
+        int(line.split()[0])
+        for line in lines
+        if re.match(r" *\d+ +\S", line) and line.count("dropped") == 2
+    }
     assert marked == set(essential.base.ids[essential.dropped].tolist())
 
 
 def test_determination_lists_them_apart(essential: IdentificationResult) -> None:
     found = determination(essential)
-    names = [set(part) for part in (found.well, found.fairly, found.hardly, found.not_at_all, found.dropped)]
+    names = [
+        set(part)
+        for part in (found.well, found.fairly, found.hardly, found.not_at_all, found.dropped)
+    ]
     assert set.union(*names) == set(essential.base.names)
     assert sum(map(len, names)) == essential.n_base
-    assert names[-1] == {name for name, gone in zip(essential.base.names, essential.dropped, strict=True) if gone}
+    assert names[-1] == {
+        name for name, gone in zip(essential.base.names, essential.dropped, strict=True) if gone
+    }
     assert f"dropped as needless: {len(found.dropped)}" in found.in_short
     assert not names[-1] & {name for advice in found.advice for name in advice.names}
 
 
-def test_they_tell_a_further_motion_nothing_and_the_others_all_they_did(essential: IdentificationResult) -> None:
+def test_they_tell_a_further_motion_nothing_and_the_others_all_they_did(
+    essential: IdentificationResult,
+) -> None:
     information, kept = known_information(essential), np.flatnonzero(~essential.dropped)
     assert np.all(information[essential.dropped] == 0.0)
     own = np.ix_(kept, kept)
@@ -122,39 +155,60 @@ def test_they_tell_a_further_motion_nothing_and_the_others_all_they_did(essentia
 def test_compare_neither_tests_nor_counts_them(essential: IdentificationResult) -> None:
     comparison = compare(essential, tolerance=CadTolerance())
     verdicts = {p.name: p.verdict for p in comparison.parameters}
-    assert {name for name, verdict in verdicts.items() if verdict == "dropped"} == {p.name for p in essential.parameters if p.dropped}
-    assert all(p.p_value is None and p.std_error is None for p in comparison.parameters if p.verdict == "dropped")
+    assert {name for name, verdict in verdicts.items() if verdict == "dropped"} == {
+        p.name for p in essential.parameters if p.dropped
+    }
+    assert all(
+        p.p_value is None and p.std_error is None
+        for p in comparison.parameters
+        if p.verdict == "dropped"
+    )
     tested = sum(verdict in ("differs", "agrees") for verdict in verdicts.values())
     assert comparison.n_compared == tested == comparison.chi_square.degrees
     assert "dropped" in comparison.as_text()
     json.loads(json_text(comparison.as_document()))
 
 
-def test_a_parameter_dropped_on_one_side_is_no_change(results: tuple[IdentificationResult, IdentificationResult]) -> None:
+def test_a_parameter_dropped_on_one_side_is_no_change(
+    results: tuple[IdentificationResult, IdentificationResult],
+) -> None:
     stored = replace(results[0], free=None), results[1]
     for pair in (stored, stored[::-1]):
         drift = compare_results(*pair)
-        assert {change.name for change in drift.parameters if change.dropped} == {p.name for p in results[0].parameters if p.dropped}
+        assert {change.name for change in drift.parameters if change.dropped} == {
+            p.name for p in results[0].parameters if p.dropped
+        }
         assert not any(change.changed for change in drift.parameters if change.dropped)
         assert drift.chi_square.degrees == results[0].n_base - results[0].dropped.sum()
-        assert f"{results[0].dropped.sum()} parameters were dropped as needless in one result or both" in drift.as_text()
+        assert (
+            f"{results[0].dropped.sum()} parameters were dropped as needless in one result or both"
+            in drift.as_text()
+        )
         json.loads(json_text(drift.as_document()))
 
 
-def test_two_methods_on_one_recording_are_no_change_at_all(results: tuple[IdentificationResult, IdentificationResult]) -> None:
+def test_two_methods_on_one_recording_are_no_change_at_all(
+    results: tuple[IdentificationResult, IdentificationResult],
+) -> None:
     drift = compare_results(*results)
     assert not any(change.dropped for change in drift.parameters)
-    np.testing.assert_allclose([change.after for change in drift.parameters], results[1].estimates, rtol=1e-12)
+    np.testing.assert_allclose(
+        [change.after for change in drift.parameters], results[1].estimates, rtol=1e-12
+    )
     assert drift.chi_square.degrees == results[0].n_base
     assert drift.chi_square.statistic < 1e-9
 
 
-def test_a_payload_is_weighed_with_them_at_zero(results: tuple[IdentificationResult, IdentificationResult]) -> None:
+def test_a_payload_is_weighed_with_them_at_zero(
+    results: tuple[IdentificationResult, IdentificationResult],
+) -> None:
     robot = machine()
     frame, _, _ = payload_frame(robot.model)
     loaded, bare = moved(robot.with_tool(TOOL, at=frame), 3), moved(robot, 4)
     for arm in ("refined", "frozen"):
-        light, full = (identify_payload(result, loaded, unloaded=[bare], arm=arm) for result in results)
+        light, full = (
+            identify_payload(result, loaded, unloaded=[bare], arm=arm) for result in results
+        )
         assert light.values[0] == pytest.approx(TOOL.mass, abs=5 * light.std_errors[0])
         assert light.values[0] == pytest.approx(full.values[0], abs=5 * full.std_errors[0])
         assert 0.2 < light.std_errors[0] / full.std_errors[0] < 2.0
@@ -164,6 +218,8 @@ def test_a_payload_is_weighed_with_them_at_zero(results: tuple[IdentificationRes
     np.testing.assert_allclose(frozen, results[0].estimates, rtol=1e-6, atol=1e-8)
 
 
-def test_a_refusal_to_export_does_not_take_zeros_for_measurements(essential: IdentificationResult) -> None:
+def test_a_refusal_to_export_does_not_take_zeros_for_measurements(
+    essential: IdentificationResult,
+) -> None:
     with pytest.raises(InertiaError, match="dropped as needless count as zero"):
         refuse_impossible_result(essential, as_built_model(essential))

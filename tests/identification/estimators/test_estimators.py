@@ -21,7 +21,9 @@ every_method = pytest.mark.parametrize("method", list(methods))
 @pytest.fixture(scope="module")
 def noisy(robot):
     model, base, beta = robot
-    return [recording(model, base, beta, noise=0.3, seed=seed, source=f"run {seed}") for seed in (1, 2)]
+    return [
+        recording(model, base, beta, noise=0.3, seed=seed, source=f"run {seed}") for seed in (1, 2)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +55,14 @@ def test_with_noise_errors_cover_the_truth(robot, found, method):
 def test_torques_in_other_units_scale_the_estimate(robot, noisy, found, method):
     _, _, _ = robot
     tenfold = arm(10.0)
-    batches = [replace(samples, tau=10 * samples.tau, tau_raw=np.empty((0, 0))) for samples in noisy]
+    batches = [
+        replace(samples, tau=10 * samples.tau, tau_raw=np.empty((0, 0))) for samples in noisy
+    ]
     result = identify(tenfold, batches, drive=DRIVE, method=method)
     size = np.abs(found[method].estimates).max()
-    np.testing.assert_allclose(result.estimates / 10, found[method].estimates, rtol=0, atol=1e-3 * size)
+    np.testing.assert_allclose(
+        result.estimates / 10, found[method].estimates, rtol=0, atol=1e-3 * size
+    )
     np.testing.assert_allclose(result.sigma / 10, found[method].sigma, rtol=1e-3)
 
 
@@ -66,7 +72,9 @@ def test_order_of_recordings_does_not_matter(robot, noisy, found, method):
     result = identify(model, noisy[::-1], drive=DRIVE, base=base, method=method)
     size = np.abs(found[method].estimates).max()
     np.testing.assert_allclose(result.estimates, found[method].estimates, rtol=0, atol=1e-5 * size)
-    np.testing.assert_allclose(result.std_errors, found[method].std_errors, rtol=1e-2, atol=1e-6 * size)
+    np.testing.assert_allclose(
+        result.std_errors, found[method].std_errors, rtol=1e-2, atol=1e-6 * size
+    )
 
 
 @every_method

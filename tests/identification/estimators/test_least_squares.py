@@ -84,7 +84,12 @@ def moved(model, base, beta, noise, n_samples=800, seed=0, still=()):
         q[:, joint], qd[:, joint], qdd[:, joint] = 0.3, 0.0, 0.0
     w = observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
     tau = (w @ beta).reshape(-1, n) + np.broadcast_to(noise, n) * rng.normal(size=(n_samples, n))
-    return Samples(np.arange(n_samples) / 100.0, q, qd, qdd, tau, rate=100.0, joint_names=model.joint_names), w
+    return (
+        Samples(
+            np.arange(n_samples) / 100.0, q, qd, qdd, tau, rate=100.0, joint_names=model.joint_names
+        ),
+        w,
+    )
 
 
 def test_noise_free_torque_gives_the_parameters_back(robot):
@@ -104,14 +109,18 @@ def test_joint_weights_converge_to_the_fixed_point_of_a_direct_solve(robot):
     estimate = fit_least_squares(accumulate(model, base, samples), weights="joint")
     rows = w.reshape(-1, 7, base.n_base)
     weighted = rows / estimate.sigma[:, None]
-    direct = np.linalg.lstsq(weighted.reshape(-1, base.n_base), (samples.tau / estimate.sigma).ravel(), rcond=None)[0]
+    direct = np.linalg.lstsq(
+        weighted.reshape(-1, base.n_base), (samples.tau / estimate.sigma).ravel(), rcond=None
+    )[0]
     assert np.allclose(estimate.beta, direct, rtol=1e-7, atol=1e-9)
     information = np.linalg.inv(np.einsum("tkp,tkq->pq", weighted, weighted))
     assert np.allclose(estimate.covariance, information, rtol=1e-6, atol=1e-9 * information.max())
     spent = np.einsum("tkp,pq,tkq->k", weighted, information, weighted)
     assert spent.sum() == pytest.approx(base.n_base)
     error = samples.tau - rows @ estimate.beta
-    assert np.allclose(estimate.sigma, np.sqrt((error**2).sum(axis=0) / (len(error) - spent)), rtol=1e-6)
+    assert np.allclose(
+        estimate.sigma, np.sqrt((error**2).sum(axis=0) / (len(error) - spent)), rtol=1e-6
+    )
     assert np.allclose(estimate.sigma, noise, rtol=0.1)
     assert estimate.converged
 
@@ -133,7 +142,9 @@ def test_standard_errors_are_the_scatter_of_repeated_experiments(robot):
     noise = np.array([0.1, 3.0, 0.5, 2.0, 0.2, 0.1, 0.05])
     deviations = []
     for seed in range(60):
-        estimate = fit_least_squares(accumulate(model, base, moved(model, base, beta, noise, 150, seed)[0]), weights="joint")
+        estimate = fit_least_squares(
+            accumulate(model, base, moved(model, base, beta, noise, 150, seed)[0]), weights="joint"
+        )
         deviations.append((estimate.beta - beta) / estimate.std_errors)
     z = np.array(deviations)
     assert np.mean(z**2) == pytest.approx(1.0, abs=0.1)
@@ -156,7 +167,11 @@ def test_a_standing_joint_leaves_directions_open_which_are_named_and_kept_at_cad
     cad = beta + 0.1
     estimate = fit_least_squares(information, weights="joint", prior=cad)
     assert estimate.rank == np.linalg.matrix_rank(w) < base.n_base
-    assert len(estimate.undetermined) == base.n_base - estimate.rank == len(estimate.solution.open_directions)
+    assert (
+        len(estimate.undetermined)
+        == base.n_base - estimate.rank
+        == len(estimate.solution.open_directions)
+    )
     assert np.allclose(w @ estimate.solution.open_directions.T, 0, atol=1e-9)
     assert {"Fv7", "Fc7"} <= set(estimate.undetermined)
     names = list(base.names)
@@ -180,14 +195,18 @@ def test_resolution_toward_cad_is_the_smallest_change_in_equal_torque(robot):
     estimate = fit_least_squares(accumulate(model, base, samples), prior=cad)
     length = np.linalg.norm(w, axis=0)
     scale = np.where(length > 0, length, 1.0)
-    expected = cad + np.linalg.pinv(w / scale, rcond=1e-10) @ (samples.tau.ravel() - w @ cad) / scale
+    expected = (
+        cad + np.linalg.pinv(w / scale, rcond=1e-10) @ (samples.tau.ravel() - w @ cad) / scale
+    )
     assert np.allclose(estimate.beta, expected, atol=1e-8)
 
 
 def test_what_is_open_can_be_refused(robot):
     model, base, beta = robot
     information = accumulate(model, base, moved(model, base, beta, 0.01, still=(6,))[0])
-    with pytest.raises(IdentifiabilityError, match=r"determines \d+ of the 64 parameters.*Fv7.*Move the joints"):
+    with pytest.raises(
+        IdentifiabilityError, match=r"determines \d+ of the 64 parameters.*Fv7.*Move the joints"
+    ):
         fit_least_squares(information, prior=beta, unexcited="refuse")
     with pytest.raises(IdentifiabilityError, match="give CAD values"):
         fit_least_squares(information)
@@ -205,7 +224,9 @@ def test_a_robot_at_rest_keeps_its_cad_values_except_what_gravity_tells(robot):
 def test_too_few_samples_and_wrong_weights_are_errors(robot):
     model, base, beta = robot
     information = accumulate(model, base, moved(model, base, beta, 0.1, 9)[0])
-    with pytest.raises(IdentifiabilityError, match="9 samples of 7 joints give 63 torques, too few for 64"):
+    with pytest.raises(
+        IdentifiabilityError, match="9 samples of 7 joints give 63 torques, too few for 64"
+    ):
         fit_least_squares(information)
     enough = accumulate(model, base, moved(model, base, beta, 0.1, 50)[0])
     with pytest.raises(UsageError, match="7 positive numbers"):
@@ -220,13 +241,21 @@ def test_given_weights_are_used_as_they_are(robot):
     weights = np.arange(1.0, 8.0)
     estimate = fit_least_squares(accumulate(model, base, samples), weights=weights)
     rows = (w.reshape(-1, 7, base.n_base) * weights[:, None]).reshape(-1, base.n_base)
-    assert np.allclose(estimate.beta, np.linalg.lstsq(rows, (samples.tau * weights).ravel(), rcond=None)[0], rtol=1e-9, atol=1e-11)
+    assert np.allclose(
+        estimate.beta,
+        np.linalg.lstsq(rows, (samples.tau * weights).ravel(), rcond=None)[0],
+        rtol=1e-9,
+        atol=1e-11,
+    )
 
 
 def test_rows_may_be_scaled_without_changing_the_answer(robot):
     model, base, beta = robot
     samples, _ = moved(model, base, beta, 0.3)
     estimate = fit_least_squares(accumulate(model, base, samples), weights="joint")
-    tenfold = fit_least_squares(accumulate(model, base, replace(samples, tau=10 * samples.tau, tau_raw=np.empty((0, 0)))), weights="joint")
+    tenfold = fit_least_squares(
+        accumulate(model, base, replace(samples, tau=10 * samples.tau, tau_raw=np.empty((0, 0)))),
+        weights="joint",
+    )
     assert np.allclose(tenfold.beta, 10 * estimate.beta, rtol=1e-8, atol=1e-10)
     assert np.allclose(tenfold.std_errors, 10 * estimate.std_errors, rtol=1e-7)

@@ -40,7 +40,12 @@ def test_ridge_is_tikhonov_toward_cad_at_one_of_its_weights(robot):
     distance = []
     for ridge in RIDGES:
         A = np.vstack([W, np.sqrt(ridge) * np.diag(size)])
-        x = np.linalg.lstsq(A / size, np.concatenate([tau, np.sqrt(ridge) * size * cad]), rcond=None)[0] / size
+        x = (
+            np.linalg.lstsq(
+                A / size, np.concatenate([tau, np.sqrt(ridge) * size * cad]), rcond=None
+            )[0]
+            / size
+        )
         distance.append(np.max(np.abs(x - estimate.beta)))
     assert min(distance) < 1e-9
     assert np.argmin(distance) > 0
@@ -51,7 +56,9 @@ def test_total_least_squares_is_that_of_the_singular_vector(robot, believed):
     """With every column noisy: the right singular vector of the scaled stack that belongs to its smallest singular value, whatever CAD says."""
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.5, seed=9)
-    estimate = methods["total"].estimate(evidence_of(robot, samples, None if believed is None else believed * beta))
+    estimate = methods["total"].estimate(
+        evidence_of(robot, samples, None if believed is None else believed * beta)
+    )
     W, tau = weighted_stack(robot, samples, estimate.weights)
     size, length = np.linalg.norm(W, axis=0), np.linalg.norm(tau)
     exact = np.array([name.startswith("Fo") for name in base.names])
@@ -80,13 +87,19 @@ def test_total_least_squares_keeps_to_cad_what_no_sample_tells(robot):
     np.testing.assert_allclose(estimate.beta[never], cad[never], rtol=1e-9)
     s, vt = np.linalg.svd(W[:, ~never] / size[~never], full_matrices=False)[1:]
     untold = vt[s < 1e-9 * s[0]]
-    np.testing.assert_allclose(untold @ (size * estimate.beta)[~never], untold @ (size * cad)[~never], atol=1e-6 * np.abs(size * cad).max())
+    np.testing.assert_allclose(
+        untold @ (size * estimate.beta)[~never],
+        untold @ (size * cad)[~never],
+        atol=1e-6 * np.abs(size * cad).max(),
+    )
 
 
 def test_total_least_squares_without_a_solution_is_refused(robot):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=5.0, seconds=1.0, seed=2, parallel=False)
-    with pytest.raises(IdentifiabilityError, match="total least squares has no trustworthy solution"):
+    with pytest.raises(
+        IdentifiabilityError, match="total least squares has no trustworthy solution"
+    ):
         methods["total"].estimate(evidence_of(robot, samples))
 
 
@@ -96,7 +109,9 @@ def shared_noise(robot, seed, seconds=20.0):
     clean = recording(model, base, beta, seconds=seconds, seed=11, parallel=False)
     rng = np.random.default_rng(seed)
     common = rng.normal(size=len(clean.t))
-    noise = np.column_stack([common, common + 0.1 * rng.normal(size=len(clean.t)), rng.normal(size=len(clean.t))])
+    noise = np.column_stack(
+        [common, common + 0.1 * rng.normal(size=len(clean.t)), rng.normal(size=len(clean.t))]
+    )
     return replace(clean, tau=clean.tau + noise, tau_raw=np.empty((0, 0)))
 
 
@@ -109,7 +124,9 @@ def test_maximum_likelihood_is_generalised_least_squares_at_its_own_covariance(r
     root = np.linalg.inv(np.linalg.cholesky(errors @ errors.T))
     W = np.einsum("ik,ktp->itp", root, np.array([W for W, _ in joints])).reshape(-1, base.n_base)
     tau = (root @ np.array([tau for _, tau in joints])).ravel()
-    np.testing.assert_allclose(estimate.beta, np.linalg.lstsq(W, tau, rcond=None)[0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(
+        estimate.beta, np.linalg.lstsq(W, tau, rcond=None)[0], rtol=1e-5, atol=1e-6
+    )
 
 
 def test_maximum_likelihood_beats_separate_weights_where_noise_is_shared(robot):
@@ -121,7 +138,9 @@ def test_maximum_likelihood_beats_separate_weights_where_noise_is_shared(robot):
         estimate = methods["ml"].estimate(evidence)
         together.append(estimate.beta - beta)
         scaled.append((estimate.beta - beta) / estimate.std_errors)
-    gain, size = (np.sqrt(np.mean(np.square(x), axis=0)) for x in (np.array(together), np.array(scaled)))
+    gain, size = (
+        np.sqrt(np.mean(np.square(x), axis=0)) for x in (np.array(together), np.array(scaled))
+    )
     assert np.median(gain / np.sqrt(np.mean(np.square(separate), axis=0))) < 0.6
     assert 0.7 < np.median(size) < 1.3
 
@@ -149,7 +168,9 @@ def test_instruments_take_most_of_the_bias_that_noise_in_the_motion_causes(robot
         for method, errors in bias.items():
             errors.append(methods[method].estimate(evidence).beta - beta)
     inertial = np.array([name.startswith("I") for name in base.names])
-    plain, instrumented = (np.linalg.norm(np.mean(bias[method], axis=0)[inertial]) for method in ("wls", "iv"))
+    plain, instrumented = (
+        np.linalg.norm(np.mean(bias[method], axis=0)[inertial]) for method in ("wls", "iv")
+    )
     assert instrumented < 0.35 * plain
 
 
@@ -164,7 +185,9 @@ def test_instrumented_equations_hold(robot):
     assert estimate.information is not None
     W, tau = weighted_stack(robot, samples, estimate.weights)
     hertz = float(estimate.notes[0].split("up to ")[1].split(" Hz")[0])
-    Z, _ = weighted_stack(robot, follow(model, base, estimate.beta, samples, hertz), estimate.weights)
+    Z, _ = weighted_stack(
+        robot, follow(model, base, estimate.beta, samples, hertz), estimate.weights
+    )
     solved = np.linalg.solve(Z.T @ W, Z.T @ tau)
     np.testing.assert_allclose(estimate.beta, solved, atol=0.05 * np.abs(estimate.std_errors).max())
 
@@ -182,8 +205,12 @@ def test_essential_parameters_leave_out_what_is_zero(robot):
     assert len(dropped) < base.n_base / 2
     kept = np.setdiff1d(np.arange(base.n_base), dropped)
     W, tau = weighted_stack(robot, samples, full.weights)
-    np.testing.assert_allclose(essential.beta[kept], np.linalg.lstsq(W[:, kept], tau, rcond=None)[0], rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(
+        essential.beta[kept], np.linalg.lstsq(W[:, kept], tau, rcond=None)[0], rtol=1e-7, atol=1e-9
+    )
     rise = np.sum((tau - W @ essential.beta) ** 2) - np.sum((tau - W @ full.beta) ** 2)
     variance = np.sum((tau - W @ full.beta) ** 2) / (len(tau) - base.n_base)
-    assert rise / len(dropped) / variance < 1.5 * stats.f.ppf(0.95, len(dropped), len(tau) - base.n_base)
+    assert rise / len(dropped) / variance < 1.5 * stats.f.ppf(
+        0.95, len(dropped), len(tau) - base.n_base
+    )
     assert np.all(essential.std_errors[dropped] == 0)

@@ -18,8 +18,15 @@ def test_errors_are_those_of_the_rows_held_out(robot):
     weights = np.array([1.0, 0.5, 2.0])
 
     def fits(factors, weight):
-        shrunk = [np.linalg.lstsq(factor[:-1, :-1], factor[:-1, -1] / (1.0 + weight), rcond=None)[0] for factor in factors]
-        return np.array(shrunk) @ base.regrouping @ np.linalg.inv(base.regrouping.T @ base.regrouping + 1e-9 * np.eye(base.n_standard))
+        shrunk = [
+            np.linalg.lstsq(factor[:-1, :-1], factor[:-1, -1] / (1.0 + weight), rcond=None)[0]
+            for factor in factors
+        ]
+        return (
+            np.array(shrunk)
+            @ base.regrouping
+            @ np.linalg.inv(base.regrouping.T @ base.regrouping + 1e-9 * np.eye(base.n_standard))
+        )
 
     choice = choose_weight(information, weights, base.regrouping, fits, (1.0, 1e-2, 1e-4))
     joints = full_rows(model, base, samples)
@@ -28,12 +35,24 @@ def test_errors_are_those_of_the_rows_held_out(robot):
     for row, weight in enumerate((1.0, 1e-2, 1e-4)):
         for held in range(8):
             W, tau = (
-                np.concatenate([w * joint[b][part] for w, joint in zip(weights, parts, strict=True) for b in range(8) if b != held])
+                np.concatenate(
+                    [
+                        w * joint[b][part]
+                        for w, joint in zip(weights, parts, strict=True)
+                        for b in range(8)
+                        if b != held
+                    ]
+                )
                 for part in (0, 1)
             )
             found = np.linalg.lstsq(W, tau / (1.0 + weight), rcond=None)[0]
-            errors = [w * (joint[held][1] - joint[held][0] @ found) for w, joint in zip(weights, parts, strict=True)]
-            np.testing.assert_allclose(choice.errors[row, held], np.mean(np.square(errors)), rtol=1e-6)
+            errors = [
+                w * (joint[held][1] - joint[held][0] @ found)
+                for w, joint in zip(weights, parts, strict=True)
+            ]
+            np.testing.assert_allclose(
+                choice.errors[row, held], np.mean(np.square(errors)), rtol=1e-6
+            )
     means, best = choice.errors.mean(axis=1), choice.errors.mean(axis=1).argmin()
     excess = choice.errors - choice.errors[best]
     near = [means[row] - means[best] <= sem(excess[row]) for row in range(3)]
@@ -42,5 +61,10 @@ def test_errors_are_those_of_the_rows_held_out(robot):
 
 def test_few_blocks_take_the_default(robot):
     model, base, beta = robot
-    information = accumulate(model, base, recording(model, base, beta, noise=1.0, seconds=8.0, seed=5), block_seconds=4.0)
-    assert choose_weight(information, np.ones(3), base.regrouping, lambda *_: np.zeros(0)).weight == DEFAULT_WEIGHT
+    information = accumulate(
+        model, base, recording(model, base, beta, noise=1.0, seconds=8.0, seed=5), block_seconds=4.0
+    )
+    assert (
+        choose_weight(information, np.ones(3), base.regrouping, lambda *_: np.zeros(0)).weight
+        == DEFAULT_WEIGHT
+    )

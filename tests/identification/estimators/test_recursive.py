@@ -37,7 +37,9 @@ def test_forgetting_is_a_weight_that_decays(robot):
     samples = recording(model, base, beta, noise=0.3, seconds=10.0, parallel=False)
     from asbuilt.dynamics.regressor import observation_matrix
 
-    W = observation_matrix(model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns)
+    W = observation_matrix(
+        model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns
+    )
     w = np.repeat(0.99 ** (0.5 * np.arange(len(samples.t))[::-1]), 3)
     direct = np.linalg.lstsq(W * w[:, None], samples.tau.ravel() * w, rcond=None)[0]
     answer = fed(RecursiveIdentification(model, base, forgetting=0.99), samples)
@@ -50,7 +52,10 @@ def test_load_that_is_picked_up_is_followed(robot):
     tool = LinkInertia.from_com(1.5, [0.05, 0.0, 0.1], np.diag([0.01, 0.01, 0.005]))
     heavier = InstalledRobot.ideal(model).with_tool(tool).model
     loaded = truth(base, heavier)
-    empty, full = (recording(model, base, b, noise=0.1, seconds=30.0, seed=3, parallel=False) for b in (beta, loaded))
+    empty, full = (
+        recording(model, base, b, noise=0.1, seconds=30.0, seed=3, parallel=False)
+        for b in (beta, loaded)
+    )
     line, stubborn = (RecursiveIdentification(model, base, forgetting=f) for f in (0.995, 1.0))
     before = fed(line, empty)
     fed(stubborn, empty)

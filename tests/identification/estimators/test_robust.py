@@ -36,11 +36,20 @@ def test_huber_is_the_minimum_that_scipy_finds(robot, struck):
     evidence = Evidence(model, accumulate_stream(model, base, [struck]), [struck])
     estimate = methods["huber"].estimate(evidence)
     joints = full_rows(model, base, struck)
-    size = np.linalg.norm(np.vstack([W / s for (W, _), s in zip(joints, estimate.sigma, strict=True)]), axis=0)
+    size = np.linalg.norm(
+        np.vstack([W / s for (W, _), s in zip(joints, estimate.sigma, strict=True)]), axis=0
+    )
     A = np.vstack([W / s for (W, _), s in zip(joints, estimate.sigma, strict=True)]) / size
     y = np.concatenate([tau / s for (_, tau), s in zip(joints, estimate.sigma, strict=True)])
     solved = least_squares(
-        lambda x: A @ x - y, np.zeros(base.n_base), jac=lambda x: A, loss="huber", f_scale=1.345, xtol=1e-15, ftol=1e-15, gtol=1e-12
+        lambda x: A @ x - y,
+        np.zeros(base.n_base),
+        jac=lambda x: A,
+        loss="huber",
+        f_scale=1.345,
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-12,
     )
     np.testing.assert_allclose(estimate.beta, solved.x / size, rtol=1e-4, atol=1e-5)
     median = [1.4826022185056018 * np.median(np.abs(tau - W @ estimate.beta)) for W, tau in joints]
@@ -67,7 +76,9 @@ def test_collisions_move_robust_fits_much_less(robot, clean, struck):
         result = identify(model, struck, drive=DRIVE, base=base, method=method)
         errors[method] = np.linalg.norm(clean.filtered_torque - result.predict(clean).predicted)
         truth_torque = identify(model, clean, drive=DRIVE, base=base)
-        errors[method] -= np.linalg.norm(clean.filtered_torque - truth_torque.predict(clean).predicted)
+        errors[method] -= np.linalg.norm(
+            clean.filtered_torque - truth_torque.predict(clean).predicted
+        )
     assert errors["huber"] < 0.3 * errors["wls"]
     assert errors["bisquare"] < 0.1 * errors["wls"]
     assert errors["auto"] < 0.5 * errors["wls"]
@@ -79,10 +90,16 @@ def test_robust_standard_errors_are_those_of_repeated_experiments(robot):
     for seed in range(30):
         samples = recording(model, base, beta, noise=0.2, seconds=16.0, seed=5)
         rng = np.random.default_rng(seed)
-        noise = np.where(rng.random(samples.tau.shape) < 0.05, 10.0, 1.0) * rng.normal(size=samples.tau.shape) * 0.2
+        noise = (
+            np.where(rng.random(samples.tau.shape) < 0.05, 10.0, 1.0)
+            * rng.normal(size=samples.tau.shape)
+            * 0.2
+        )
         clean_tau = recording(model, base, beta, noise=0.0, seconds=16.0, seed=5).tau
         spoilt = replace(samples, tau=clean_tau + noise, tau_raw=np.empty((0, 0)), parallel=None)
-        estimate = methods["huber"].estimate(Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt]))
+        estimate = methods["huber"].estimate(
+            Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt])
+        )
         found.append(estimate.beta)
         stated.append(estimate.std_errors)
     ratio = np.std(found, axis=0, ddof=1) / np.mean(stated, axis=0)
@@ -95,9 +112,13 @@ def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
     clean = recording(model, base, beta, noise=0.0, seconds=16.0, seed=5)
     turning = np.abs(clean.qd) < np.quantile(np.abs(clean.qd), 0.25, axis=0)
     for seed in range(60):
-        noise = np.random.default_rng(seed).normal(size=clean.tau.shape) * np.where(turning, 4.0, 0.2)
+        noise = np.random.default_rng(seed).normal(size=clean.tau.shape) * np.where(
+            turning, 4.0, 0.2
+        )
         spoilt = replace(clean, tau=clean.tau + noise, tau_raw=np.empty((0, 0)), parallel=None)
-        estimate = methods["huber"].estimate(Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt]))
+        estimate = methods["huber"].estimate(
+            Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt])
+        )
         found.append(estimate.beta)
         stated.append(estimate.std_errors)
     ratio = np.std(found, axis=0, ddof=1) / np.mean(stated, axis=0)
@@ -108,5 +129,11 @@ def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
 def test_weights_that_did_not_settle_are_said_to_be_the_methods(robot, struck, monkeypatch):
     model, base, _ = robot
     monkeypatch.setattr("asbuilt.identification.estimators.robust.MOST_ITERATIONS", 1)
-    said = {warning.code: warning.message for warning in identify(model, struck, base=base, method="huber").warnings}
-    assert said["not_converged"] == "The weights of huber had not settled after 1 iterations; compare with --method wls."
+    said = {
+        warning.code: warning.message
+        for warning in identify(model, struck, base=base, method="huber").warnings
+    }
+    assert (
+        said["not_converged"]
+        == "The weights of huber had not settled after 1 iterations; compare with --method wls."
+    )

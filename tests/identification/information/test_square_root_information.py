@@ -41,12 +41,21 @@ def recording(model, n_samples=1500, rate=100.0, seed=1, source="bench", **given
     n = model.n_joints
     q, qd, qdd = rng.uniform(-2, 2, (3, n_samples, n))
     tau = rng.normal(scale=5.0, size=(n_samples, n))
-    whole = {"t": np.arange(n_samples) / rate, "q": q, "qd": qd, "qdd": qdd, "tau": tau, "rate": rate}
+    whole = {
+        "t": np.arange(n_samples) / rate,
+        "q": q,
+        "qd": qd,
+        "qdd": qdd,
+        "tau": tau,
+        "rate": rate,
+    }
     return Samples(**(whole | {"joint_names": model.joint_names, "source": source} | given))
 
 
 def joint_stacks(model, base, samples):
-    whole = observation_matrix(model, samples.q, samples.qd, samples.qdd, drive=base.drive, columns=base.columns)
+    whole = observation_matrix(
+        model, samples.q, samples.qd, samples.qdd, drive=base.drive, columns=base.columns
+    )
     cube = whole.reshape(samples.n_samples, model.n_joints, base.n_base)
     filtered, tau = samples.filtered(cube), samples.filtered_torque
     return [np.column_stack([filtered[:, k], tau[:, k]]) for k in range(model.n_joints)]
@@ -75,7 +84,9 @@ def test_factors_hold_the_normal_equations_of_each_joint(robot):
 
 def test_parallel_filter_goes_over_every_column_segment_by_segment(robot):
     model, base = robot
-    samples = recording(model, parallel=design_parallel_filter(8.0, 100.0, 3), segments=((0, 700), (720, 1500)))
+    samples = recording(
+        model, parallel=design_parallel_filter(8.0, 100.0, 3), segments=((0, 700), (720, 1500))
+    )
     information = accumulate(model, base, samples, block_seconds=2.0)
     assert information.n_samples == samples.n_filtered
     assert_same_information(information, joint_stacks(model, base, samples))
@@ -99,8 +110,12 @@ def test_solution_is_that_of_the_full_stack(robot):
     residual = stack @ np.append(-expected, 1.0)
     assert estimate.solution.residual_energy == pytest.approx(residual @ residual, rel=1e-12)
     scaled = stack[:, :-1] / np.linalg.norm(stack[:, :-1], axis=0)
-    assert estimate.solution.condition_number == pytest.approx(np.linalg.cond(stack[:, :-1]), rel=1e-9)
-    assert estimate.solution.scaled_condition_number == pytest.approx(np.linalg.cond(scaled), rel=1e-9)
+    assert estimate.solution.condition_number == pytest.approx(
+        np.linalg.cond(stack[:, :-1]), rel=1e-9
+    )
+    assert estimate.solution.scaled_condition_number == pytest.approx(
+        np.linalg.cond(scaled), rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -147,7 +162,9 @@ def test_blocks_and_threads_change_nothing_in_the_sum(robot):
     assert many.n_blocks == 21
     for a, b in zip(one.joint_factors, many.joint_factors, strict=True):
         assert_same_gram(a, b)
-    for k, factors in enumerate(accumulate(model, base, samples, block_seconds=0.7, threads=3).factors):
+    for k, factors in enumerate(
+        accumulate(model, base, samples, block_seconds=0.7, threads=3).factors
+    ):
         assert np.array_equal(factors, many.factors[k])
 
 
@@ -174,7 +191,10 @@ def test_select_and_merge_take_information_apart_and_together(robot):
     model, base = robot
     samples = recording(model)
     whole = accumulate(model, base, samples, block_seconds=1.0)
-    even, odd = whole.select(np.arange(whole.n_blocks) % 2 == 0), whole.select(range(1, whole.n_blocks, 2))
+    even, odd = (
+        whole.select(np.arange(whole.n_blocks) % 2 == 0),
+        whole.select(range(1, whole.n_blocks, 2)),
+    )
     again = even.merge(odd)
     assert again.n_samples == whole.n_samples
     for a, b in zip(again.joint_factors, whole.joint_factors, strict=True):
@@ -254,7 +274,11 @@ def test_values_that_are_not_numbers_are_refused(robot):
 
 def test_triangular_factor_has_a_non_negative_diagonal_also_of_few_or_dependent_rows():
     rng = np.random.default_rng(0)
-    for rows in (rng.normal(size=(3, 6)), np.outer(rng.normal(size=9), rng.normal(size=6)), np.zeros((4, 6))):
+    for rows in (
+        rng.normal(size=(3, 6)),
+        np.outer(rng.normal(size=9), rng.normal(size=6)),
+        np.zeros((4, 6)),
+    ):
         factor = triangular_factor(rows)
         assert factor.shape == (6, 6)
         assert np.all(np.diag(factor) >= 0)

@@ -14,7 +14,9 @@ from asbuilt.identification.result.result import IdentificationResult
 
 def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) -> Samples:
     model = load_robot(robot)
-    machine = InstalledRobot.ideal(model).with_drive(DriveSet.parse("viscous,coulomb"), np.tile([1.0, 2.0], model.n_joints))
+    machine = InstalledRobot.ideal(model).with_drive(
+        DriveSet.parse("viscous,coulomb"), np.tile([1.0, 2.0], model.n_joints)
+    )
     motion = random_fourier(model, rng=3, duration=duration)
     sampled = motion.sample(100.0)
     q, qd, qdd = (np.array(x) for x in (sampled.q, sampled.qd, sampled.qdd))
@@ -39,15 +41,21 @@ def test_every_parameter_is_in_one_class_by_its_error() -> None:
         expected = (
             told.not_at_all
             if not parameter.determined
-            else told.well
-            if parameter.std_error <= 0.1 * size
-            else told.hardly
-            if parameter.std_error > 0.5 * size
-            else told.fairly
+            else (
+                told.well
+                if parameter.std_error <= 0.1 * size
+                else told.hardly
+                if parameter.std_error > 0.5 * size
+                else told.fairly
+            )
         )
         assert parameter.name in expected
-    assert len(told.well) + len(told.fairly) + len(told.hardly) + len(told.not_at_all) == result.n_base
-    assert told.in_short.startswith(f"Determined to 10 % or better: {len(told.well)} of {result.n_base}")
+    assert (
+        len(told.well) + len(told.fairly) + len(told.hardly) + len(told.not_at_all) == result.n_base
+    )
+    assert told.in_short.startswith(
+        f"Determined to 10 % or better: {len(told.well)} of {result.n_base}"
+    )
 
 
 def test_what_is_hardly_known_is_poorly_determined_or_makes_next_to_no_torque() -> None:
@@ -56,8 +64,14 @@ def test_what_is_hardly_known_is_poorly_determined_or_makes_next_to_no_torque() 
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     result = identify(model, taken, base=base, method="entropic")
     told = determination(result, motions=False)
-    W = observation_matrix(model, taken.q, taken.qd, taken.qdd, drive=base.drive, columns=base.columns)
-    felt = np.linalg.norm(W / np.tile(result.sigma, len(taken.t))[:, None], axis=0) / np.sqrt(len(taken.t)) * result.std_errors
+    W = observation_matrix(
+        model, taken.q, taken.qd, taken.qdd, drive=base.drive, columns=base.columns
+    )
+    felt = (
+        np.linalg.norm(W / np.tile(result.sigma, len(taken.t))[:, None], axis=0)
+        / np.sqrt(len(taken.t))
+        * result.std_errors
+    )
     assert 0 < len(told.negligible) < len(told.hardly)
     for name in told.hardly:
         assert (felt[base.names.index(name)] < 0.05) == (name in told.negligible)

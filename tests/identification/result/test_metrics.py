@@ -28,7 +28,10 @@ def test_metrics_follow_their_definitions():
     spread = ((measured - measured.mean(axis=0)) ** 2).sum(axis=0)
     assert np.allclose(metrics.r_squared, 1 - (error**2).sum(axis=0) / spread, rtol=1e-10)
     assert metrics.relative_error == pytest.approx(np.linalg.norm(error) / np.linalg.norm(measured))
-    assert np.allclose(metrics.relative_error_per_joint, np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0))
+    assert np.allclose(
+        metrics.relative_error_per_joint,
+        np.linalg.norm(error, axis=0) / np.linalg.norm(measured, axis=0),
+    )
 
 
 def test_batches_add_up_to_the_whole():
@@ -51,7 +54,9 @@ def test_a_constant_torque_has_no_r_squared_and_survives_json():
 
 
 def test_what_does_not_fit_is_refused():
-    with pytest.raises(ResultError, match=r"measured torque has shape \(10, 3\) and predicted \(9, 3\)"):
+    with pytest.raises(
+        ResultError, match=r"measured torque has shape \(10, 3\) and predicted \(9, 3\)"
+    ):
         torque_metrics(np.zeros((10, 3)), np.zeros((9, 3)), "x")
     with pytest.raises(ResultError, match="no samples"):
         TorqueTally(("a",)).metrics("x")

@@ -53,7 +53,12 @@ def recorded(model, base, noise=0.05, n_samples=1200, seed=0, still=(), **given)
     chi[10 * n :] = np.resize([0.8, 1.5, -0.2], len(chi) - 10 * n)
     w = observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
     tau = (w @ base.values(chi)).reshape(q.shape) + noise * rng.normal(size=q.shape)
-    whole = {"rate": rate, "joint_names": model.joint_names, "source": f"bench {seed}", "provenance": ("made up for a test",)}
+    whole = {
+        "rate": rate,
+        "joint_names": model.joint_names,
+        "source": f"bench {seed}",
+        "provenance": ("made up for a test",),
+    }
     return Samples(t, q, qd, qdd, tau, **(whole | given))
 
 
@@ -100,13 +105,22 @@ def invented(arm, **changes):
         "scaled_condition_number": 12.44,
         "undetermined": (f"{base.names[-1]}",),
         "train": torque_metrics(measured, measured + wave, "log.csv", model.joint_names),
-        "validation": (torque_metrics(measured, measured + 1.5 * wave, "other.csv", model.joint_names),),
+        "validation": (
+            torque_metrics(measured, measured + 1.5 * wave, "other.csv", model.joint_names),
+        ),
         "cad": torque_metrics(measured, 0.7 * measured, "other.csv", model.joint_names),
         "physically_consistent": True,
         "consistency_margin": 8.4e-4,
         "warnings": (
-            IdentificationWarning("not_excited", f"Not excited by this recording, kept at CAD: {base.names[-1]}. Move these joints more."),
-            IdentificationWarning("poorly_determined", f"Poorly determined: {base.names[-2]}. Lengthen or enrich the motion."),
+            IdentificationWarning(
+                "not_excited",
+                f"Not excited by this recording, kept at CAD: {base.names[-1]}. Move these joints"
+                " more.",
+            ),
+            IdentificationWarning(
+                "poorly_determined",
+                f"Poorly determined: {base.names[-2]}. Lengthen or enrich the motion.",
+            ),
         ),
         "provenance": ("made up for a test",),
     }
@@ -121,14 +135,28 @@ def test_summary_reads_as_agreed(arm):
 
 
 def test_bad_news_is_shouted(arm):
-    result = invented(arm, condition_number=np.inf, scaled_condition_number=np.inf, physically_consistent=False, consistency_margin=-0.099)
+    result = invented(
+        arm,
+        condition_number=np.inf,
+        scaled_condition_number=np.inf,
+        physically_consistent=False,
+        consistency_margin=-0.099,
+    )
     text = result.summary().as_text()
-    for words in ("1 DIRECTION NOT EXCITED", "1 PARAMETER POORLY DETERMINED", "IMPOSSIBLE FOR REAL BODIES", "infinite", "NOT EXCITED"):
+    for words in (
+        "1 DIRECTION NOT EXCITED",
+        "1 PARAMETER POORLY DETERMINED",
+        "IMPOSSIBLE FOR REAL BODIES",
+        "infinite",
+        "NOT EXCITED",
+    ):
         assert words in text
     good = replace(result.parameters[0], determined=True, poorly_determined=False)
     calm = replace(
         result,
-        parameters=tuple(replace(p, determined=True, poorly_determined=False) for p in result.parameters),
+        parameters=tuple(
+            replace(p, determined=True, poorly_determined=False) for p in result.parameters
+        ),
         undetermined=(),
         warnings=(),
         physically_consistent=None,
@@ -179,9 +207,28 @@ def test_json_round_trip_to_the_last_bit(arm):
 
 def test_json_has_the_fields_that_others_rely_on(arm):
     document = json.loads(invented(arm).to_json())
-    assert {"robot", "method", "n_samples", "n_standard", "n_base", "rank", "condition_number", "scaled_condition_number"} <= set(document)
-    assert {"joints", "parameters", "train", "validation", "cad", "physically_consistent", "warnings"} <= set(document)
-    assert {"id", "name", "expression", "unit", "cad", "estimate", "std_error"} <= set(document["parameters"][0])
+    assert {
+        "robot",
+        "method",
+        "n_samples",
+        "n_standard",
+        "n_base",
+        "rank",
+        "condition_number",
+        "scaled_condition_number",
+    } <= set(document)
+    assert {
+        "joints",
+        "parameters",
+        "train",
+        "validation",
+        "cad",
+        "physically_consistent",
+        "warnings",
+    } <= set(document)
+    assert {"id", "name", "expression", "unit", "cad", "estimate", "std_error"} <= set(
+        document["parameters"][0]
+    )
     assert {"source", "rms", "max_abs", "r_squared", "relative_error"} <= set(document["train"])
     assert document["parameters"][-1]["cad"] is None
     assert set(document["warnings"][0]) == {"code", "message"}
@@ -218,8 +265,14 @@ def test_prediction_is_the_observation_matrix_times_the_estimates(arm):
     samples = recorded(model, base, parallel=parallel, segments=((0, 600), (650, 1200)))
     result = identify(model, samples, drive=DRIVE)
     prediction = result.predict(samples)
-    w = observation_matrix(model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns)
-    assert np.allclose(prediction.predicted, samples.filtered((w @ result.estimates).reshape(samples.q.shape)), atol=1e-11)
+    w = observation_matrix(
+        model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns
+    )
+    assert np.allclose(
+        prediction.predicted,
+        samples.filtered((w @ result.estimates).reshape(samples.q.shape)),
+        atol=1e-11,
+    )
     assert np.array_equal(prediction.measured, samples.filtered_torque)
     assert np.array_equal(prediction.t, samples.filtered_times)
     metrics = torque_metrics(prediction.measured, prediction.predicted, "x", model.joint_names)
@@ -243,7 +296,9 @@ def test_identify_recovers_the_truth_within_its_errors(arm):
     chi = parameter_values(model, DRIVE)
     chi[10 * model.n_joints :] = np.resize([0.8, 1.5, -0.2], 3 * model.n_joints)
     truth = base.values(chi)
-    result = identify(model, [recorded(model, base, seed=s) for s in range(3)], drive=DRIVE, method="wls")
+    result = identify(
+        model, [recorded(model, base, seed=s) for s in range(3)], drive=DRIVE, method="wls"
+    )
     assert np.all(np.abs(result.estimates - truth) < 4.5 * result.std_errors)
     assert result.sources == ("bench 0", "bench 1", "bench 2")
     assert result.rank == result.n_base

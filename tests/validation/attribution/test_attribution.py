@@ -40,11 +40,19 @@ ARM = "kuka-iiwa7-r800"
 def test_the_true_causes_are_named_and_no_others(causes: str, named: set[str]) -> None:
     found = attribute(identified(ARM, causes))
     assert set(found.chosen) == named
-    np.testing.assert_allclose(sum(each.share for each in found.shares) + found.unexplained, 1.0, atol=1e-9)
+    np.testing.assert_allclose(
+        sum(each.share for each in found.shares) + found.unexplained, 1.0, atol=1e-9
+    )
     told = found.rms_cad > 0.3
     assert np.all(found.unexplained[told] < 0.05)
-    missing = {CAUSES[cause] for cause in set(CAUSES) - named - ({"payload"} if "links" in named else set())}
-    assert all(any(cause in line for line in found.findings if line.startswith("Not needed")) for cause in missing)
+    missing = {
+        CAUSES[cause]
+        for cause in set(CAUSES) - named - ({"payload"} if "links" in named else set())
+    }
+    assert all(
+        any(cause in line for line in found.findings if line.startswith("Not needed"))
+        for cause in missing
+    )
 
 
 def test_a_robot_as_designed_needs_no_cause() -> None:
@@ -80,14 +88,24 @@ def test_sizes_are_those_of_the_causes() -> None:
 
 def test_friction_is_told_in_plain_numbers_whatever_terms_the_result_has() -> None:
     """A power of velocity in place of viscous friction at joint 1: the sentence still says Coulomb and viscous, not one large Coulomb."""
-    found = attribute(identified(ARM, "f", drive="viscous:joints=2/3/4/5/6/7,coulomb,offset,power:joints=1:exponent=0.7"))
+    found = attribute(
+        identified(
+            ARM, "f", drive="viscous:joints=2/3/4/5/6/7,coulomb,offset,power:joints=1:exponent=0.7"
+        )
+    )
     for k in (0, 1):
-        numbers = re.search(r"friction \(Coulomb ([\d.]+) N m, viscous ([\d.]+) N m s/rad\)", found.sentences[k])
+        numbers = re.search(
+            r"friction \(Coulomb ([\d.]+) N m, viscous ([\d.]+) N m s/rad\)", found.sentences[k]
+        )
         assert numbers is not None, found.sentences[k]
-        np.testing.assert_allclose([float(number) for number in numbers.groups()], [2.0, 1.0], atol=0.1)
+        np.testing.assert_allclose(
+            [float(number) for number in numbers.groups()], [2.0, 1.0], atol=0.1
+        )
 
 
-def test_shares_are_those_of_the_torques_of_the_causes_and_half_of_what_they_have_in_common() -> None:
+def test_shares_are_those_of_the_torques_of_the_causes_and_half_of_what_they_have_in_common() -> (
+    None
+):
     both, one, other = (attribute(identified(ARM, causes)) for causes in ("pf", "p", "f"))
     share = {each.cause: each.share for each in both.shares}
     energy = both.rms_cad**2
@@ -101,7 +119,9 @@ def test_a_payload_hidden_in_wrong_links_is_offered_as_part_of_them() -> None:
     assert set(found.chosen) == {"friction", "links"}
     assert "payload" in found.weighed
     assert any("only simplicity speaks for it" in line for line in found.findings)
-    assert any("A payload is no explanation" in line for line in attribute(identified(ARM, "l")).findings)
+    assert any(
+        "A payload is no explanation" in line for line in attribute(identified(ARM, "l")).findings
+    )
 
 
 @pytest.mark.parametrize("robot", ["puma-560", "scara"])
@@ -114,9 +134,11 @@ def test_a_single_hinge_says_nothing_of_masses_at_its_flange(tmp_path: Path) -> 
     """Their mass makes no torque there, so that neither a payload nor its absence is claimed."""
     urdf = tmp_path / "door.urdf"
     urdf.write_text(
-        '<robot name="door"><link name="wall"/><link name="wing"><inertial><origin xyz="0.3 0 0.5"/><mass value="4"/>'
-        '<inertia ixx="0.4" ixy="0" ixz="0" iyy="0.5" iyz="0" izz="0.2"/></inertial></link><joint name="hinge" type="revolute"><parent link="wall"/>'
-        '<child link="wing"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="2" effort="50"/></joint></robot>'
+        '<robot name="door"><link name="wall"/><link name="wing"><inertial><origin xyz="0.3 0'
+        ' 0.5"/><mass value="4"/><inertia ixx="0.4" ixy="0" ixz="0" iyy="0.5" iyz="0"'
+        ' izz="0.2"/></inertial></link><joint name="hinge" type="revolute"><parent'
+        ' link="wall"/><child link="wing"/><axis xyz="0 1 0"/><limit lower="-2" upper="2"'
+        ' velocity="2" effort="50"/></joint></robot>'
     )
     found = attribute(identified(str(urdf), "fl"))
     assert {"friction", "links"} <= set(found.chosen)
@@ -135,10 +157,16 @@ def test_shapley_values_are_means_over_the_orders() -> None:
     orders = [
         order
         for order in permutations(causes)
-        if all(order.index(BEFORE[cause]) < order.index(cause) for cause in causes if cause in BEFORE)
+        if all(
+            order.index(BEFORE[cause]) < order.index(cause) for cause in causes if cause in BEFORE
+        )
     ]
     for cause in causes:
-        gains = [worth(frozenset(order[: order.index(cause) + 1])) - worth(frozenset(order[: order.index(cause)])) for order in orders]
+        gains = [
+            worth(frozenset(order[: order.index(cause) + 1]))
+            - worth(frozenset(order[: order.index(cause)]))
+            for order in orders
+        ]
         np.testing.assert_allclose(values[cause], np.mean(gains, axis=0))
 
 
@@ -158,7 +186,11 @@ def test_what_comes_later_does_not_hide_a_step() -> None:
     """Little friction beside a payload that makes far more torque and is taken up after it: each step is tested against what the whole leaves."""
     found = attribute(identified(ARM, "pf", friction=(0.1, 0.15)))
     steps = {step.cause: step for step in found.steps}
-    drop = {cause: np.sum(before.rms_fitted**2 - now.rms_fitted**2) for before, now in pairwise(found.steps) for cause in [now.cause]}
+    drop = {
+        cause: np.sum(before.rms_fitted**2 - now.rms_fitted**2)
+        for before, now in pairwise(found.steps)
+        for cause in [now.cause]
+    }
     assert drop["friction"] < 0.2 * drop["payload"]
     assert steps["friction"].probability < 1e-6
     assert steps["mounting"].probability > 1e-3
@@ -169,7 +201,8 @@ def test_every_step_has_more_parameters() -> None:
     still = identified(ARM, "p")
     model = still.model
     feather = model.with_parameters(
-        np.where(np.arange(model.parameters.size) >= 20, 1e-4, 1.0).reshape(model.parameters.shape) * model.parameters
+        np.where(np.arange(model.parameters.size) >= 20, 1e-4, 1.0).reshape(model.parameters.shape)
+        * model.parameters
     )
     for cad in (None, feather):
         counts = [step.parameters for step in attribute(still, cad).steps]
@@ -187,7 +220,9 @@ def test_another_description_is_attributed_too() -> None:
 def test_evidence_survives_json_and_its_absence_is_said() -> None:
     result = identified(ARM, "pf")
     again = IdentificationResult.from_json(result.to_json())
-    assert json.loads(json_text(attribute(again).as_document())) == json.loads(json_text(attribute(result).as_document()))
+    assert json.loads(json_text(attribute(again).as_document())) == json.loads(
+        json_text(attribute(result).as_document())
+    )
     with pytest.raises(ResultError, match="identify again"):
         attribute(replace(result, evidence=None))
     damaged = json.loads(result.to_json())
@@ -206,4 +241,6 @@ def test_text_tables_and_figure() -> None:
     heights = {}
     for bars in figure.axes[0].containers:
         heights.setdefault(bars.get_label(), [bar.get_height() for bar in bars])
-    np.testing.assert_allclose(heights[CAUSES["payload"]], 100 * np.maximum(found.shares[1].share, 0.0))
+    np.testing.assert_allclose(
+        heights[CAUSES["payload"]], 100 * np.maximum(found.shares[1].share, 0.0)
+    )

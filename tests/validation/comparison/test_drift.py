@@ -44,15 +44,27 @@ def test_nothing_changed_between_two_recordings_of_the_same_robot() -> None:
 
 def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
     before, after = identified(ARM, "f"), identified(ARM, "f", seed=2, friction=WORN)
-    _, held = hold_out(prepare_samples(recorded(ARM, "f", seed=2, friction=WORN), SignalChain()), "blocks:2s:3")
-    one, two = (predict_torque(after.model, after.base, result.estimates, held).predicted for result in (before, after))
+    _, held = hold_out(
+        prepare_samples(recorded(ARM, "f", seed=2, friction=WORN), SignalChain()), "blocks:2s:3"
+    )
+    one, two = (
+        predict_torque(after.model, after.base, result.estimates, held).predicted
+        for result in (before, after)
+    )
     found = compare_results(before, after).joints
-    np.testing.assert_allclose([joint.torque for joint in found], np.sqrt(np.mean((two - one) ** 2, axis=0)), rtol=1e-6)
+    np.testing.assert_allclose(
+        [joint.torque for joint in found], np.sqrt(np.mean((two - one) ** 2, axis=0)), rtol=1e-6
+    )
     rng = np.random.default_rng(0)
     covariance = before.covariance + after.covariance
     draws = rng.multivariate_normal(np.zeros(after.n_base), covariance, size=40)
-    chance = [np.mean(predict_torque(after.model, after.base, draw, held).predicted ** 2, axis=0) for draw in draws]
-    np.testing.assert_allclose([joint.by_chance for joint in found], np.sqrt(np.mean(chance, axis=0)), rtol=0.25)
+    chance = [
+        np.mean(predict_torque(after.model, after.base, draw, held).predicted ** 2, axis=0)
+        for draw in draws
+    ]
+    np.testing.assert_allclose(
+        [joint.by_chance for joint in found], np.sqrt(np.mean(chance, axis=0)), rtol=0.25
+    )
 
 
 @pytest.mark.parametrize(
@@ -60,7 +72,10 @@ def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
     [
         ("viscous,offset", "only January has coulomb. "),
         ("viscous,coulomb,load_friction,offset", "only July has load_friction. "),
-        ("viscous,smooth_coulomb:width=0.3,offset", "only January has coulomb; only July has smooth_coulomb. "),
+        (
+            "viscous,smooth_coulomb:width=0.3,offset",
+            "only January has coulomb; only July has smooth_coulomb. ",
+        ),
     ],
 )
 def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, said: str) -> None:
@@ -69,8 +84,12 @@ def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, sai
     before, after = identified(ARM, "f"), identified(ARM, "f", seed=2, drive=drive)
     drift = compare_results(before, after, labels=("January", "July"))
     assert drift.sentences[0].startswith(f"DIFFERENT DRIVE TERMS: {said}")
-    assert drift.sentences[0].endswith(f"--drive {max(plain, drive, key=lambda terms: terms.count(','))}")
-    assert drift.as_text().index("DIFFERENT") < drift.as_text().index("The torque of the same motion")
+    assert drift.sentences[0].endswith(
+        f"--drive {max(plain, drive, key=lambda terms: terms.count(','))}"
+    )
+    assert drift.as_text().index("DIFFERENT") < drift.as_text().index(
+        "The torque of the same motion"
+    )
     assert "DIFFERENT" in drift_html(drift)
     if "coulomb" not in drive.split(","):
         assert drift.n_changed
@@ -78,11 +97,17 @@ def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, sai
 
 
 def test_other_shapes_of_a_term_are_said() -> None:
-    one, two = (identified(ARM, "f", drive=f"viscous,coulomb,stribeck:velocity={velocity},offset") for velocity in (0.05, 0.1))
+    one, two = (
+        identified(ARM, "f", drive=f"viscous,coulomb,stribeck:velocity={velocity},offset")
+        for velocity in (0.05, 0.1)
+    )
     assert (
         compare_results(one, two)
         .sentences[0]
-        .startswith("DIFFERENT DRIVE TERMS: both have stribeck, with other shapes or at other joints. The other terms")
+        .startswith(
+            "DIFFERENT DRIVE TERMS: both have stribeck, with other shapes or at other joints. The"
+            " other terms"
+        )
     )
 
 
@@ -97,7 +122,11 @@ def test_the_controllers_own_model_is_recovered() -> None:
     qd = np.gradient(recording.q, recording.t, axis=0, edge_order=2)
     qdd = np.gradient(qd, recording.t, axis=0, edge_order=2)
     external = recording.tau - inverse_dynamics(model, recording.q, qd, qdd)
-    found = compare_with_controller(identified(ARM, "pf"), replace(recording, extra={"tau_ext": external}), holdout="blocks:2s:3")
+    found = compare_with_controller(
+        identified(ARM, "pf"),
+        replace(recording, extra={"tau_ext": external}),
+        holdout="blocks:2s:3",
+    )
     assert found.rebuilt.relative_error < 0.02
     np.testing.assert_allclose(found.controller.rms, found.cad.rms, rtol=0.05)
     assert np.all(found.as_built.rms < found.controller.rms)

@@ -35,15 +35,26 @@ def robot_of(change: str) -> VirtualRobot:
         return robot.with_tool(LOAD)
     if change == "wear":
         more = np.where(np.arange(ROBOT.n_joints) == WORN, 1.3, 1.0)
-        raised = {name: tuple(more * robot.train.of(name, ROBOT.n_joints)) for name in ("viscous", "coulomb")}
+        raised = {
+            name: tuple(more * robot.train.of(name, ROBOT.n_joints))
+            for name in ("viscous", "coulomb")
+        }
         return replace(robot, train=replace(robot.train, **raised))
     return robot
 
 
 @cache
 def identified(motion: int, change: str = "", method: str = "auto") -> IdentificationResult:
-    recording = robot_of(change).record(random_fourier(ROBOT, 1000 + SEED + 500 * motion, duration=30.0), rng=SEED + 77 * motion).recording
-    return run_study(ROBOT, [recording], options=StudyOptions(method=method, holdout="blocks:2s:3")).result
+    recording = (
+        robot_of(change)
+        .record(
+            random_fourier(ROBOT, 1000 + SEED + 500 * motion, duration=30.0), rng=SEED + 77 * motion
+        )
+        .recording
+    )
+    return run_study(
+        ROBOT, [recording], options=StudyOptions(method=method, holdout="blocks:2s:3")
+    ).result
 
 
 def alarmed(drift: Drift) -> list[str]:
@@ -59,12 +70,22 @@ def test_a_robot_that_did_not_change_is_not_said_to_have_because_the_estimators_
     assert not alarmed(drift)
     assert any(sentence.startswith("Compared on equal terms") for sentence in drift.sentences)
     plain = compare_results(identified(0, method="wls"), identified(1, method="wls"))
-    np.testing.assert_allclose([each.sigmas for each in drift.parameters], [each.sigmas for each in plain.parameters], rtol=1e-6)
-    np.testing.assert_allclose([each.p_value for each in drift.joints], [each.p_value for each in plain.joints], rtol=1e-6)
+    np.testing.assert_allclose(
+        [each.sigmas for each in drift.parameters],
+        [each.sigmas for each in plain.parameters],
+        rtol=1e-6,
+    )
+    np.testing.assert_allclose(
+        [each.p_value for each in drift.joints], [each.p_value for each in plain.joints], rtol=1e-6
+    )
     assert not any("Compared" in sentence for sentence in plain.sentences)
     unequal = compare_results(*(replace(result, free=None) for result in results))
     assert any("Identify both again" in sentence for sentence in unequal.sentences)
-    assert not np.allclose([each.sigmas for each in unequal.parameters], [each.sigmas for each in plain.parameters], atol=0.5)
+    assert not np.allclose(
+        [each.sigmas for each in unequal.parameters],
+        [each.sigmas for each in plain.parameters],
+        atol=0.5,
+    )
 
 
 def test_wear_of_a_third_is_found_at_its_joint() -> None:
@@ -87,16 +108,24 @@ def test_free_values_are_those_of_lapack_on_the_rows_themselves() -> None:
     whole = replace(train, parallel=None)
     result = identify(ROBOT, whole, drive=identified(0).base.drive, method="consistent")
     assert result.free is not None
-    rows = observation_matrix(ROBOT, whole.q, whole.qd, whole.qdd, drive=result.base.drive, columns=result.base.columns)
+    rows = observation_matrix(
+        ROBOT, whole.q, whole.qd, whole.qdd, drive=result.base.drive, columns=result.base.columns
+    )
     torque = whole.tau.ravel()
     sigma, expected = np.ones(ROBOT.n_joints), np.zeros(result.n_base)
     for _ in range(30):
         weight = np.tile(1.0 / sigma, len(whole.tau))
         expected = np.linalg.lstsq(rows * weight[:, None], torque * weight, rcond=None)[0]
-        spent = np.sum(np.linalg.qr(rows * weight[:, None])[0] ** 2, axis=1).reshape(whole.tau.shape).sum(axis=0)
+        spent = (
+            np.sum(np.linalg.qr(rows * weight[:, None])[0] ** 2, axis=1)
+            .reshape(whole.tau.shape)
+            .sum(axis=0)
+        )
         left = (torque - rows @ expected).reshape(whole.tau.shape)
         sigma = np.sqrt(np.sum(left**2, axis=0) / (len(whole.tau) - spent))
-    np.testing.assert_allclose(result.free.estimates, expected, atol=1e-3 * result.free.std_errors.min())
+    np.testing.assert_allclose(
+        result.free.estimates, expected, atol=1e-3 * result.free.std_errors.min()
+    )
     assert not np.allclose(result.free.estimates, result.estimates, rtol=1e-3)
 
 
@@ -115,15 +144,23 @@ def test_files_without_free_values_load_and_damaged_ones_are_refused() -> None:
     old = {name: value for name, value in whole.items() if name != "free"}
     assert IdentificationResult.from_json(json.dumps(old)).free is None
     with pytest.raises(ResultError, match="free values are damaged"):
-        IdentificationResult.from_json(json.dumps(whole | {"free": whole["free"] | {"covariance": "AAAA"}}))
+        IdentificationResult.from_json(
+            json.dumps(whole | {"free": whole["free"] | {"covariance": "AAAA"}})
+        )
 
 
 def test_a_result_by_weighted_least_squares_is_its_own_free_one() -> None:
     train, _ = hold_out(
-        prepare_samples(robot_of("").record(random_fourier(ROBOT, 2, duration=12.0), rng=2).recording, SignalChain()), "blocks:2s:3"
+        prepare_samples(
+            robot_of("").record(random_fourier(ROBOT, 2, duration=12.0), rng=2).recording,
+            SignalChain(),
+        ),
+        "blocks:2s:3",
     )
     drive = identified(0).base.drive
-    plain, real = (identify(ROBOT, train, drive=drive, method=method) for method in ("wls", "consistent"))
+    plain, real = (
+        identify(ROBOT, train, drive=drive, method=method) for method in ("wls", "consistent")
+    )
     assert plain.free is None
     values = ComparedValues.free(plain)
     assert real.free is not None
@@ -137,13 +174,21 @@ def test_sums_known_only_together_are_tested_with_errors_grown_alike() -> None:
     growth = np.array([1.5, 2.5, 2.0])
     none = np.zeros(3, dtype=bool)
     values = ComparedValues(
-        np.zeros(3), textbook * np.outer(growth, growth), growth * np.sqrt(np.diag(textbook)), np.sqrt(np.diag(textbook)), ~none, none
+        np.zeros(3),
+        textbook * np.outer(growth, growth),
+        growth * np.sqrt(np.diag(textbook)),
+        np.sqrt(np.diag(textbook)),
+        ~none,
+        none,
     )
     np.testing.assert_allclose(values.even_covariance, textbook * np.mean(growth**2), rtol=1e-12)
     draws = rng.multivariate_normal(np.zeros(3), 2.0**2 * textbook, size=2000)
     alarms = {
         name: np.mean([chi_square(draw, covariance).probability < 1e-3 for draw in draws])
-        for name, covariance in (("each by its own", values.covariance), ("alike", values.even_covariance))
+        for name, covariance in (
+            ("each by its own", values.covariance),
+            ("alike", values.even_covariance),
+        )
     }
     assert alarms["alike"] < 0.005
     assert alarms["each by its own"] > 0.5
@@ -151,5 +196,12 @@ def test_sums_known_only_together_are_tested_with_errors_grown_alike() -> None:
 
 def test_dropped_parameters_have_no_part_in_it() -> None:
     none = np.array([False, True])
-    values = ComparedValues(np.zeros(2), np.diag([4.0, 0.0]), np.array([2.0, np.nan]), np.array([1.0, np.nan]), ~none, none)
+    values = ComparedValues(
+        np.zeros(2),
+        np.diag([4.0, 0.0]),
+        np.array([2.0, np.nan]),
+        np.array([1.0, np.nan]),
+        ~none,
+        none,
+    )
     np.testing.assert_array_equal(values.even_covariance, np.diag([4.0, 0.0]))

@@ -17,7 +17,9 @@ def study_of_a_robot_as_designed(name: str, seed: int) -> Study:
     """Sensors, friction and tracking errors of the lab; the bodies are those of the description."""
     robot = VirtualRobot.preset("lab", bundled_robot(name), rng=seed)
     robot = replace(robot, model=robot.described)
-    recording = robot.record(random_fourier(robot.model, 1000 + seed, duration=30.0), rng=seed).recording
+    recording = robot.record(
+        random_fourier(robot.model, 1000 + seed, duration=30.0), rng=seed
+    ).recording
     return run_study(robot.described, [recording], options=StudyOptions(holdout="blocks:2s:3"))
 
 
@@ -27,7 +29,14 @@ def test_few_parameters_differ_and_none_matters(name: str) -> None:
     found = [study.comparison for study in studies]
     assert sum(each.n_differing for each in found) <= 0.05 * sum(each.n_compared for each in found)
     assert all(each.n_mattering == 0 for each in found)
-    sigmas = np.array([parameter.sigmas for each in found for parameter in each.parameters if parameter.sigmas is not None])
+    sigmas = np.array(
+        [
+            parameter.sigmas
+            for each in found
+            for parameter in each.parameters
+            if parameter.sigmas is not None
+        ]
+    )
     assert 0.4 < np.sqrt(np.mean(sigmas**2)) < 1.2
     for study in studies:
         assert study.attribution is not None

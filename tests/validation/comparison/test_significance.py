@@ -35,7 +35,9 @@ def test_holm_rejects_what_its_steps_reject() -> None:
 
 
 def test_probabilities_are_those_of_a_normal_variable() -> None:
-    np.testing.assert_allclose(two_sided_probability([-1.0, 3.0]), 2 * stats.norm.sf([1.0, 3.0]), rtol=1e-12)
+    np.testing.assert_allclose(
+        two_sided_probability([-1.0, 3.0]), 2 * stats.norm.sf([1.0, 3.0]), rtol=1e-12
+    )
 
 
 def test_chi_square_is_that_of_the_distribution_and_takes_singular_covariances() -> None:
@@ -48,11 +50,17 @@ def test_chi_square_is_that_of_the_distribution_and_takes_singular_covariances()
     assert chi_square([1.0], [[0.0]]).probability == 1.0
 
 
-@pytest.mark.parametrize("sizes", [(3.0, 1.0, 0.5, 0.2, 0.1), (1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.9, 0.1, 0.0, 0.0)])
-def test_long_normal_vectors_are_as_rare_as_their_probability_says(sizes: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(
+    "sizes", [(3.0, 1.0, 0.5, 0.2, 0.1), (1.0, 1.0, 1.0, 1.0, 1.0), (1.0, 0.9, 0.1, 0.0, 0.0)]
+)
+def test_long_normal_vectors_are_as_rare_as_their_probability_says(
+    sizes: tuple[float, ...],
+) -> None:
     rng = np.random.default_rng(4)
     A = rng.normal(size=(8, 5)) * sizes
-    found = np.array([size_probability(vector, A @ A.T) for vector in rng.normal(size=(4000, 5)) @ A.T])
+    found = np.array(
+        [size_probability(vector, A @ A.T) for vector in rng.normal(size=(4000, 5)) @ A.T]
+    )
     assert 0.035 < np.mean(found < 0.05) < 0.065
     assert 0.005 < np.mean(found < 0.01) < 0.018
     assert size_probability([0.0], [[0.0]]) == 1.0
@@ -80,7 +88,9 @@ def test_tolerance_of_a_body_is_that_of_bodies_drawn_from_it() -> None:
                 ).parameters
             )
         drawn.append(base.values(np.concatenate(chi)))
-    np.testing.assert_allclose(np.cov(np.array(drawn).T), tolerance.covariance(model, base), rtol=0.15, atol=2e-4)
+    np.testing.assert_allclose(
+        np.cov(np.array(drawn).T), tolerance.covariance(model, base), rtol=0.15, atol=2e-4
+    )
 
 
 def test_wide_tolerances_hold_the_truth_as_often_as_they_say() -> None:
@@ -96,8 +106,14 @@ def test_wide_tolerances_hold_the_truth_as_often_as_they_say() -> None:
         for link in model.links:
             inertia, about = link.inertia, link.inertia.inertia_about_com
             noise = 0.15 * np.trace(about) / 3 * rng.normal(size=(3, 3))
-            centre = inertia.com + 0.15 * np.sqrt(np.trace(about) / (2 * inertia.mass)) * rng.normal(size=3)
-            moved = LinkInertia.from_com(inertia.mass * (1 + 0.15 * rng.normal()), centre, about + np.triu(noise) + np.triu(noise, 1).T)
+            centre = inertia.com + 0.15 * np.sqrt(
+                np.trace(about) / (2 * inertia.mass)
+            ) * rng.normal(size=3)
+            moved = LinkInertia.from_com(
+                inertia.mass * (1 + 0.15 * rng.normal()),
+                centre,
+                about + np.triu(noise) + np.triu(noise, 1).T,
+            )
             chi.append(moved.parameters - inertia.parameters)
         probabilities.append(chi_square(base.values(np.concatenate(chi)), covariance).probability)
     assert np.mean(np.array(probabilities) < 0.05) < 0.11

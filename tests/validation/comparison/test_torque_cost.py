@@ -27,18 +27,29 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
     result = identified(ARM, "pf")
     model = load_robot(ARM)
     _, held = hold_out(prepare_samples(recorded(ARM, "pf"), SignalChain()), "blocks:2s:3")
-    W = observation_matrix(model, held.q, held.qd, held.qdd, drive=result.base.drive, columns=result.base.columns)
+    W = observation_matrix(
+        model, held.q, held.qd, held.qdd, drive=result.base.drive, columns=result.base.columns
+    )
     W = held.filtered(W.reshape(len(held.t), 7, -1))
     difference = result.estimates - np.nan_to_num(result.cad_values)
     cost = torque_cost(result.evidence, result.base, difference)
     contributions = W * difference
-    np.testing.assert_allclose(cost.torque, np.sqrt(np.mean(contributions**2, axis=0)).T, rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(cost.together, np.sqrt(np.mean((W @ difference) ** 2, axis=0)), rtol=1e-6)
+    np.testing.assert_allclose(
+        cost.torque, np.sqrt(np.mean(contributions**2, axis=0)).T, rtol=1e-6, atol=1e-9
+    )
+    np.testing.assert_allclose(
+        cost.together, np.sqrt(np.mean((W @ difference) ** 2, axis=0)), rtol=1e-6
+    )
     rows = W.reshape(-1, result.n_base)
     for j in (0, 17, 30, result.n_base - 1):
         others = np.delete(rows, j, axis=1)
         alone = rows[:, j] - others @ np.linalg.lstsq(others, rows[:, j], rcond=None)[0]
-        np.testing.assert_allclose(cost.own[j], np.linalg.norm(alone * difference[j]) / np.sqrt(len(W)), rtol=1e-3, atol=1e-9)
+        np.testing.assert_allclose(
+            cost.own[j],
+            np.linalg.norm(alone * difference[j]) / np.sqrt(len(W)),
+            rtol=1e-3,
+            atol=1e-9,
+        )
     assert np.all(cost.own <= cost.total * (1 + 1e-9))
     unit = rows / np.linalg.norm(rows, axis=0)
     for j in range(result.n_base):
@@ -48,7 +59,9 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
         assert cost.partners[j][:1] == ((best,) if likeness[best] ** 2 >= 0.25 else ())
         for two in (cost.partners[j],) if len(cost.partners[j]) == 2 else ():
             one_left, both_left = (
-                unit[:, j] - unit[:, places] @ np.linalg.lstsq(unit[:, places], unit[:, j], rcond=None)[0] for places in (two[:1], two)
+                unit[:, j]
+                - unit[:, places] @ np.linalg.lstsq(unit[:, places], unit[:, j], rcond=None)[0]
+                for places in (two[:1], two)
             )
             assert both_left @ both_left <= 0.75 * (one_left @ one_left)
 
@@ -57,7 +70,11 @@ def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself()
     """Slow motion about one pose hardly tells a first moment from an offset: its difference costs torque, none of it its own."""
     model = load_robot(ARM)
     rng = np.random.default_rng(0)
-    motion = FourierMotion(np.vstack([np.linspace(0.3, 0.9, 7), 0.05 * rng.normal(size=(6, 7))]), period=10.0, periods=4)
+    motion = FourierMotion(
+        np.vstack([np.linspace(0.3, 0.9, 7), 0.05 * rng.normal(size=(6, 7))]),
+        period=10.0,
+        periods=4,
+    )
     machine = (
         InstalledRobot.ideal(model)
         .with_drive(DriveSet.parse("viscous,coulomb,offset"), np.tile([1.0, 2.0, 3.0], 7))
@@ -80,9 +97,15 @@ def test_evidence_judges_as_validation_does() -> None:
     result = identified(ARM, "pf")
     _, held = hold_out(prepare_samples(recorded(ARM, "pf"), SignalChain()), "blocks:2s:3")
     validation = validate(result, held)
-    np.testing.assert_allclose(result.evidence.error_of(result.base.names, result.estimates), validation.metrics_as_built.rms, rtol=1e-9)
+    np.testing.assert_allclose(
+        result.evidence.error_of(result.base.names, result.estimates),
+        validation.metrics_as_built.rms,
+        rtol=1e-9,
+    )
     design = np.nan_to_num(result.cad_values)
-    np.testing.assert_allclose(result.evidence.error_of(result.base.names, design), validation.metrics_cad.rms, rtol=1e-9)
+    np.testing.assert_allclose(
+        result.evidence.error_of(result.base.names, design), validation.metrics_cad.rms, rtol=1e-9
+    )
 
 
 def test_what_matters_comes_first_and_is_not_what_differs() -> None:
@@ -121,5 +144,11 @@ def test_tolerances_of_cad_cover_links_that_are_off_by_as_much() -> None:
     assert 1.0 < narrow.tolerance_needed < 30.0
     assert set(narrow.beyond_tolerance) <= set(wrong.base.names)
     assert "times as wide" in narrow.as_text()
-    assert "CAD is within its tolerances" in compare(wrong, tolerance=claimed.scaled(1.01 * narrow.tolerance_needed)).as_text()
-    assert "CAD is beyond its tolerances" in compare(wrong, tolerance=claimed.scaled(0.9 * narrow.tolerance_needed)).as_text()
+    assert (
+        "CAD is within its tolerances"
+        in compare(wrong, tolerance=claimed.scaled(1.01 * narrow.tolerance_needed)).as_text()
+    )
+    assert (
+        "CAD is beyond its tolerances"
+        in compare(wrong, tolerance=claimed.scaled(0.9 * narrow.tolerance_needed)).as_text()
+    )

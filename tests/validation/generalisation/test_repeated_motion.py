@@ -25,7 +25,11 @@ ROBOT = bundled_robot("scara")
 
 def recorded(seed: int, periods: int = 1) -> Recording:
     motion = random_fourier(ROBOT, seed, duration=10.0 * periods, n_harmonics=5, periods=periods)
-    return InstalledRobot.typical(ROBOT, rng=1).record(motion, 200.0, rng=seed + 10 * periods).recording
+    return (
+        InstalledRobot.typical(ROBOT, rng=1)
+        .record(motion, 200.0, rng=seed + 10 * periods)
+        .recording
+    )
 
 
 def samples(seed: int, periods: int = 1) -> Samples:
@@ -47,25 +51,44 @@ def test_blocks_of_a_motion_that_comes_again_repeat(periods: int, repeats: bool)
 
 def test_few_moving_joints_say_nothing() -> None:
     one = samples(1)
-    still = replace(one, q=np.where(np.arange(4) < 2, one.q, 0.3), qd=np.where(np.arange(4) < 2, one.qd, 0.0))
+    still = replace(
+        one, q=np.where(np.arange(4) < 2, one.q, 0.3), qd=np.where(np.arange(4) < 2, one.qd, 0.0)
+    )
     assert repeated_share([still], still) == 0.0
 
 
 def test_a_study_says_which_recording_is_no_other_motion() -> None:
-    study = run_study(ROBOT, [recorded(1)], validation=[recorded(1, 1), recorded(2)], options=StudyOptions(method="wls"))
-    said = [warning.message for warning in study.result.warnings if warning.code == "held_out_repeats"]
+    study = run_study(
+        ROBOT,
+        [recorded(1)],
+        validation=[recorded(1, 1), recorded(2)],
+        options=StudyOptions(method="wls"),
+    )
+    said = [
+        warning.message for warning in study.result.warnings if warning.code == "held_out_repeats"
+    ]
     assert len(said) == 1
     assert "repeats the motion fitted" in said[0]
 
 
-def test_two_recordings_of_a_real_arm_are_one_motion_and_its_spring_may_be_at_five_joints(shared: Path) -> None:
+def test_two_recordings_of_a_real_arm_are_one_motion_and_its_spring_may_be_at_five_joints(
+    shared: Path,
+) -> None:
     model = load_robot(shared / "models" / "kuka_lwr4.urdf")
-    first, second = (read_recordings([shared / "data" / "kuka_lwr4" / f"measurements_{k}.npz"], model=model)[0] for k in (1, 2))
+    first, second = (
+        read_recordings([shared / "data" / "kuka_lwr4" / f"measurements_{k}.npz"], model=model)[0]
+        for k in (1, 2)
+    )
     assert float(np.abs(first.q - second.q).max()) < 0.01
     said = {
         warning.code: warning.message
-        for warning in run_study(model, [first], validation=[second], options=StudyOptions(method="auto")).result.warnings
+        for warning in run_study(
+            model, [first], validation=[second], options=StudyOptions(method="auto")
+        ).result.warnings
     }
-    assert "measurements_2.npz repeats the motion fitted (100 % of its states" in said["held_out_repeats"]
+    assert (
+        "measurements_2.npz repeats the motion fitted (100 % of its states"
+        in said["held_out_repeats"]
+    )
     in_step = ", ".join(model.joint_names[k] for k in (0, 2, 3, 5))
     assert f"{model.joint_names[6]} moves in step with {in_step}:" in said["spring_suspected"]

@@ -29,7 +29,13 @@ def drawn(example: Any) -> dict[str, Figure]:
     v = validate(result, example.held_out)
     return {
         "torque": torque_figure(
-            v.t, v.measured, v.predicted, cad=v.predicted_cad, joint_names=v.joint_names, units=v.units, title=v.source
+            v.t,
+            v.measured,
+            v.predicted,
+            cad=v.predicted_cad,
+            joint_names=v.joint_names,
+            units=v.units,
+            title=v.source,
         ),
         "parameters": parameter_figure(
             [p.expression for p in result.parameters],
@@ -41,7 +47,14 @@ def drawn(example: Any) -> dict[str, Figure]:
         ),
         "singular": singular_value_figure(result.singular_values, rank=result.rank),
         "residuals": residual_figure(v.error, v.residuals(), units=v.units),
-        "friction": friction_figure(v.velocity, v.friction, v.friction_curves(), model=v.drive, joint_names=v.joint_names, units=v.units),
+        "friction": friction_figure(
+            v.velocity,
+            v.friction,
+            v.friction_curves(),
+            model=v.drive,
+            joint_names=v.joint_names,
+            units=v.units,
+        ),
     }
 
 
@@ -78,5 +91,7 @@ def test_unknown_suffix_is_refused(figures: dict[str, Figure], tmp_path: Path) -
 
 
 def test_no_global_figure_is_made() -> None:
-    code = "import sys, asbuilt.writers.figures.figures; assert 'matplotlib.pyplot' not in sys.modules"
+    code = (
+        "import sys, asbuilt.writers.figures.figures; assert 'matplotlib.pyplot' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)

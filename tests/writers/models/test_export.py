@@ -37,9 +37,23 @@ def result_of(model: RobotModel, truth: RobotModel, drive: str = ALL) -> Identif
     p, n = base.n_base, model.n_joints
     known = parameter_values(truth, base.drive)
     beta, cad = base.values(np.nan_to_num(known)), base.values(parameter_values(model, base.drive))
-    entries = zip(base.ids, base.names, base.expressions, base.symbolic, base.units, cad, beta, strict=True)
+    entries = zip(
+        base.ids, base.names, base.expressions, base.symbolic, base.units, cad, beta, strict=True
+    )
     parameters = tuple(
-        IdentifiedParameter(int(i), name, e, s, u, float(c), float(b), 0.01, 0.01, determined=True, poorly_determined=False)
+        IdentifiedParameter(
+            int(i),
+            name,
+            e,
+            s,
+            u,
+            float(c),
+            float(b),
+            0.01,
+            0.01,
+            determined=True,
+            poorly_determined=False,
+        )
         for i, name, e, s, u, c, b in entries
     )
     metrics = torque_metrics(np.ones((5, n)), np.ones((5, n)), "log.csv", model.joint_names)
@@ -51,8 +65,12 @@ def result_of(model: RobotModel, truth: RobotModel, drive: str = ALL) -> Identif
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["lbrstack_med7.urdf", "kuka_lwr4.urdf", "kuka-iiwa7-r800", "ur10e", "scara"])
-def test_every_export_gives_the_identified_torques(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "name", ["lbrstack_med7.urdf", "kuka_lwr4.urdf", "kuka-iiwa7-r800", "ur10e", "scara"]
+)
+def test_every_export_gives_the_identified_torques(
+    name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
     robot = request.getfixturevalue("shared") / "models" / name if name.endswith(".urdf") else name
     model = load_robot(str(robot))
     result = result_of(model, as_if_identified(model, 2))
@@ -61,24 +79,53 @@ def test_every_export_gives_the_identified_torques(name: str, request: pytest.Fi
     assert set(exported.files) == {*places, "header"}
     q, qd, qdd = sample_states(model, 20)
     qd = np.where(np.abs(qd) < 0.1, 0.1, qd)
-    expected = (observation_matrix(model, q, qd, qdd, drive=result.base.drive, columns=result.base.columns) @ result.estimates).reshape(
-        q.shape
-    )
+    expected = (
+        observation_matrix(model, q, qd, qdd, drive=result.base.drive, columns=result.base.columns)
+        @ result.estimates
+    ).reshape(q.shape)
     written = load_robot(places["toml"])
-    values = parameter_values(written, result.base.drive)[10 * model.n_joints :].reshape(model.n_joints, 4)
+    values = parameter_values(written, result.base.drive)[10 * model.n_joints :].reshape(
+        model.n_joints, 4
+    )
     armature, viscous, coulomb, offset = values.T
-    in_mujoco = mujoco_torques(places["mjcf"].read_text(encoding="utf-8"), model.joint_names, q, qd, qdd) + offset
-    in_pinocchio = pinocchio_torques(places["urdf"].read_bytes().partition(b"?>")[2].decode(), model.joint_names, model.gravity, q, qd, qdd)
+    in_mujoco = (
+        mujoco_torques(places["mjcf"].read_text(encoding="utf-8"), model.joint_names, q, qd, qdd)
+        + offset
+    )
+    in_pinocchio = pinocchio_torques(
+        places["urdf"].read_bytes().partition(b"?>")[2].decode(),
+        model.joint_names,
+        model.gravity,
+        q,
+        qd,
+        qdd,
+    )
     drives = armature * qdd + viscous * qd + coulomb * np.sign(qd) + offset
-    own = (observation_matrix(written, q, qd, qdd, drive=result.base.drive) @ parameter_values(written, result.base.drive)).reshape(q.shape)
+    own = (
+        observation_matrix(written, q, qd, qdd, drive=result.base.drive)
+        @ parameter_values(written, result.base.drive)
+    ).reshape(q.shape)
     for found in (in_mujoco, in_pinocchio + drives, own):
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
     described = load_robot(places["urdf"])
-    np.testing.assert_allclose([joint.drive.viscous for joint in described.joints], viscous, rtol=1e-15)
+    np.testing.assert_allclose(
+        [joint.drive.viscous for joint in described.joints], viscous, rtol=1e-15
+    )
     program = tmp_path / "self_test"
     prefix = places["c"].read_text().split("_inverse_dynamics")[0].split()[-1].upper()
     subprocess.run(
-        ["gcc", "-std=c99", f"-D{prefix}_SELF_TEST", str(places["c"]), "-o", str(program), "-lm", "-Werror", "-Wall"], check=True
+        [
+            "gcc",
+            "-std=c99",
+            f"-D{prefix}_SELF_TEST",
+            str(places["c"]),
+            "-o",
+            str(program),
+            "-lm",
+            "-Werror",
+            "-Wall",
+        ],
+        check=True,
     )
     subprocess.run([str(program)], check=True, capture_output=True)
 
@@ -86,11 +133,17 @@ def test_every_export_gives_the_identified_torques(name: str, request: pytest.Fi
 def arm_urdf(folder: Path) -> Path:
     """Write a URDF of two-link with a comment in it."""
     path = folder / "arm.urdf"
-    path.write_text(urdf_text(bundled_robot("two-link")).replace("</robot>", "<!-- the user's own -->\n</robot>"))
+    path.write_text(
+        urdf_text(bundled_robot("two-link")).replace(
+            "</robot>", "<!-- the user's own -->\n</robot>"
+        )
+    )
     return path
 
 
-def test_command_writes_what_was_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_what_was_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     original = arm_urdf(tmp_path)
     model = load_robot(original)
     stored = tmp_path / "result.json"
@@ -101,9 +154,13 @@ def test_command_writes_what_was_asked_for(tmp_path: Path, capsys: pytest.Captur
     document = json.loads(out)
     assert status == 0
     assert document["robot"] == model.name
-    assert document["files"] == {kind: str(place) for kind, place in places.items()} | {"header": str(tmp_path / "out" / "robot.h")}
+    assert document["files"] == {kind: str(place) for kind, place in places.items()} | {
+        "header": str(tmp_path / "out" / "robot.h")
+    }
     assert {"armature", "offset"} == {
-        word for word in ("armature", "offset", "shapes") if any(word in note for note in document["notes"]["urdf"])
+        word
+        for word in ("armature", "offset", "shapes")
+        if any(word in note for note in document["notes"]["urdf"])
     }
     assert "the user's own" in places["urdf"].read_text()
     status, out, _ = call(capsys, "export", stored, "--urdf", places["urdf"])
@@ -112,10 +169,14 @@ def test_command_writes_what_was_asked_for(tmp_path: Path, capsys: pytest.Captur
     assert "note: URDF has no place for the armature" in out
 
 
-def test_command_refuses_without_writing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_refuses_without_writing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     model = bundled_robot("two-link")
     result = result_of(model, as_if_identified(model, 2))
-    negative = tuple(replace(p, estimate=-5.0) if p.name == "Izz2" else p for p in result.parameters)
+    negative = tuple(
+        replace(p, estimate=-5.0) if p.name == "Izz2" else p for p in result.parameters
+    )
     stored = tmp_path / "result.json"
     stored.write_text(replace(result, parameters=negative).to_json())
     target = tmp_path / "robot.xml"
@@ -137,7 +198,10 @@ def test_command_refuses_without_writing(tmp_path: Path, capsys: pytest.CaptureF
     status, _, err = call(capsys, "export", stored)
     assert status == 2
     assert "--urdf, --mjcf, --toml or --c" in err
-    assert call(capsys, "export", stored, "--c", tmp_path / "robot.cpp", "--nearest", "--force")[0] == 2
+    assert (
+        call(capsys, "export", stored, "--c", tmp_path / "robot.cpp", "--nearest", "--force")[0]
+        == 2
+    )
     assert call(capsys, "export", stored, "--mjcf", target, "--original", target)[0] == 2
     assert call(capsys, "export", stored, "--mjcf", target, "--force")[0] == 2
     assert call(capsys, "export", tmp_path / "nowhere.json", "--mjcf", target)[0] in (1, 2)
@@ -172,7 +236,9 @@ def test_where_the_urdf_to_edit_comes_from(tmp_path: Path) -> None:
 def test_drive_terms_without_a_place_are_said(tmp_path: Path) -> None:
     model = bundled_robot("two-link")
     result = result_of(model, as_if_identified(model, 2), drive="viscous,cubic")
-    places: dict[str, Any] = {kind: tmp_path / f"robot.{kind}" for kind in ("urdf", "mjcf", "toml", "c")}
+    places: dict[str, Any] = {
+        kind: tmp_path / f"robot.{kind}" for kind in ("urdf", "mjcf", "toml", "c")
+    }
     exported = export_result(result, **places)
     for kind in ("urdf", "mjcf"):
         assert "no place for the drive terms cubic" in exported.notes[kind][-1]
@@ -181,21 +247,56 @@ def test_drive_terms_without_a_place_are_said(tmp_path: Path) -> None:
 
 def test_drive_values_that_were_not_identified_are_said(tmp_path: Path) -> None:
     model = bundled_robot("two-link")
-    described = replace(model, joints=tuple(replace(joint, drive=DriveValues(viscous=10.0, coulomb=0.0)) for joint in model.joints))
-    exported = export_result(result_of(described, as_if_identified(model, 2), drive="coulomb"), mjcf=tmp_path / "robot.xml")
+    described = replace(
+        model,
+        joints=tuple(
+            replace(joint, drive=DriveValues(viscous=10.0, coulomb=0.0)) for joint in model.joints
+        ),
+    )
+    exported = export_result(
+        result_of(described, as_if_identified(model, 2), drive="coulomb"),
+        mjcf=tmp_path / "robot.xml",
+    )
     assert exported.notes["mjcf"] == ("not identified, and as described: viscous of the drives",)
-    assert [joint.drive.viscous for joint in load_robot(tmp_path / "robot.xml").joints] == [10.0, 10.0]
+    assert [joint.drive.viscous for joint in load_robot(tmp_path / "robot.xml").joints] == [
+        10.0,
+        10.0,
+    ]
 
 
-def test_a_study_leaves_the_edited_urdf_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_leaves_the_edited_urdf_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     original = arm_urdf(tmp_path)
     model = load_robot(original)
-    recording = InstalledRobot.ideal(model).record(random_fourier(model, rng=1, duration=8.0), 200.0, rng=1).recording
-    columns = {"t": recording.t} | {f"{what}_{k}": getattr(recording, what)[:, k] for what in ("q", "tau") for k in range(2)}
+    recording = (
+        InstalledRobot.ideal(model)
+        .record(random_fourier(model, rng=1, duration=8.0), 200.0, rng=1)
+        .recording
+    )
+    columns = {"t": recording.t} | {
+        f"{what}_{k}": getattr(recording, what)[:, k] for what in ("q", "tau") for k in range(2)
+    }
     log = tmp_path / "log.csv"
-    np.savetxt(log, np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments="")
+    np.savetxt(
+        log,
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
     status, out, err = call(
-        capsys, "identify", original, log, "--method", "consistent", "--drive", "none", "--out", tmp_path / "out", "--json"
+        capsys,
+        "identify",
+        original,
+        log,
+        "--method",
+        "consistent",
+        "--drive",
+        "none",
+        "--out",
+        tmp_path / "out",
+        "--json",
     )
     assert status == 0, err
     files = json.loads(out)["files"]
@@ -203,10 +304,17 @@ def test_a_study_leaves_the_edited_urdf_behind(tmp_path: Path, capsys: pytest.Ca
     assert load_robot(files["urdf"]).joint_names == model.joint_names
 
 
-def test_the_nearest_robot_says_what_it_costs_on_the_recordings(shared: Path, tmp_path: Path) -> None:
+def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
+    shared: Path, tmp_path: Path
+) -> None:
     """The Med 7 as identified is no robot; the nearest one predicts its held-out blocks as well, though not random motion, which neither knows."""
     model = load_robot(shared / "models" / "lbrstack_med7.urdf")
-    log = read_recordings([shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"], model=model, rate=100.0, flip_torque=True)
+    log = read_recordings(
+        [shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"],
+        model=model,
+        rate=100.0,
+        flip_torque=True,
+    )
     study = run_study(model, log, options=StudyOptions(holdout="blocks:5s:3"))
     with pytest.raises(InertiaError, match=r"standard errors below zero") as refused:
         export_result(study.result, toml=tmp_path / "robot.toml")
@@ -217,20 +325,34 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(shared: Path, tm
     assert np.all(exported.cost.stand_in < 1.4 * exported.cost.identified)
     assert "as written" in exported.as_text()
     assert "In random motion, where no recording was" in exported.as_text()
-    short = read_recordings([shared / "data" / "kuka_lwr4" / "measurements_1.npz"], model=load_robot(shared / "models" / "kuka_lwr4.urdf"))
-    other = run_study(load_robot(shared / "models" / "kuka_lwr4.urdf"), short, options=StudyOptions(holdout="blocks:5s:3")).result
+    short = read_recordings(
+        [shared / "data" / "kuka_lwr4" / "measurements_1.npz"],
+        model=load_robot(shared / "models" / "kuka_lwr4.urdf"),
+    )
+    other = run_study(
+        load_robot(shared / "models" / "kuka_lwr4.urdf"),
+        short,
+        options=StudyOptions(holdout="blocks:5s:3"),
+    ).result
     with pytest.raises(InertiaError, match=r"lwr_6_joint: 0\.\d+ N m RMS in place of"):
         export_result(other, toml=tmp_path / "other.toml", nearest=True)
     assert not (tmp_path / "other.toml").exists()
-    assert export_result(other, toml=tmp_path / "other.toml", nearest=True, force=True).cost is not None
+    assert (
+        export_result(other, toml=tmp_path / "other.toml", nearest=True, force=True).cost
+        is not None
+    )
 
 
-def test_a_study_says_what_its_files_cannot_hold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_study_says_what_its_files_cannot_hold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The robot of an identification comes as URDF, too: what is left out of that is told where the file is named, and in the JSON."""
     original = arm_urdf(tmp_path)
     model = load_robot(original)
     log = tmp_path / "log.csv"
-    write_recording(log, InstalledRobot.ideal(model).record(random_fourier(model, rng=3), 100.0).recording)
+    write_recording(
+        log, InstalledRobot.ideal(model).record(random_fourier(model, rng=3), 100.0).recording
+    )
     call_of = ("identify", original, log, "--drive", ALL, "--out", tmp_path / "out")
     status, out, _ = call(capsys, *call_of)
     assert status == 0
@@ -238,5 +360,9 @@ def test_a_study_says_what_its_files_cannot_hold(tmp_path: Path, capsys: pytest.
     assert "robot.urdf\n              note: URDF has no place for the armature" in listing
     document = json.loads(call(capsys, *call_of, "--json")[1])
     assert any("offset" in note for note in document["file_notes"]["urdf"])
-    impossible = json.loads(call(capsys, *call_of, "--method", "wls", "--drive", "viscous,coulomb,offset", "--json")[1])
-    assert ("urdf" in impossible["files"]) == (not any("not written" in note for note in impossible["file_notes"].get("urdf", ())))
+    impossible = json.loads(
+        call(capsys, *call_of, "--method", "wls", "--drive", "viscous,coulomb,offset", "--json")[1]
+    )
+    assert ("urdf" in impossible["files"]) == (
+        not any("not written" in note for note in impossible["file_notes"].get("urdf", ()))
+    )

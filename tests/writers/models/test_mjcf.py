@@ -50,7 +50,12 @@ def test_two_arms() -> None:
 
 def test_motor_torques_accelerate_as_forward_dynamics_says() -> None:
     model = as_if_identified(bundled_robot("ur10e"), 3)
-    model = replace(model, joints=tuple(replace(joint, drive=replace(joint.drive, coulomb=None)) for joint in model.joints))
+    model = replace(
+        model,
+        joints=tuple(
+            replace(joint, drive=replace(joint.drive, coulomb=None)) for joint in model.joints
+        ),
+    )
     compiled = mujoco.MjModel.from_xml_string(exported_mjcf(model))
     data = mujoco.MjData(compiled)
     q, qd, qdd = sample_states(model, 5)
@@ -68,7 +73,9 @@ def test_own_reader_gives_the_robot_back(tmp_path: Path) -> None:
     path, notes = write_mjcf(tmp_path / "robot.xml", model)
     read = load_robot(path)
     q, qd, qdd = sample_states(model, 10)
-    np.testing.assert_allclose(inverse_dynamics(read, q, qd, qdd), inverse_dynamics(model, q, qd, qdd), atol=1e-10)
+    np.testing.assert_allclose(
+        inverse_dynamics(read, q, qd, qdd), inverse_dynamics(model, q, qd, qdd), atol=1e-10
+    )
     for joint, there in zip(model.joints, read.joints, strict=True):
         assert there.drive == replace(joint.drive, offset=None)
     assert "offsets of the drives are the bias of the actuators" in notes[0]
@@ -83,7 +90,9 @@ def test_impossible_models_are_refused() -> None:
     model = bundled_robot("two-link")
     impossible = LinkInertia.from_com(-1.0, np.zeros(3), np.eye(3))
     with pytest.raises(InertiaError, match=r"link 2: mass is -1 kg"):
-        exported_mjcf(replace(model, links=(model.links[0], replace(model.links[1], inertia=impossible))))
+        exported_mjcf(
+            replace(model, links=(model.links[0], replace(model.links[1], inertia=impossible)))
+        )
     pushing = replace(model.joints[0], drive=DriveValues(armature=-0.1))
     with pytest.raises(InertiaError, match=r"joint 1: armature is -0\.1"):
         exported_mjcf(replace(model, joints=(pushing, model.joints[1])))

@@ -21,7 +21,9 @@ def same_torques(one: RobotModel, two: RobotModel) -> None:
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 20, one.n_joints))
     expected = inverse_dynamics(one, q, qd, qdd)
-    np.testing.assert_allclose(inverse_dynamics(two, q, qd, qdd), expected, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        inverse_dynamics(two, q, qd, qdd), expected, atol=1e-11 * np.abs(expected).max()
+    )
 
 
 def test_round_trip_keeps_everything(example: Any, tmp_path: Path) -> None:
@@ -33,7 +35,12 @@ def test_round_trip_keeps_everything(example: Any, tmp_path: Path) -> None:
     same_torques(model, back)
     assert np.array_equal(model.parameters, back.parameters)
     assert np.array_equal(model.gravity, back.gravity)
-    assert (back.name, back.joint_names, back.link_names, back.parents) == (model.name, model.joint_names, model.link_names, model.parents)
+    assert (back.name, back.joint_names, back.link_names, back.parents) == (
+        model.name,
+        model.joint_names,
+        model.link_names,
+        model.parents,
+    )
     assert back.citation == model.citation
     assert back.notes == model.notes
     assert dict(back.lengths) == dict(model.lengths)
@@ -57,12 +64,18 @@ def test_descriptions_of_strangers(shared: Path, tmp_path: Path, name: str) -> N
     back = load_robot(write_robot_toml(tmp_path / "robot.toml", model))
     same_torques(model, back)
     np.testing.assert_allclose(back.parameters, model.parameters, atol=1e-15)
-    assert [link.inertia_known for link in back.links] == [link.inertia_known for link in model.links]
-    assert [[part for part, _ in link.parts] for link in back.links] == [[part for part, _ in link.parts] for link in model.links]
+    assert [link.inertia_known for link in back.links] == [
+        link.inertia_known for link in model.links
+    ]
+    assert [[part for part, _ in link.parts] for link in back.links] == [
+        [part for part, _ in link.parts] for link in model.links
+    ]
 
 
 @pytest.mark.parametrize("which", ["example", "armature_example"])
-def test_identified_robot_predicts_what_was_identified(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+def test_identified_robot_predicts_what_was_identified(
+    which: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
     example: Any = request.getfixturevalue(which)
     result, samples = example.result, example.held_out
     robot = load_robot(write_robot_toml(tmp_path / "robot.toml", as_built_model(result)))
@@ -70,12 +83,16 @@ def test_identified_robot_predicts_what_was_identified(which: str, request: pyte
     chi = parameter_values(robot, drive)
     assert not np.any(np.isnan(chi))
     np.testing.assert_allclose(result.base.values(chi), result.estimates, rtol=1e-9, atol=1e-10)
-    torque = (observation_matrix(robot, samples.q, samples.qd, samples.qdd, drive=drive) @ chi).reshape(samples.q.shape)
+    torque = (
+        observation_matrix(robot, samples.q, samples.qd, samples.qdd, drive=drive) @ chi
+    ).reshape(samples.q.shape)
     np.testing.assert_allclose(torque, result.predict(samples).predicted, atol=1e-9)
     assert ("NOT physically consistent" in robot.notes[-1]) == bool(inconsistencies(robot))
 
 
 def test_design_values_give_the_design_back(example: Any) -> None:
-    known = tuple(replace(p, estimate=0.0 if np.isnan(p.cad) else p.cad) for p in example.result.parameters)
+    known = tuple(
+        replace(p, estimate=0.0 if np.isnan(p.cad) else p.cad) for p in example.result.parameters
+    )
     robot = as_built_model(replace(example.result, parameters=known))
     np.testing.assert_allclose(robot.parameters, example.model.parameters, atol=1e-8)

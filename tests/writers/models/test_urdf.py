@@ -31,9 +31,18 @@ def check_reloads(model: RobotModel) -> RobotModel:
     read = read_urdf(text).with_gravity(model.gravity)
     order = [read.joint_names.index(name) for name in model.joint_names]
     back = np.argsort(order)
-    np.testing.assert_allclose(inverse_dynamics(read, q[:, back], qd[:, back], qdd[:, back])[:, order], expected, rtol=0, atol=tolerance)
-    assert {joint.drive.viscous for joint in read.joints} == {joint.drive.viscous for joint in model.joints}
-    assert {joint.drive.coulomb for joint in read.joints} == {joint.drive.coulomb for joint in model.joints}
+    np.testing.assert_allclose(
+        inverse_dynamics(read, q[:, back], qd[:, back], qdd[:, back])[:, order],
+        expected,
+        rtol=0,
+        atol=tolerance,
+    )
+    assert {joint.drive.viscous for joint in read.joints} == {
+        joint.drive.viscous for joint in model.joints
+    }
+    assert {joint.drive.coulomb for joint in read.joints} == {
+        joint.drive.coulomb for joint in model.joints
+    }
     return read
 
 
@@ -79,7 +88,12 @@ def test_unknown_limits_are_written_as_large_ones() -> None:
     model = bundled_robot("scara")
     model = model.with_limits([JointLimits()] * model.n_joints)
     read = read_urdf(urdf_text(model))
-    assert [joint.kind for joint in read.joints] == ["continuous", "continuous", "prismatic", "continuous"]
+    assert [joint.kind for joint in read.joints] == [
+        "continuous",
+        "continuous",
+        "prismatic",
+        "continuous",
+    ]
     assert read.joints[2].limits.upper == 1e9
 
 
@@ -87,7 +101,9 @@ def test_impossible_models_are_refused() -> None:
     model = bundled_robot("two-link")
     impossible = LinkInertia.from_com(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.3]))
     with pytest.raises(InertiaError, match="link 2: Ixx"):
-        urdf_text(replace(model, links=(model.links[0], replace(model.links[1], inertia=impossible))))
+        urdf_text(
+            replace(model, links=(model.links[0], replace(model.links[1], inertia=impossible)))
+        )
 
 
 def test_written_file_says_what_it_leaves_out(tmp_path: Path) -> None:

@@ -66,8 +66,17 @@ def check_reloads(content: bytes, model: RobotModel, *, tolerance: float) -> Non
     q, qd, qdd = sample_states(model, 30)
     expected = inverse_dynamics(model, q, qd, qdd)
     read = read_urdf(content)
-    np.testing.assert_allclose(inverse_dynamics(read.with_gravity(model.gravity), q, qd, qdd), expected, rtol=0, atol=1e-9)
-    found = pinocchio_torques(re.sub(r"^<\?xml[^>]*>", "", content.decode("latin-1")), model.joint_names, model.gravity, q, qd, qdd)
+    np.testing.assert_allclose(
+        inverse_dynamics(read.with_gravity(model.gravity), q, qd, qdd), expected, rtol=0, atol=1e-9
+    )
+    found = pinocchio_torques(
+        re.sub(r"^<\?xml[^>]*>", "", content.decode("latin-1")),
+        model.joint_names,
+        model.gravity,
+        q,
+        qd,
+        qdd,
+    )
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance)
     for joint, there in zip(model.joints, read.joints, strict=True):
         assert there.drive.viscous == joint.drive.viscous
@@ -80,14 +89,22 @@ def test_descriptions_of_strangers(shared: Path, name: str) -> None:
     original = path.read_bytes()
     model = as_if_identified(read_urdf(path), 1)
     edited = edited_urdf(path, model)
-    assert without_inertials_and_dynamics(edited.content) == without_inertials_and_dynamics(original)
-    assert re.findall(rb"(?s)<!--.*?-->", edited.content) == re.findall(rb"(?s)<!--.*?-->", original)
+    assert without_inertials_and_dynamics(edited.content) == without_inertials_and_dynamics(
+        original
+    )
+    assert re.findall(rb"(?s)<!--.*?-->", edited.content) == re.findall(
+        rb"(?s)<!--.*?-->", original
+    )
     assert edited.links == model.link_names
     assert edited.joints == model.joint_names
     assert edited.reread_difference.max() < 1e-9
     check_reloads(edited.content, model, tolerance=1e-9 + 2.0 * edited.literal_difference.max())
     rounds = any("to the letter" in note for note in edited.notes)
-    assert rounds == (edited.literal_difference.max() > 1e-9) == (name in ("ur10.urdf", "ur10e.urdf", "xarm7.urdf"))
+    assert (
+        rounds
+        == (edited.literal_difference.max() > 1e-9)
+        == (name in ("ur10.urdf", "ur10e.urdf", "xarm7.urdf"))
+    )
 
 
 @pytest.mark.parametrize("name", SHARED_URDFS)
@@ -114,7 +131,9 @@ def test_small_arm_with_every_habit(tmp_path: Path) -> None:
     assert b'<link name="lower">\r\n    <inertial><origin xyz="' in content
     assert "no place for the armature of the drives" in edited.notes[0]
     assert f"j2 {model.joints[1].drive.offset:.6g}" in edited.notes[1]
-    stripped = without_inertials_and_dynamics(ARM.encode("latin-1")).replace(b'<link name="lower"/>', b'<link name="lower">\r\n  </link>')
+    stripped = without_inertials_and_dynamics(ARM.encode("latin-1")).replace(
+        b'<link name="lower"/>', b'<link name="lower">\r\n  </link>'
+    )
     assert without_inertials_and_dynamics(content) == stripped
 
 
@@ -131,7 +150,10 @@ def test_inertia_of_fixed_parts_moves_where_the_remainder_is_impossible(tmp_path
     path = arm_file(tmp_path)
     described = read_urdf(path)
     small = LinkInertia.from_com(0.2, [0.0, 0.0, 0.1], np.diag([1e-3, 1e-3, 1e-3]))
-    model = replace(described, links=(replace(described.links[0], inertia=small, parts=()), *described.links[1:]))
+    model = replace(
+        described,
+        links=(replace(described.links[0], inertia=small, parts=()), *described.links[1:]),
+    )
     edited = edited_urdf(path, model)
     assert edited.emptied == ("cover",)
     assert b'<link name="cover"></link>' in edited.content
@@ -168,7 +190,9 @@ def test_impossible_models_are_refused(tmp_path: Path) -> None:
     model = read_urdf(path)
     flat = LinkInertia.from_com(1.0, np.zeros(3), np.diag([0.1, 0.1, 0.3]))
     with pytest.raises(InertiaError, match=r"link 3: Ixx \+ Iyy < Izz by 0\.1 kg m\^2"):
-        edited_urdf(path, replace(model, links=(*model.links[:2], replace(model.links[2], inertia=flat))))
+        edited_urdf(
+            path, replace(model, links=(*model.links[:2], replace(model.links[2], inertia=flat)))
+        )
     pushing = replace(model.joints[1], drive=DriveValues(viscous=-0.5))
     with pytest.raises(InertiaError, match=r"joint 2: viscous friction is -0\.5"):
         edited_urdf(path, replace(model, joints=(model.joints[0], pushing, model.joints[2])))

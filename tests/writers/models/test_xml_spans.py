@@ -40,7 +40,9 @@ def test_places_are_those_of_the_text() -> None:
     [("utf-8", b"", ""), ("utf-8", codecs.BOM_UTF8, ""), ("utf-16-le", codecs.BOM_UTF16_LE, ""), ("utf-16-be", codecs.BOM_UTF16_BE, ""),
      ("latin-1", b"", ' encoding="ISO-8859-1"'), ("cp1252", b"", " encoding='windows-1252'")],
 )  # fmt: skip
-def test_edits_keep_every_other_byte_in_every_encoding(codec: str, mark: bytes, declared: str) -> None:
+def test_edits_keep_every_other_byte_in_every_encoding(
+    codec: str, mark: bytes, declared: str
+) -> None:
     text = TEXT.replace('version="1.0"', f'version="1.0"{declared}')
     content = mark + text.encode(codec)
     file = XmlFile.of(content, "x")

@@ -53,7 +53,9 @@ def test_animation_has_the_length_of_the_motion(style: str, suffix: str, tmp_pat
     model = bundled_robot("two-link")
     motion = QuinticMotion.between([0.0, 0.0], [1.0, -1.0], 1.6)
     seen: list[float] = []
-    path = write_picture(tmp_path / f"a.{suffix}", model, motion, size=(120, 90), style=style, progress=seen.append)  # type: ignore[arg-type]
+    path = write_picture(
+        tmp_path / f"a.{suffix}", model, motion, size=(120, 90), style=style, progress=seen.append
+    )  # type: ignore[arg-type]
     with Image.open(path) as animation:
         assert animation.n_frames == 20
         assert animation.size == (120, 90)
@@ -84,12 +86,17 @@ def test_up_is_against_gravity() -> None:
     np.testing.assert_allclose(MotionView.of_motion(model, None).up, [0.0, -1.0, 0.0])
     for style in STYLES:
         usable(style)
-        assert next(iter(picture_frames(MotionView.of_motion(model, None), 80, 60, style=style))).std() > 5  # type: ignore[arg-type]
+        assert (
+            next(iter(picture_frames(MotionView.of_motion(model, None), 80, 60, style=style))).std()
+            > 5
+        )  # type: ignore[arg-type]
 
 
 def test_wrong_pictures_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     model = bundled_robot("two-link")
-    with pytest.raises(UsageError, match=r"a picture is written as \.png, \.gif, \.webp, not as 'a\.jpg'"):
+    with pytest.raises(
+        UsageError, match=r"a picture is written as \.png, \.gif, \.webp, not as 'a\.jpg'"
+    ):
         write_picture(tmp_path / "a.jpg", model)
     with pytest.raises(UsageError, match="there is no motion"):
         write_picture(tmp_path / "a.gif", model)

@@ -27,7 +27,9 @@ from asbuilt.writers.pictures.viewer import Viewer, round_mesh
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     window = chromium(
-        tmp_path_factory.mktemp("profile"), "use-angle=swiftshader enable-unsafe-swiftshader window-size=700,500", browser="ALL"
+        tmp_path_factory.mktemp("profile"),
+        "use-angle=swiftshader enable-unsafe-swiftshader window-size=700,500",
+        browser="ALL",
     )
     yield window
     window.quit()
@@ -40,7 +42,13 @@ def picture(browser: Any) -> np.ndarray:
 
 def orange(image: np.ndarray) -> int:
     """How many pixels have the colour of housings."""
-    return int(np.sum((image[..., 0] > 150) & (image[..., 2] < 0.6 * image[..., 0]) & (image[..., 1] < 0.85 * image[..., 0])))
+    return int(
+        np.sum(
+            (image[..., 0] > 150)
+            & (image[..., 2] < 0.6 * image[..., 0])
+            & (image[..., 1] < 0.85 * image[..., 0])
+        )
+    )
 
 
 def until_drawn(browser: Any, seconds: float = 40.0) -> np.ndarray:
@@ -63,7 +71,9 @@ def complaints(browser: Any) -> list[str]:
 
 def test_page_draws_the_robot_plays_and_shows_what_is_inside(browser: Any) -> None:
     model = bundled_robot("ur10e")
-    motion = QuinticMotion.between([0.0, -1.0, 1.0, 0.0, 0.0, 0.0], [1.5, -0.5, 0.5, 1.0, 1.0, 1.0], 3.0)
+    motion = QuinticMotion.between(
+        [0.0, -1.0, 1.0, 0.0, 0.0, 0.0], [1.5, -0.5, 0.5, 1.0, 1.0, 1.0], 3.0
+    )
     viewer = Viewer(model, motion, port=8300)
     done = threading.Event()
     player = threading.Thread(target=viewer.serve, kwargs={"until": done.is_set})
@@ -73,13 +83,21 @@ def test_page_draws_the_robot_plays_and_shows_what_is_inside(browser: Any) -> No
         first = until_drawn(browser)
         time.sleep(1.0)
         assert np.abs(picture(browser)[:, :450] - first[:, :450]).max() > 50, "nothing moves"
-        green = np.sum((first[:, :450, 1] > first[:, :450, 0] + 20) & (first[:, :450, 1] > first[:, :450, 2] + 10))
+        green = np.sum(
+            (first[:, :450, 1] > first[:, :450, 0] + 20)
+            & (first[:, :450, 1] > first[:, :450, 2] + 10)
+        )
         label = browser.find_element("xpath", "//label[normalize-space()='inertia ellipsoids']")
-        browser.execute_script("document.getElementById(arguments[0]).click()", label.get_attribute("for"))
+        browser.execute_script(
+            "document.getElementById(arguments[0]).click()", label.get_attribute("for")
+        )
         end = time.monotonic() + 15
         while time.monotonic() < end:
             image = picture(browser)[:, :450]
-            if np.sum((image[..., 1] > image[..., 0] + 20) & (image[..., 1] > image[..., 2] + 10)) > green + 300:
+            if (
+                np.sum((image[..., 1] > image[..., 0] + 20) & (image[..., 1] > image[..., 2] + 10))
+                > green + 300
+            ):
                 break
             time.sleep(0.5)
         else:
@@ -92,7 +110,11 @@ def test_page_draws_the_robot_plays_and_shows_what_is_inside(browser: Any) -> No
 
 
 def test_saved_page_needs_no_server(browser: Any, tmp_path: Path) -> None:
-    viewer = Viewer(bundled_robot("scara"), QuinticMotion.between([0.0, 0.0, 0.0, 0.0], [1.0, -1.0, 0.1, 1.0], 2.0), port=8330)
+    viewer = Viewer(
+        bundled_robot("scara"),
+        QuinticMotion.between([0.0, 0.0, 0.0, 0.0], [1.0, -1.0, 0.1, 1.0], 2.0),
+        port=8330,
+    )
     text = viewer.page()
     viewer.close()
     assert "http://127.0.0.1" not in text
@@ -126,9 +148,13 @@ def test_meshes_are_closed_and_seen_from_outside(kind: str) -> None:
     solid = Solid(0, kind, np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.0, 0.9]), 0.05)  # type: ignore[arg-type]
     vertices, faces = round_mesh(solid, slices=96, rings=33)
     corners = vertices[faces]
-    volume = np.sum(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
+    volume = (
+        np.sum(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
+    )
     cylinder = np.pi * 0.05**2 * solid.length
-    assert volume == pytest.approx(cylinder + (4 / 3 * np.pi * 0.05**3 if kind == "rod" else 0.0), rel=0.01)
+    assert volume == pytest.approx(
+        cylinder + (4 / 3 * np.pi * 0.05**3 if kind == "rod" else 0.0), rel=0.01
+    )
 
 
 def test_a_taken_port_is_passed_over_and_a_wrong_one_refused() -> None:
@@ -146,6 +172,10 @@ def test_a_taken_port_is_passed_over_and_a_wrong_one_refused() -> None:
 def test_without_viser_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(
-        MissingExtraError, match=r"the 3-D view needs the package viser, which is not installed: pip install 'asbuilt\[view\]'"
+        MissingExtraError,
+        match=(
+            r"the 3-D view needs the package viser, which is not installed: pip install"
+            r" 'asbuilt\[view\]'"
+        ),
     ):
         Viewer(bundled_robot("two-link"))

@@ -18,7 +18,12 @@ from command_line import call
 
 def motion_file(robot: str, folder: Path, duration: float = 4.0) -> Path:
     model = bundled_robot(robot)
-    return write_motion(folder / "move 1.csv", random_fourier(model, rng=1, duration=duration), model.joint_names, rate=500.0)
+    return write_motion(
+        folder / "move 1.csv",
+        random_fourier(model, rng=1, duration=duration),
+        model.joint_names,
+        rate=500.0,
+    )
 
 
 @pytest.mark.parametrize(
@@ -35,12 +40,22 @@ def motion_file(robot: str, folder: Path, duration: float = 4.0) -> Path:
 def test_program_writes_every_file_it_names(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, robot: str, form: str, roles: list[str]
 ) -> None:
-    arguments = ["program", robot, motion_file(robot, tmp_path), "--format", form, "--out", tmp_path / "out"]
+    arguments = [
+        "program",
+        robot,
+        motion_file(robot, tmp_path),
+        "--format",
+        form,
+        "--out",
+        tmp_path / "out",
+    ]
     status, out, err = call(capsys, *arguments, "--json")
     assert status == 0, err
     document: dict[str, Any] = json.loads(out)
     assert list(document["files"]) == roles
-    assert sorted(Path(path) for path in document["files"].values()) == sorted((tmp_path / "out").iterdir())
+    assert sorted(Path(path) for path in document["files"].values()) == sorted(
+        (tmp_path / "out").iterdir()
+    )
     assert (document["robot"], document["format"], document["motion"]) == (robot, form, "move 1")
     assert document["dry_run_duration"] == pytest.approx(40.0)
     read_sheet(document["files"]["sheet"])
@@ -64,24 +79,59 @@ def test_program_writes_every_file_it_names(
 def test_wrong_calls_write_nothing(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str], status: int, said: str
 ) -> None:
-    got, _, err = call(capsys, "program", "scara", motion_file("scara", tmp_path), "--out", tmp_path / "out", *arguments)
+    got, _, err = call(
+        capsys,
+        "program",
+        "scara",
+        motion_file("scara", tmp_path),
+        "--out",
+        tmp_path / "out",
+        *arguments,
+    )
     assert got == status
     assert said in err
     assert "Traceback" not in err
     assert not (tmp_path / "out").exists()
 
 
-def test_excite_refuses_an_unfit_format_before_it_designs(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    status, _, err = call(capsys, "excite", "ur10e", "--program", "sunrise", "--out", tmp_path / "m.csv")
+def test_excite_refuses_an_unfit_format_before_it_designs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    status, _, err = call(
+        capsys, "excite", "ur10e", "--program", "sunrise", "--out", tmp_path / "m.csv"
+    )
     assert status == 1
     assert "7 revolute joints" in err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_excite_writes_programs_beside_the_motion(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    options = ["--duration", "3", "--harmonics", "2", "--starts", "1", "--time-limit", "1", "--drive", "none"]
+def test_excite_writes_programs_beside_the_motion(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    options = [
+        "--duration",
+        "3",
+        "--harmonics",
+        "2",
+        "--starts",
+        "1",
+        "--time-limit",
+        "1",
+        "--drive",
+        "none",
+    ]
     status, out, err = call(
-        capsys, "excite", "two-link", *options, "--program", "ros2", "--program", "csv", "--out", tmp_path / "m.csv", "--json"
+        capsys,
+        "excite",
+        "two-link",
+        *options,
+        "--program",
+        "ros2",
+        "--program",
+        "csv",
+        "--out",
+        tmp_path / "m.csv",
+        "--json",
     )
     assert status == 0, err
     files = json.loads(out)["files"]

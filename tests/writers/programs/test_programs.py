@@ -66,11 +66,24 @@ def test_every_format_states_robot_motion_limits_and_safety(form: str, robot: st
     assert {"program", "sheet"} <= set(files)
     head = files["notes" if form == "csv" else "program"].text[:6000]
     worst = check_motion(model, motion).worst
-    for said in (robot, "Run 1", "5.000 s", "dry run takes 50.0 s", "SAFETY", "NOT checked: collisions", "emergency", "HOW TO RUN"):
+    for said in (
+        robot,
+        "Run 1",
+        "5.000 s",
+        "dry run takes 50.0 s",
+        "SAFETY",
+        "NOT checked: collisions",
+        "emergency",
+        "HOW TO RUN",
+    ):
         assert said in re.sub(r"\n(?://| \*|#)? *", " ", head), said
     for quantity, margin in worst.items():
         line = next(line for line in head.splitlines() if f"{quantity}:" in line)
-        assert ("NOT CHECKED" in line) if margin is None else (f"{100 * margin.margin:.1f} %" in line and margin.joint in line)
+        assert (
+            ("NOT CHECKED" in line)
+            if margin is None
+            else (f"{100 * margin.margin:.1f} %" in line and margin.joint in line)
+        )
     for file in files.values():
         assert file.text.isascii()
         assert file.text.endswith("\n")
@@ -85,14 +98,25 @@ def test_sheet_is_read_and_names_the_joints(form: str, robot: str, tmp_path: Pat
     sheet = read_sheet(written["sheet"])
     assert tuple(sheet.joints or ()) == model.joint_names
     assert sheet.sign == (-1 if form in {"sunrise", "fri"} else 1)
-    assert sheet.torque_source == {"sunrise": "sensor", "fri": "sensor", "franka": "sensor", "urscript": "current"}.get(form, "unknown")
+    assert sheet.torque_source == {
+        "sunrise": "sensor",
+        "fri": "sensor",
+        "franka": "sensor",
+        "urscript": "current",
+    }.get(form, "unknown")
 
 
 @pytest.mark.parametrize("form", ["ros2", "csv"])
 def test_speeds_of_the_approach_name_their_joints_where_units_differ(form: str) -> None:
     model = bundled_robot("scara")
-    header = " ".join(line.lstrip("# ") for line in program_text(make_program(model, excitation(model), form)).splitlines())
-    assert "to the start pose at no more than 0.2 rad/s (joint_1, joint_2, joint_4); 0.05 m/s (joint_3)" in header
+    header = " ".join(
+        line.lstrip("# ")
+        for line in program_text(make_program(model, excitation(model), form)).splitlines()
+    )
+    assert (
+        "to the start pose at no more than 0.2 rad/s (joint_1, joint_2, joint_4); 0.05 m/s"
+        " (joint_3)" in header
+    )
 
 
 def test_formats_refuse_robots_that_they_cannot_move() -> None:
@@ -101,7 +125,10 @@ def test_formats_refuse_robots_that_they_cannot_move() -> None:
             model = bundled_robot(robot)
             if kind.n_joints in (None, model.n_joints):
                 continue
-            with pytest.raises(MotionError, match=rf"{form} is for robots with {kind.n_joints} revolute joints.*{robot} has"):
+            with pytest.raises(
+                MotionError,
+                match=rf"{form} is for robots with {kind.n_joints} revolute joints.*{robot} has",
+            ):
                 make_program(model, excitation(model), form)
     with pytest.raises(UsageError, match="sunrise, fri, ros2, urscript, franka, csv"):
         make_program(bundled_robot("scara"), excitation(bundled_robot("scara")), "krl")
@@ -111,7 +138,9 @@ def test_sliding_joints_are_refused_where_axes_turn() -> None:
     model = bundled_robot("ur10e")
     sliding = replace(model, joints=(replace(model.joints[0], kind="prismatic"), *model.joints[1:]))
     with pytest.raises(MotionError, match="of which shoulder_pan_joint slide"):
-        make_program(sliding, BSplineMotion(np.outer([0.0, 0.1, 0.1, 0.0], np.ones(6)), 5.0), "urscript")
+        make_program(
+            sliding, BSplineMotion(np.outer([0.0, 0.1, 0.1, 0.0], np.ones(6)), 5.0), "urscript"
+        )
 
 
 @pytest.mark.parametrize("form", sorted(ALLOWED))
@@ -125,13 +154,19 @@ def test_motions_beyond_limits_are_refused(form: str) -> None:
 def test_a_dry_run_too_heavy_to_hold_is_refused() -> None:
     model = bundled_robot("two-link")
     motion = BSplineMotion([[0.0, 0.0], [0.0, -0.6], [0.0, -0.6], [0.0, 0.0]], 0.7)
-    torque = [np.abs(inverse_dynamics(model, *m.at(np.linspace(0, m.duration, 500)))).max(axis=0) for m in (motion, motion.slowed(10))]
+    torque = [
+        np.abs(inverse_dynamics(model, *m.at(np.linspace(0, m.duration, 500)))).max(axis=0)
+        for m in (motion, motion.slowed(10))
+    ]
     below = 0.5 * (torque[0][1] + torque[1][1])
     assert torque[0][1] != pytest.approx(torque[1][1], rel=1e-3)
     limits = [
-        replace(j.limits, torque=np.inf if k == 0 else below, velocity=np.inf, acceleration=np.inf) for k, j in enumerate(model.joints)
+        replace(j.limits, torque=np.inf if k == 0 else below, velocity=np.inf, acceleration=np.inf)
+        for k, j in enumerate(model.joints)
     ]
-    with pytest.raises(MotionError, match=r"dry run at 10 % of the speed violates|beyond its limit"):
+    with pytest.raises(
+        MotionError, match=r"dry run at 10 % of the speed violates|beyond its limit"
+    ):
         make_program(model.with_limits(limits), motion, "csv")
 
 
@@ -141,7 +176,9 @@ def test_motions_that_do_not_rest_at_their_ends_are_refused(tmp_path: Path) -> N
     t = np.linspace(0.0, 3.0, 61)
     rows = "\n".join(f"{x:.3f},{0.3 * np.sin(x):.9f},{0.2 * np.cos(x):.9f}" for x in t)
     table.write_text(f"t,q_{model.joint_names[0]},q_{model.joint_names[1]}\n{rows}\n")
-    with pytest.raises(MotionError, match="at the start of the motion; a controller needs it at rest"):
+    with pytest.raises(
+        MotionError, match="at the start of the motion; a controller needs it at rest"
+    ):
         make_program(model, read_motion(table, model), "csv")
 
 
@@ -152,7 +189,10 @@ def test_rates_that_are_none(rate: float) -> None:
         make_program(model, excitation(model), "csv", rate=rate)
 
 
-@pytest.mark.parametrize(("form", "rate"), [("sunrise", 300.0), ("fri", 1500.0), ("urscript", 400.0), ("urscript", 1000.0)])
+@pytest.mark.parametrize(
+    ("form", "rate"),
+    [("sunrise", 300.0), ("fri", 1500.0), ("urscript", 400.0), ("urscript", 1000.0)],
+)
 def test_rates_that_the_controller_does_not_have(form: str, rate: float) -> None:
     model = limited(ALLOWED[form][0])
     with pytest.raises(MotionError, match=f"{rate:g} Hz is none"):
@@ -211,7 +251,9 @@ def test_programs_of_robots_with_such_names_keep_their_form(name: str) -> None:
     joints = (replace(model.joints[0], name=other), *model.joints[1:])
     odd = replace(model, name=name, joints=joints)
     motion = excitation(odd, 4.0)
-    files = {file.role: file.text for file in make_program(odd, motion, "ros2", name=name, rate=20.0)}
+    files = {
+        file.role: file.text for file in make_program(odd, motion, "ros2", name=name, rate=20.0)
+    }
     ast.parse(files["program"])
     document = yaml.safe_load(files["motion"])
     assert document["joint_names"] == list(odd.joint_names)
@@ -225,7 +267,11 @@ def test_programs_of_robots_with_such_names_keep_their_form(name: str) -> None:
         if file.name.endswith(".xml"):
             ElementTree.fromstring(file.text)
         if file.name.endswith(".script"):
-            code = [line for line in file.text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+            code = [
+                line
+                for line in file.text.splitlines()
+                if line.strip() and not line.lstrip().startswith("#")
+            ]
             assert code[0].startswith("def asbuilt_")
             assert code[-1] == "end"
             assert sum(line.strip() == "halt" for line in code) == 1
@@ -241,7 +287,11 @@ def test_csv_reads_back_as_the_motion(tmp_path: Path) -> None:
         assert back.duration == pytest.approx(meant.duration, abs=1e-6)
         t = np.unique(np.append(meant.sample_times(100.0), meant.duration).round(9))
         for order in (0, 1, 2):
-            np.testing.assert_allclose(back.derivative(np.minimum(t, back.duration), order), meant.derivative(t, order), atol=2e-6)
+            np.testing.assert_allclose(
+                back.derivative(np.minimum(t, back.duration), order),
+                meant.derivative(t, order),
+                atol=2e-6,
+            )
         table = np.loadtxt(written[role], delimiter=",", skiprows=1)
         np.testing.assert_allclose(table[:, 1:], np.hstack(meant.at(t)), atol=0.5000001e-9)
 
@@ -251,7 +301,9 @@ def test_csv_reads_back_as_the_motion(tmp_path: Path) -> None:
     ("fri", "t,{q},{tau},{ext}"),
     ("franka", "t,{q},{qd},{tau},{ext}"),
 ])  # fmt: skip
-def test_logs_of_kuka_and_franka_come_back_as_torques_of_the_drive(form: str, header: str, tmp_path: Path) -> None:
+def test_logs_of_kuka_and_franka_come_back_as_torques_of_the_drive(
+    form: str, header: str, tmp_path: Path
+) -> None:
     """A log written the way the controller writes it, sign included, is read with the sheet as what the drives exert."""
     model = bundled_robot("kuka-iiwa7-r800")
     motion = excitation(model)
@@ -267,9 +319,15 @@ def test_logs_of_kuka_and_franka_come_back_as_torques_of_the_drive(form: str, he
             "tau": "tauMsr_LBR_iiwa_7_R800_1[{}]",
             "ext": "tauExt_LBR_iiwa_7_R800_1[{}]",
         }
-    first = header.format(**{key: blank.join(name.format(k) for k in range(1, 8)) for key, name in names.items()})
+    first = header.format(
+        **{key: blank.join(name.format(k) for k in range(1, 8)) for key, name in names.items()}
+    )
     sign = 1 if form == "franka" else -1
-    time = np.column_stack([np.floor(s.t) + 1e6, (1e9 * (s.t % 1)).round()]) if form == "sunrise" else s.t[:, None]
+    time = (
+        np.column_stack([np.floor(s.t) + 1e6, (1e9 * (s.t % 1)).round()])
+        if form == "sunrise"
+        else s.t[:, None]
+    )
     parts = [time, s.q, *([s.qd] if form == "franka" else []), sign * tau, sign * 0.1 * tau]
     log = written["sheet"].with_suffix(".txt" if form == "sunrise" else ".csv")
     np.savetxt(log, np.hstack(parts), fmt="%.9g", delimiter=blank, header=first, comments="")
@@ -284,12 +342,21 @@ def test_logs_of_kuka_and_franka_come_back_as_torques_of_the_drive(form: str, he
 def test_log_of_the_rtde_comes_back_with_currents(tmp_path: Path) -> None:
     model = bundled_robot("ur10e")
     motion = excitation(model)
-    written = write_program(tmp_path, make_program(model, motion, "urscript", name="run", rate=125.0))
+    written = write_program(
+        tmp_path, make_program(model, motion, "urscript", name="run", rate=125.0)
+    )
     fields = ElementTree.parse(written["recipe"]).getroot().findall("./recipe[@key='out']/field")
     names = [field.attrib["name"] for field in fields]
-    assert [field.attrib["type"] for field in fields] == ["DOUBLE"] + ["VECTOR6D"] * (len(fields) - 1)
+    assert [field.attrib["type"] for field in fields] == ["DOUBLE"] + ["VECTOR6D"] * (
+        len(fields) - 1
+    )
     s = motion.sample(125.0)
-    values = {"timestamp": s.t[:, None] + 1000.0, "actual_q": s.q, "actual_qd": s.qd, "actual_current": 0.1 * s.qdd}
+    values = {
+        "timestamp": s.t[:, None] + 1000.0,
+        "actual_q": s.q,
+        "actual_qd": s.qd,
+        "actual_current": 0.1 * s.qdd,
+    }
     header = ["timestamp"] + [f"{name}_{k}" for name in names[1:] for k in range(6)]
     rows = np.hstack([values.get(name, 30.0 + 0.0 * s.q) for name in names])
     log = written["sheet"].with_suffix(".csv")
@@ -308,7 +375,13 @@ def test_table_logged_as_the_proposal_says_comes_back(tmp_path: Path) -> None:
     tau = inverse_dynamics(model, s.q, s.qd, s.qdd)
     names = model.joint_names
     header = ",".join(["t", *(f"q_{name}" for name in names), *(f"tau_{name}" for name in names)])
-    np.savetxt(written["sheet"].with_suffix(".csv"), np.column_stack([s.t, s.q, tau]), delimiter=",", header=header, comments="")
+    np.savetxt(
+        written["sheet"].with_suffix(".csv"),
+        np.column_stack([s.t, s.q, tau]),
+        delimiter=",",
+        header=header,
+        comments="",
+    )
     recording = read_recording(written["sheet"].with_suffix(".csv"), model=model)
     np.testing.assert_allclose(recording.q, s.q, atol=1e-9)
     np.testing.assert_allclose(recording.tau, tau, atol=1e-9)
@@ -344,11 +417,15 @@ def test_bag_comes_back_by_joint_name(tmp_path: Path) -> None:
     assert recording.rate == pytest.approx(100.0, rel=1e-6)
 
 
-@pytest.mark.parametrize(("form", "robot"), [("urscript", "ur10e"), ("ros2", "ur10e"), ("csv", "kuka-iiwa7-r800")])
+@pytest.mark.parametrize(
+    ("form", "robot"), [("urscript", "ur10e"), ("ros2", "ur10e"), ("csv", "kuka-iiwa7-r800")]
+)
 def test_sheets_of_currents_have_a_place_for_gains(form: str, robot: str, tmp_path: Path) -> None:
     """Filled in as the sheet says, the line is read as gains; left as it is, there are none."""
     model = limited(robot)
-    sheet = write_program(tmp_path, make_program(model, excitation(model), form, name="run"))["sheet"]
+    sheet = write_program(tmp_path, make_program(model, excitation(model), form, name="run"))[
+        "sheet"
+    ]
     assert read_sheet(sheet).gains is None
     line = f"# gains = [{', '.join(f'g{k + 1}' for k in range(model.n_joints))}]"
     text = sheet.read_text()
@@ -364,12 +441,18 @@ def test_sheets_of_currents_have_a_place_for_gains(form: str, robot: str, tmp_pa
 def test_programs_say_which_collisions_were_checked(form: str) -> None:
     model = limited(ALLOWED[form][0])
     motion = excitation(model)
-    head = {collision: program_text(make_program(model, motion, form, collision=collision)) for collision in (None, "skeleton:0.01")}
+    head = {
+        collision: program_text(make_program(model, motion, form, collision=collision))
+        for collision in (None, "skeleton:0.01")
+    }
     assert "neither on the motion nor on the way" in head[None]
     said = re.search(r"come no nearer than (\d+) mm", head["skeleton:0.01"])
     assert said is not None
     guard = CollisionGuard(model, surroundings(model, "skeleton:0.01"))
-    nearest = min(guard.smallest_distance(motion.derivative(np.array([t]))) for t in np.arange(0.0, 5.0005, 0.01))
+    nearest = min(
+        guard.smallest_distance(motion.derivative(np.array([t])))
+        for t in np.arange(0.0, 5.0005, 0.01)
+    )
     assert int(said[1]) == pytest.approx(1000 * nearest, abs=2.0)
     assert "NOT checked: collisions on the way to the start pose" in head["skeleton:0.01"]
 
@@ -382,7 +465,9 @@ def test_motions_on_which_bodies_touch_are_refused() -> None:
 
 @pytest.mark.parametrize("form", sorted(PROGRAM_FORMATS))
 @pytest.mark.parametrize("parametrisation", ["fourier", "bspline", "quintic", "point-to-point"])
-def test_kinds_of_motion_are_refused_by_name_as_they_would_be_by_motion(form: str, parametrisation: str) -> None:
+def test_kinds_of_motion_are_refused_by_name_as_they_would_be_by_motion(
+    form: str, parametrisation: str
+) -> None:
     """What `excite` is told before its search is what the program says of a motion of that kind."""
     model = limited(ALLOWED[form][0])
     poses = excitation(model).derivative(np.linspace(0.0, 5.0, 6))
@@ -393,7 +478,10 @@ def test_kinds_of_motion_are_refused_by_name_as_they_would_be_by_motion(form: st
         "point-to-point": PointToPointMotion.within(poses, velocity=0.5, acceleration=6.0),
     }[parametrisation]
     refused = []
-    for call in (lambda: program_format(form, model, parametrisation), lambda: make_program(model, motion, form)):
+    for call in (
+        lambda: program_format(form, model, parametrisation),
+        lambda: make_program(model, motion, form),
+    ):
         try:
             call()
             refused.append(False)

@@ -162,7 +162,13 @@ class Robot {
 
 HEADERS = {
     "fri": (FRI, ("friClientApplication.h", "friLBRClient.h", "friUdpConnection.h")),
-    "franka": (FRANKA, tuple(f"franka/{name}.h" for name in ("control_types", "duration", "exception", "robot", "robot_state"))),
+    "franka": (
+        FRANKA,
+        tuple(
+            f"franka/{name}.h"
+            for name in ("control_types", "duration", "exception", "robot", "robot_state")
+        ),
+    ),
 }
 
 
@@ -175,16 +181,25 @@ class Built:
     program: Path
     motion: Motion
 
-    def run(self, *arguments: str, start: np.ndarray, answers: str = "yes\nyes\n") -> subprocess.CompletedProcess[str]:
+    def run(
+        self, *arguments: str, start: np.ndarray, answers: str = "yes\nyes\n"
+    ) -> subprocess.CompletedProcess[str]:
         (self.folder / "robot.txt").write_text("0.005 " + " ".join(f"{x:.12f}" for x in start))
         address = ["robot"] if self.form == "franka" else []
         return subprocess.run(
-            [self.program, *address, *arguments], cwd=self.folder, input=answers, capture_output=True, text=True, check=False
+            [self.program, *address, *arguments],
+            cwd=self.folder,
+            input=answers,
+            capture_output=True,
+            text=True,
+            check=False,
         )
 
     def commanded(self) -> list[np.ndarray]:
         parts = (self.folder / "commanded.txt").read_text().split("motion\n")
-        return [np.array(part.split(), dtype=float).reshape(-1, 7) for part in parts if part.strip()]
+        return [
+            np.array(part.split(), dtype=float).reshape(-1, 7) for part in parts if part.strip()
+        ]
 
 
 def compiled(form: str, robot: str, folder: Path, *, syntax_only: bool = False) -> Built:
@@ -217,7 +232,9 @@ def built(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return compiled(request.param, robot, tmp_path_factory.mktemp(request.param))
 
 
-@pytest.mark.parametrize(("form", "robot"), [("fri", "franka-panda"), ("franka", "kuka-iiwa7-r800")])
+@pytest.mark.parametrize(
+    ("form", "robot"), [("fri", "franka-panda"), ("franka", "kuka-iiwa7-r800")]
+)
 def test_compiles_for_another_robot(form: str, robot: str, tmp_path: Path) -> None:
     compiled(form, robot, tmp_path, syntax_only=True)
 
@@ -235,7 +252,9 @@ def test_ideal_robot_follows_the_motion_and_the_log_is_read(built: Built, full: 
     t = (np.arange(len(q)) + first) / rate - lead
     moving = (t >= 0) & (t <= meant.duration)
     assert moving.sum() == int(meant.duration * rate) + 1
-    np.testing.assert_allclose(q[moving], meant.derivative(t[moving].clip(0, meant.duration)), atol=2e-7)
+    np.testing.assert_allclose(
+        q[moving], meant.derivative(t[moving].clip(0, meant.duration)), atol=2e-7
+    )
     np.testing.assert_allclose(built.commanded()[0][0], built.motion.start + offset, atol=1e-5)
     np.testing.assert_allclose(q[-1], built.motion.end, atol=1e-9)
     speed = np.abs(np.diff(q, axis=0)) * rate
@@ -254,7 +273,9 @@ def test_approach_is_slow_and_only_franka_does_it_itself(built: Built) -> None:
     if built.form == "fri":
         assert done.returncode == 1
         assert "not at the start pose: joint 1" in done.stdout
-        np.testing.assert_allclose(built.commanded()[-1], np.tile(away, (len(built.commanded()[-1]), 1)), atol=1e-11)
+        np.testing.assert_allclose(
+            built.commanded()[-1], np.tile(away, (len(built.commanded()[-1]), 1)), atol=1e-11
+        )
     else:
         assert done.returncode == 0, done.stderr
         approach = built.commanded()[0]
@@ -278,7 +299,10 @@ def test_wrong_usage_and_foreign_tables_are_refused(built: Built) -> None:
     try:
         for damaged, said in (
             ("".join(lines[:-50]), "does not last as long"),
-            ("".join([lines[0], lines[1].replace(lines[1].split(",")[1], "0.123"), *lines[2:]]), "does not start where"),
+            (
+                "".join([lines[0], lines[1].replace(lines[1].split(",")[1], "0.123"), *lines[2:]]),
+                "does not start where",
+            ),
             ("".join([*lines[:5], "0.1,abc\n", *lines[6:]]), "line 6 is damaged"),
             ("x,y\n", "is not the motion"),
         ):

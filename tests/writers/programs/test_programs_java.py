@@ -28,25 +28,39 @@ POSES = np.array([SPLINE.start, SPLINE.start + 0.3, SPLINE.start - 0.2, SPLINE.s
 POINT_TO_POINT = PointToPointMotion.within(POSES, velocity=0.8, acceleration=2.0, dwell=[0.5, 0.0])
 
 CLASSES = {
-    "com.kuka.common.ThreadUtil": 'public class ThreadUtil { public static void milliSleep(long ms) { System.out.println("SLEEP " + ms); } }',
-    "com.kuka.roboticsAPI.applicationModel.IApplicationControl": """public class IApplicationControl {
+    "com.kuka.common.ThreadUtil": (
+        "public class ThreadUtil { public static void milliSleep(long ms) {"
+        ' System.out.println("SLEEP " + ms); } }'
+    ),
+    "com.kuka.roboticsAPI.applicationModel.IApplicationControl": (
+        """public class IApplicationControl {
         private double o = 1.0;
         public void setApplicationOverride(double value) { o = value; System.out.println("OVERRIDE " + value); }
-        public double getApplicationOverride() { return o; } }""",
-    "com.kuka.roboticsAPI.applicationModel.RoboticsAPIContext": """public class RoboticsAPIContext {
+        public double getApplicationOverride() { return o; } }"""
+    ),
+    "com.kuka.roboticsAPI.applicationModel.RoboticsAPIContext": (
+        """public class RoboticsAPIContext {
         public <T> T getDeviceFromType(Class<T> kind) {
-            try { return kind.getDeclaredConstructor().newInstance(); } catch (Exception e) { throw new RuntimeException(e); } } }""",
-    "com.kuka.task.ITaskLogger": """public class ITaskLogger {
+            try { return kind.getDeclaredConstructor().newInstance(); } catch (Exception e) { throw new RuntimeException(e); } } }"""
+    ),
+    "com.kuka.task.ITaskLogger": (
+        """public class ITaskLogger {
         public void info(String text) { System.out.println("INFO " + text); }
-        public void error(String text) { System.out.println("ERROR " + text); } }""",
-    "com.kuka.roboticsAPI.uiModel.ApplicationDialogType": "public enum ApplicationDialogType { INFORMATION, QUESTION, WARNING, ERROR }",
-    "com.kuka.roboticsAPI.uiModel.IApplicationUI": """public class IApplicationUI {
+        public void error(String text) { System.out.println("ERROR " + text); } }"""
+    ),
+    "com.kuka.roboticsAPI.uiModel.ApplicationDialogType": (
+        "public enum ApplicationDialogType { INFORMATION, QUESTION, WARNING, ERROR }"
+    ),
+    "com.kuka.roboticsAPI.uiModel.IApplicationUI": (
+        """public class IApplicationUI {
         private static int next = 0;
         public int displayModalDialog(ApplicationDialogType kind, String text, String... buttons) {
             int answer = Integer.parseInt(System.getProperty("answers").split(",")[next++]);
             System.out.println("DIALOG " + text + " -> " + buttons[answer]);
-            return answer; } }""",
-    "com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication": """
+            return answer; } }"""
+    ),
+    "com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication": (
+        """
         import com.kuka.task.ITaskLogger;
         import com.kuka.roboticsAPI.uiModel.IApplicationUI;
         public abstract class RoboticsAPIApplication {
@@ -56,26 +70,36 @@ CLASSES = {
         protected RoboticsAPIContext getContext() { return new RoboticsAPIContext(); }
         protected ITaskLogger getLogger() { return new ITaskLogger(); }
         protected IApplicationUI getApplicationUI() { return new IApplicationUI(); }
-        protected IApplicationControl getApplicationControl() { return control; } }""",
-    "com.kuka.roboticsAPI.deviceModel.JointPosition": """public class JointPosition {
+        protected IApplicationControl getApplicationControl() { return control; } }"""
+    ),
+    "com.kuka.roboticsAPI.deviceModel.JointPosition": (
+        """public class JointPosition {
         private final double[] q;
         public JointPosition(double... values) { q = values.clone(); }
         public double get(int i) { return q[i]; }
-        public String toString() { return java.util.Arrays.toString(q).replaceAll("[\\\\[\\\\],]", ""); } }""",
+        public String toString() { return java.util.Arrays.toString(q).replaceAll("[\\\\[\\\\],]", ""); } }"""
+    ),
     "com.kuka.roboticsAPI.motionModel.IMotion": "public interface IMotion { }",
-    "com.kuka.roboticsAPI.motionModel.IMotionContainer": """public class IMotionContainer {
-        public boolean cancel() { System.out.println("CANCEL"); return true; } }""",
-    "com.kuka.roboticsAPI.motionModel.SplineMotionJP": """public abstract class SplineMotionJP<T extends SplineMotionJP<T>> implements IMotion {
+    "com.kuka.roboticsAPI.motionModel.IMotionContainer": (
+        """public class IMotionContainer {
+        public boolean cancel() { System.out.println("CANCEL"); return true; } }"""
+    ),
+    "com.kuka.roboticsAPI.motionModel.SplineMotionJP": (
+        """public abstract class SplineMotionJP<T extends SplineMotionJP<T>> implements IMotion {
         protected String rel = "";
         public com.kuka.roboticsAPI.deviceModel.JointPosition goal;
         @SuppressWarnings("unchecked") private T with(String more) { rel += more; return (T) this; }
         public T setJointVelocityRel(double v) { return with(" v=" + v); }
         public T setJointAccelerationRel(double a) { return with(" a=" + a); }
-        public T setJointJerkRel(double j) { return with(" j=" + j); } }""",
-    "com.kuka.roboticsAPI.motionModel.PTP": """public class PTP extends SplineMotionJP<PTP> {
+        public T setJointJerkRel(double j) { return with(" j=" + j); } }"""
+    ),
+    "com.kuka.roboticsAPI.motionModel.PTP": (
+        """public class PTP extends SplineMotionJP<PTP> {
         public PTP(com.kuka.roboticsAPI.deviceModel.JointPosition q) { goal = q; }
-        public String toString() { return "PTP " + goal + " |" + rel; } }""",
-    "com.kuka.roboticsAPI.motionModel.SplineJP": """public class SplineJP implements IMotion {
+        public String toString() { return "PTP " + goal + " |" + rel; } }"""
+    ),
+    "com.kuka.roboticsAPI.motionModel.SplineJP": (
+        """public class SplineJP implements IMotion {
         private final StringBuilder text = new StringBuilder("SPLINE");
         private String rel = "";
         private SplineMotionJP<?> last;
@@ -84,16 +108,26 @@ CLASSES = {
         public SplineJP setJointVelocityRel(double v) { rel += " v=" + v; return this; }
         public SplineJP setJointAccelerationRel(double a) { rel += " a=" + a; return this; }
         public SplineJP setJointJerkRel(double j) { rel += " j=" + j; return this; }
-        public String toString() { return text + "\\nEND SPLINE" + rel; } }""",
-    "com.kuka.roboticsAPI.motionModel.BasicMotions": """public class BasicMotions {
-        public static PTP ptp(com.kuka.roboticsAPI.deviceModel.JointPosition q) { return new PTP(q); } }""",
-    "com.kuka.roboticsAPI.motionModel.controlModeModel.IMotionControlMode": "public interface IMotionControlMode { }",
-    "com.kuka.roboticsAPI.motionModel.controlModeModel.PositionControlMode": "public class PositionControlMode implements IMotionControlMode { }",
-    "com.kuka.roboticsAPI.motionModel.PositionHold": """public class PositionHold implements IMotion {
+        public String toString() { return text + "\\nEND SPLINE" + rel; } }"""
+    ),
+    "com.kuka.roboticsAPI.motionModel.BasicMotions": (
+        """public class BasicMotions {
+        public static PTP ptp(com.kuka.roboticsAPI.deviceModel.JointPosition q) { return new PTP(q); } }"""
+    ),
+    "com.kuka.roboticsAPI.motionModel.controlModeModel.IMotionControlMode": (
+        "public interface IMotionControlMode { }"
+    ),
+    "com.kuka.roboticsAPI.motionModel.controlModeModel.PositionControlMode": (
+        "public class PositionControlMode implements IMotionControlMode { }"
+    ),
+    "com.kuka.roboticsAPI.motionModel.PositionHold": (
+        """public class PositionHold implements IMotion {
         public PositionHold(com.kuka.roboticsAPI.motionModel.controlModeModel.IMotionControlMode mode, long time, java.util.concurrent.TimeUnit unit) { }
         public PositionHold addMotionOverlay(com.kuka.connectivity.fastRobotInterface.FRIJointOverlay overlay) { return this; }
-        public String toString() { return "HOLD"; } }""",
-    "com.kuka.roboticsAPI.deviceModel.LBR": """
+        public String toString() { return "HOLD"; } }"""
+    ),
+    "com.kuka.roboticsAPI.deviceModel.LBR": (
+        """
         import com.kuka.roboticsAPI.motionModel.*;
         public class LBR {
         private JointPosition q = new JointPosition(0, 0, 0, 0, 0, 0, 0);
@@ -104,8 +138,10 @@ CLASSES = {
             System.out.println(m); }
         public IMotionContainer move(IMotion m) { follow(m); return new IMotionContainer(); }
         public IMotionContainer moveAsync(IMotion m) { follow(m); return new IMotionContainer(); }
-        public JointPosition getCurrentJointPosition() { return q; } }""",
-    "com.kuka.roboticsAPI.sensorModel.DataRecorder": """public class DataRecorder {
+        public JointPosition getCurrentJointPosition() { return q; } }"""
+    ),
+    "com.kuka.roboticsAPI.sensorModel.DataRecorder": (
+        """public class DataRecorder {
         public enum AngleUnit { Radian, Degree }
         private String text;
         public DataRecorder(String file, long timeout, java.util.concurrent.TimeUnit unit, int interval) { text = file + " " + timeout + " " + interval; }
@@ -115,20 +151,29 @@ CLASSES = {
         public boolean enable() { System.out.println("ENABLE " + text); return true; }
         public boolean startRecording() { System.out.println("RECORD"); return true; }
         public boolean stopRecording() { System.out.println("STOP"); return true; }
-        public java.net.URL getURL() { return null; } }""",
-    "com.kuka.connectivity.fastRobotInterface.FRIConfiguration": """public class FRIConfiguration {
+        public java.net.URL getURL() { return null; } }"""
+    ),
+    "com.kuka.connectivity.fastRobotInterface.FRIConfiguration": (
+        """public class FRIConfiguration {
         public static FRIConfiguration createRemoteConfiguration(com.kuka.roboticsAPI.deviceModel.LBR lbr, String host) { return new FRIConfiguration(); }
-        public void setSendPeriodMilliSec(int ms) { System.out.println("PERIOD " + ms); } }""",
-    "com.kuka.connectivity.fastRobotInterface.FRISession": """public class FRISession {
+        public void setSendPeriodMilliSec(int ms) { System.out.println("PERIOD " + ms); } }"""
+    ),
+    "com.kuka.connectivity.fastRobotInterface.FRISession": (
+        """public class FRISession {
         public FRISession(FRIConfiguration c) { }
         public void await(long time, java.util.concurrent.TimeUnit unit) throws java.util.concurrent.TimeoutException {
             if (Boolean.getBoolean("lonely")) throw new java.util.concurrent.TimeoutException("no client"); }
-        public void close() { System.out.println("CLOSE"); } }""",
-    "com.kuka.connectivity.fastRobotInterface.FRIJointOverlay": "public class FRIJointOverlay { public FRIJointOverlay(FRISession s) { } }",
-    "Main": """public class Main { public static void main(String[] a) throws Exception {
+        public void close() { System.out.println("CLOSE"); } }"""
+    ),
+    "com.kuka.connectivity.fastRobotInterface.FRIJointOverlay": (
+        "public class FRIJointOverlay { public FRIJointOverlay(FRISession s) { } }"
+    ),
+    "Main": (
+        """public class Main { public static void main(String[] a) throws Exception {
         com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication app =
             (com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication) Class.forName(a[0]).getDeclaredConstructor().newInstance();
-        app.initialize(); app.run(); } }""",
+        app.initialize(); app.run(); } }"""
+    ),
 }
 
 
@@ -152,10 +197,21 @@ def classes(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("fri", MODEL, SPLINE, "spline"),
         ("fri", PANDA, panda, "panda"),
     ):
-        written = write_program(folder / "src" / "application", make_program(model, motion, form, name=name))
+        written = write_program(
+            folder / "src" / "application", make_program(model, motion, form, name=name)
+        )
         sources.append(written["application" if form == "fri" else "program"])
     done = subprocess.run(
-        ["javac", "-Xlint:all", "-Werror", "-encoding", "ascii", "-d", str(folder / "out"), *map(str, sources)],
+        [
+            "javac",
+            "-Xlint:all",
+            "-Werror",
+            "-encoding",
+            "ascii",
+            "-d",
+            str(folder / "out"),
+            *map(str, sources),
+        ],
         capture_output=True,
         text=True,
         check=False,
@@ -196,10 +252,18 @@ def relative(line: str, letter: str) -> float:
     return float(match.group(1))
 
 
-@pytest.mark.parametrize(("answer", "override", "log"), [("1", 0.1, "spline_dry_run_log.txt"), ("2", 1.0, "spline_log.txt")])
-def test_spline_passes_the_points_of_the_motion_at_its_speeds(classes: Path, answer: str, override: float, log: str) -> None:
+@pytest.mark.parametrize(
+    ("answer", "override", "log"),
+    [("1", 0.1, "spline_dry_run_log.txt"), ("2", 1.0, "spline_log.txt")],
+)
+def test_spline_passes_the_points_of_the_motion_at_its_speeds(
+    classes: Path, answer: str, override: float, log: str
+) -> None:
     lines = ran(classes, "SplineExcitation", f"{answer},1")
-    begin, end = lines.index("SPLINE"), next(k for k, line in enumerate(lines) if line.startswith("END SPLINE"))
+    begin, end = (
+        lines.index("SPLINE"),
+        next(k for k, line in enumerate(lines) if line.startswith("END SPLINE")),
+    )
     points = poses_of(lines[begin:end])
     t = np.linspace(0.0, SPLINE.duration, len(points) + 1)
     np.testing.assert_allclose(points, SPLINE.derivative(t[1:]), atol=5.1e-7)
@@ -235,7 +299,11 @@ def test_point_to_point_motion_is_made_of_its_own_moves(classes: Path) -> None:
     limit = MotionBounds.of(MODEL).velocity
     peaks = np.minimum(0.8, np.sqrt(2.0 * np.array([0.3, 0.5, 0.2])))
     np.testing.assert_allclose(speeds, peaks * (1 / limit).max(), rtol=5e-3)
-    pauses = [line for line in lines[lines.index(moves[0]) : lines.index("STOP")] if line.startswith("SLEEP")]
+    pauses = [
+        line
+        for line in lines[lines.index(moves[0]) : lines.index("STOP")]
+        if line.startswith("SLEEP")
+    ]
     assert pauses == ["SLEEP 500", "SLEEP 1000"]
     assert not any("SPLINE" in line for line in lines)
 

@@ -23,7 +23,8 @@ from asbuilt.writers.programs.registry import make_program
 ROBOTS = ("ur10e", "scara")
 
 STAND_INS = {
-    "rclpy/__init__.py": """
+    "rclpy/__init__.py": (
+        """
 import json, os, sys
 from types import SimpleNamespace
 from . import signals
@@ -36,14 +37,20 @@ def spin_once(node, timeout_sec):
         callback(SimpleNamespace(name=STATE['names'][::-1], position=STATE['pose'][::-1]))
 def spin_until_future_complete(node, future, timeout_sec=None):
     if STATE.get('interrupt') and future.kind == 'result' and STATE['goals'] == 2: raise KeyboardInterrupt
-""",
-    "rclpy/signals.py": "import enum\nclass SignalHandlerOptions(enum.Enum):\n    NO = 0\n    ALL = 1\n",
-    "rclpy/node.py": """
+"""
+    ),
+    "rclpy/signals.py": (
+        "import enum\nclass SignalHandlerOptions(enum.Enum):\n    NO = 0\n    ALL = 1\n"
+    ),
+    "rclpy/node.py": (
+        """
 class Node:
     def __init__(self, name): self.subscriptions_made = []
     def create_subscription(self, kind, topic, callback, depth): self.subscriptions_made.append((kind, topic, callback))
-""",
-    "rclpy/action.py": """
+"""
+    ),
+    "rclpy/action.py": (
+        """
 import json, os
 from types import SimpleNamespace
 import rclpy
@@ -67,28 +74,35 @@ class ActionClient:
     def cancel(self):
         with open(os.environ['GOALS'], 'a') as file: file.write('"cancelled"\\n')
         return Future('cancel', None)
-""",
-    "control_msgs/action.py": """
+"""
+    ),
+    "control_msgs/action.py": (
+        """
 from types import SimpleNamespace
 class FollowJointTrajectory:
     class Goal(SimpleNamespace): pass
     class Result: SUCCESSFUL = 0
-""",
-    "builtin_interfaces/msg.py": """
+"""
+    ),
+    "builtin_interfaces/msg.py": (
+        """
 class Duration:
     def __init__(self, sec=0, nanosec=0):
         assert isinstance(sec, int) and isinstance(nanosec, int) and 0 <= nanosec < 10**9
         self.sec, self.nanosec = sec, nanosec
-""",
+"""
+    ),
     "sensor_msgs/msg.py": "class JointState: pass\n",
-    "trajectory_msgs/msg.py": """
+    "trajectory_msgs/msg.py": (
+        """
 class JointTrajectoryPoint:
     def __init__(self, positions, velocities, accelerations, time_from_start):
         for values in (positions, velocities, accelerations): assert all(isinstance(x, float) for x in values)
         self.positions, self.velocities, self.accelerations, self.time_from_start = positions, velocities, accelerations, time_from_start
 class JointTrajectory:
     def __init__(self, joint_names=None, points=None): self.joint_names, self.points = joint_names or [], points or []
-""",
+"""
+    ),
 }
 
 
@@ -103,9 +117,17 @@ class Made:
     def run(
         self, *arguments: str, offset: float = 0.3, answers: str = "yes\nyes\n", **robot: Any
     ) -> tuple[subprocess.CompletedProcess[str], list[Any]]:
-        fakes, goals, state = self.folder / "fakes", self.folder / "goals.jsonl", self.folder / "robot.json"
+        fakes, goals, state = (
+            self.folder / "fakes",
+            self.folder / "goals.jsonl",
+            self.folder / "robot.json",
+        )
         goals.unlink(missing_ok=True)
-        state.write_text(json.dumps({"names": list(self.names), "pose": (self.motion.start + offset).tolist(), **robot}))
+        state.write_text(
+            json.dumps(
+                {"names": list(self.names), "pose": (self.motion.start + offset).tolist(), **robot}
+            )
+        )
         environment = {
             **os.environ,
             "PYTHONPATH": str(fakes),
@@ -114,7 +136,11 @@ class Made:
             "GOALS": str(goals),
         }
         script = self.folder / "run_run.py"
-        text = script.read_text().replace("time.sleep(2.0 + PAUSE)", "time.sleep(0.3)").replace("time.sleep(PAUSE)", "pass")
+        text = (
+            script.read_text()
+            .replace("time.sleep(2.0 + PAUSE)", "time.sleep(0.3)")
+            .replace("time.sleep(PAUSE)", "pass")
+        )
         quick = self.folder / "quick.py"
         quick.write_text(text)
         done = subprocess.run(
@@ -127,7 +153,9 @@ class Made:
             cwd=self.folder,
             timeout=60,
         )
-        return done, [json.loads(line) for line in goals.read_text().splitlines()] if goals.exists() else []
+        return done, (
+            [json.loads(line) for line in goals.read_text().splitlines()] if goals.exists() else []
+        )
 
 
 @pytest.fixture(params=ROBOTS)
@@ -149,16 +177,25 @@ def made(request: pytest.FixtureRequest, tmp_path: Path) -> Made:
 
 
 def test_yaml_holds_the_motion_to_the_printed_digits(made: Made) -> None:
-    for name, motion, rate in (("run.yaml", made.motion, 25.0), ("run_dry_run.yaml", made.motion.slowed(10), 2.5)):
+    for name, motion, rate in (
+        ("run.yaml", made.motion, 25.0),
+        ("run_dry_run.yaml", made.motion.slowed(10), 2.5),
+    ):
         document = yaml.safe_load((made.folder / name).read_text())
         assert document["joint_names"] == list(made.names)
         stamps = [point["time_from_start"] for point in document["points"]]
         t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
         assert t[-1] == pytest.approx(motion.duration, abs=1e-9)
         np.testing.assert_allclose(np.diff(t)[:-1], 1 / rate, atol=1.1e-9)
-        for key, values in zip(("positions", "velocities", "accelerations"), motion.at(np.minimum(t, motion.duration)), strict=True):
+        for key, values in zip(
+            ("positions", "velocities", "accelerations"),
+            motion.at(np.minimum(t, motion.duration)),
+            strict=True,
+        ):
             np.testing.assert_allclose(
-                [point[key] for point in document["points"]], values, atol=0.51e-9 + 1e-9 * np.abs(motion.peaks(3)).max()
+                [point[key] for point in document["points"]],
+                values,
+                atol=0.51e-9 + 1e-9 * np.abs(motion.peaks(3)).max(),
             )
 
 
@@ -174,13 +211,18 @@ def test_script_approaches_records_and_runs(made: Made, arguments: tuple[str, ..
     assert approach["rows"][-1][0] == int(approach["rows"][-1][0])
     assert motion["rows"][-1][0] == pytest.approx(meant.duration)
     np.testing.assert_allclose(
-        [row[1] for row in motion["rows"]], meant.derivative([min(row[0], meant.duration) for row in motion["rows"]]), atol=1e-7
+        [row[1] for row in motion["rows"]],
+        meant.derivative([min(row[0], meant.duration) for row in motion["rows"]]),
+        atol=1e-7,
     )
     assert {goal["server"] for goal in goals} == {
-        ("/arm_controller" if arguments else "/joint_trajectory_controller") + "/follow_joint_trajectory"
+        ("/arm_controller" if arguments else "/joint_trajectory_controller")
+        + "/follow_joint_trajectory"
     }
     folder = made.folder / ("run_bag" if arguments else "run_dry_run_bag")
-    assert (made.folder / "recorder.txt").read_text() == f"bag record -o {folder} /joint_states\nclosed"
+    assert (
+        made.folder / "recorder.txt"
+    ).read_text() == f"bag record -o {folder} /joint_states\nclosed"
     assert ("FULL SPEED" in done.stdout) == bool(arguments)
 
 
@@ -194,7 +236,9 @@ def test_script_approaches_records_and_runs(made: Made, arguments: tuple[str, ..
         ({"error": -4}, "yes\nyes\n", "error -4: a reason", 1),
     ],
 )
-def test_script_stops_where_something_is_wrong(made: Made, robot: dict[str, Any], answers: str, said: str, n_goals: int) -> None:
+def test_script_stops_where_something_is_wrong(
+    made: Made, robot: dict[str, Any], answers: str, said: str, n_goals: int
+) -> None:
     done, goals = made.run("--full", answers=answers, **robot)
     assert done.returncode == 1
     assert said in done.stderr

@@ -123,7 +123,9 @@ def run(script: str, controller: Controller) -> None:
 def scripts(robot: str) -> tuple[Motion, dict[str, str]]:
     model = bundled_robot(robot)
     motion = random_fourier(model, rng=8, duration=6.0, n_harmonics=4)
-    return motion, {file.role: file.text for file in make_program(model, motion, "urscript", name="run 1")}
+    return motion, {
+        file.role: file.text for file in make_program(model, motion, "urscript", name="run 1")
+    }
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

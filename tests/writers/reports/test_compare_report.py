@@ -31,7 +31,10 @@ def test_no_table_is_cut_off(files: dict[str, Path], width: int, tmp_path: Path)
     browser = chromium(tmp_path, f"disable-gpu window-size={width},1000")
     browser.get(files["report"].as_uri())
     run = browser.execute_script
-    beyond = run("return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1).length")
+    beyond = run(
+        "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth"
+        " + 1).length"
+    )
     shown = run("return document.querySelectorAll('.scroll table').length")
     browser.quit()
     assert shown == 4
@@ -39,8 +42,16 @@ def test_no_table_is_cut_off(files: dict[str, Path], width: int, tmp_path: Path)
 
 
 def test_page_and_text_begin_with_what_matters(files: dict[str, Path]) -> None:
-    page, text = files["report"].read_text(encoding="utf-8"), files["text"].read_text(encoding="utf-8")
-    order = ("of the torque is off as built", "why CAD is off", "Nested models", "first moment along z, links 4 to 7")
+    page, text = (
+        files["report"].read_text(encoding="utf-8"),
+        files["text"].read_text(encoding="utf-8"),
+    )
+    order = (
+        "of the torque is off as built",
+        "why CAD is off",
+        "Nested models",
+        "first moment along z, links 4 to 7",
+    )
     places = [page.index(words) for words in order]
     assert places == sorted(places)
     assert text.index("Why CAD is off") < text.index("Base parameters")
@@ -48,8 +59,13 @@ def test_page_and_text_begin_with_what_matters(files: dict[str, Path]) -> None:
 
 
 def test_page_without_evidence_has_the_torque_table(example: Any) -> None:
-    page = comparison_html(example.result, compare(example.result), None, determination(example.result))
+    page = comparison_html(
+        example.result, compare(example.result), None, determination(example.result)
+    )
     assert 'id="torque-table"' in page
     assert "<img src=x" not in page
     said = CadVerdict(compare(example.result), None, determination(example.result)).as_text()
-    assert all("Why CAD is off, and what differences cost in torque, is not told" in text for text in (page, said))
+    assert all(
+        "Why CAD is off, and what differences cost in torque, is not told" in text
+        for text in (page, said)
+    )

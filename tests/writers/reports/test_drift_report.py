@@ -31,7 +31,11 @@ WORN = (1.0, 2.0, 1.0, 2.0, 1.4, 3.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0, 1.0, 2.0)
 
 @pytest.fixture(scope="module")
 def drift() -> Drift:
-    return compare_results(identified(ARM, "f"), identified(ARM, "f", seed=2, friction=WORN), labels=("january.json", "<b>july</b>.json"))
+    return compare_results(
+        identified(ARM, "f"),
+        identified(ARM, "f", seed=2, friction=WORN),
+        labels=("january.json", "<b>july</b>.json"),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -40,20 +44,36 @@ def controller() -> ControllerComparison:
     qd = np.gradient(recording.q, recording.t, axis=0, edge_order=2)
     qdd = np.gradient(qd, recording.t, axis=0, edge_order=2)
     external = recording.tau - inverse_dynamics(load_robot(ARM), recording.q, qd, qdd)
-    return compare_with_controller(identified(ARM, "pf"), replace(recording, extra={"tau_ext": external}), holdout="blocks:2s:3")
+    return compare_with_controller(
+        identified(ARM, "pf"),
+        replace(recording, extra={"tau_ext": external}),
+        holdout="blocks:2s:3",
+    )
 
 
 @pytest.mark.parametrize("width", [1300, 900])
-def test_no_table_is_cut_off(drift: Drift, controller: ControllerComparison, width: int, tmp_path: Path) -> None:
+def test_no_table_is_cut_off(
+    drift: Drift, controller: ControllerComparison, width: int, tmp_path: Path
+) -> None:
     browser = chromium(tmp_path / "profile", f"disable-gpu window-size={width},1000", browser="ALL")
     tables = []
     for name, compared in (("drift", drift), ("controller", controller)):
         browser.get(write_drift(tmp_path / name, compared)["report"].as_uri())
         run = browser.execute_script
         tables.append(run("return document.querySelectorAll('.scroll table').length"))
-        assert run("return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1).length") == 0
-        assert run("return document.documentElement.scrollWidth <= document.documentElement.clientWidth")
-        assert run("return [...document.images].every(image => image.complete && image.naturalWidth > 100)")
+        assert (
+            run(
+                "return [...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth >"
+                " e.clientWidth + 1).length"
+            )
+            == 0
+        )
+        assert run(
+            "return document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+        )
+        assert run(
+            "return [...document.images].every(image => image.complete && image.naturalWidth > 100)"
+        )
     said = browser.get_log("browser")
     browser.quit()
     assert tables == [3, 4]
@@ -82,28 +102,47 @@ def test_every_parameter_stands_once_where_it_belongs(drift: Drift) -> None:
     page = drift_html(drift)
     ids = {
         name: [
-            int(i) for i in re.findall(r'<tr><td class="number" data-value="(\d+)">', page.split(f'id="{name}"')[1].split("</table>")[0])
+            int(i)
+            for i in re.findall(
+                r'<tr><td class="number" data-value="(\d+)">',
+                page.split(f'id="{name}"')[1].split("</table>")[0],
+            )
         ]
         for name in ("changed", "others")
     }
-    assert sorted(ids["changed"]) == sorted(change.id for change in drift.parameters if change.changed)
-    assert sorted(ids["changed"] + ids["others"]) == sorted(change.id for change in drift.parameters)
+    assert sorted(ids["changed"]) == sorted(
+        change.id for change in drift.parameters if change.changed
+    )
+    assert sorted(ids["changed"] + ids["others"]) == sorted(
+        change.id for change in drift.parameters
+    )
     assert "DIFFERS" not in page
 
 
 def test_bars_are_as_long_as_the_torques(drift: Drift) -> None:
     figure = drift_figure(drift)
     (axis,) = figure.axes
-    bars = [patch for patch in axis.patches if isinstance(patch, Rectangle) and patch.get_width() > 0]
+    bars = [
+        patch for patch in axis.patches if isinstance(patch, Rectangle) and patch.get_width() > 0
+    ]
     lengths: list[list[float]] = [[] for _ in drift.joints]
     for bar in bars:
         lengths[round(bar.get_y() + bar.get_height() / 2)].append(bar.get_width())
     np.testing.assert_allclose(lengths, [[joint.torque, joint.by_chance] for joint in drift.joints])
 
 
-def test_page_of_the_controller_says_whose_model_is_better(controller: ControllerComparison) -> None:
+def test_page_of_the_controller_says_whose_model_is_better(
+    controller: ControllerComparison,
+) -> None:
     page = drift_html(controller)
-    places = [page.index(words) for words in ("As built the robot is predicted better", 'id="torque-table"', 'id="joints-by-torque"')]
+    places = [
+        page.index(words)
+        for words in (
+            "As built the robot is predicted better",
+            'id="torque-table"',
+            'id="joints-by-torque"',
+        )
+    ]
     assert places == sorted(places)
     assert "changed" not in re.sub(r"<[^>]*>", "", page.split("</style>")[1]).lower()
     assert "(controller) against" in page

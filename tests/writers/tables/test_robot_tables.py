@@ -15,7 +15,9 @@ def test_rounding_is_not_shown_as_products_of_inertia() -> None:
     )
     I = ball.inertia_about_com
     assert 0.0 < np.abs(I - np.diag(np.diag(I))).max() < 1e-12
-    askew = LinkInertia.from_com(1.0, [0.0, 0.0, 0.0], [[2.0, 1e-3, 0.0], [1e-3, 3.0, 0.0], [0.0, 0.0, 4.0]])
+    askew = LinkInertia.from_com(
+        1.0, [0.0, 0.0, 0.0], [[2.0, 1e-3, 0.0], [1e-3, 3.0, 0.0], [0.0, 0.0, 4.0]]
+    )
     joints = tuple(Joint(f"j{k}", "revolute", k - 1, np.eye(4), np.eye(4)) for k in range(2))
     model = RobotModel("two", joints, (Link("ball", ball), Link("askew", askew)))
     products = [row[4] for row in links_table(model).rows]

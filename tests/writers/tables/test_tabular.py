@@ -26,10 +26,15 @@ def test_identify_document_has_the_promised_fields(example: Any, tmp_path: Path)
         "robot", "method", "n_samples", "n_standard", "n_base", "rank", "condition_number", "scaled_condition_number", "joints",
         "parameters", "train", "validation", "cad", "physically_consistent", "warnings", "files",
     }  # fmt: skip
-    write_json(tmp_path / "x.json", identify_document(example.result, files={"result": tmp_path / "r.json"}))
+    write_json(
+        tmp_path / "x.json",
+        identify_document(example.result, files={"result": tmp_path / "r.json"}),
+    )
     document = json.loads((tmp_path / "x.json").read_text())
     assert promised <= document.keys()
-    assert {"id", "name", "expression", "unit", "cad", "estimate", "std_error"} <= document["parameters"][0].keys()
+    assert {"id", "name", "expression", "unit", "cad", "estimate", "std_error"} <= document[
+        "parameters"
+    ][0].keys()
     assert document["train"].keys() >= METRICS
     assert document["cad"].keys() >= METRICS
     assert document["validation"][0].keys() >= METRICS
@@ -40,11 +45,19 @@ def test_identify_document_has_the_promised_fields(example: Any, tmp_path: Path)
 
 def test_json_never_has_nan(example: Any) -> None:
     parameters = tuple(replace(p, cad=np.nan, std_error=np.inf) for p in example.result.parameters)
-    text = json_text(identify_document(replace(example.result, parameters=parameters, condition_number=np.inf)))
-    document = json.loads(text, parse_constant=lambda constant: (_ for _ in ()).throw(AssertionError(constant)))
+    text = json_text(
+        identify_document(replace(example.result, parameters=parameters, condition_number=np.inf))
+    )
+    document = json.loads(
+        text, parse_constant=lambda constant: (_ for _ in ()).throw(AssertionError(constant))
+    )
     assert document["parameters"][0]["cad"] is None
     assert document["condition_number"] is None
-    assert json.loads(json_text({"a": np.array([1.0, np.nan]), "b": np.int64(3), "c": (np.bool_(True), Path("x"))})) == {
+    assert json.loads(
+        json_text(
+            {"a": np.array([1.0, np.nan]), "b": np.int64(3), "c": (np.bool_(True), Path("x"))}
+        )
+    ) == {
         "a": [1.0, None],
         "b": 3,
         "c": [True, "x"],
@@ -55,12 +68,22 @@ def test_base_document_has_the_promised_fields(example: Any) -> None:
     base = example.result.base
     document = json.loads(json_text(base_document(base, example.model)))
     assert {"robot", "n_standard", "n_base", "parameters", "standard"} <= document.keys()
-    assert document["n_standard"] == len(document["standard"]) == len(parameter_values(example.model, base.drive))
+    assert (
+        document["n_standard"]
+        == len(document["standard"])
+        == len(parameter_values(example.model, base.drive))
+    )
     first = document["parameters"][0]
     assert first.keys() == {"id", "name", "expression", "symbolic", "value", "unit"}
-    assert {entry["status"] for entry in document["standard"]} <= {"unidentifiable", "grouped", "identifiable"}
+    assert {entry["status"] for entry in document["standard"]} <= {
+        "unidentifiable",
+        "grouped",
+        "identifiable",
+    }
     values = base.values(parameter_values(example.model, base.drive))
-    assert [entry["value"] for entry in document["parameters"]] == [v if np.isfinite(v) else None for v in values.tolist()]
+    assert [entry["value"] for entry in document["parameters"]] == [
+        v if np.isfinite(v) else None for v in values.tolist()
+    ]
     ids = {entry["id"] for entry in document["parameters"]}
     assert all(set(entry["in"]) <= ids for entry in document["standard"])
 

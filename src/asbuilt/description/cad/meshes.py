@@ -58,11 +58,14 @@ class MeshPart:
             if self.material not in MATERIALS:
                 known = ", ".join(MATERIALS)
                 raise DescriptionError(
-                    f"{self.path}: the material {self.material!r} is unknown; give a density in kg/m^3 or one of {known}"
+                    f"{self.path}: the material {self.material!r} is unknown; give a density in"
+                    f" kg/m^3 or one of {known}"
                 )
             return MATERIALS[self.material]
         if not (math.isfinite(self.material) and self.material > 0.0):
-            raise DescriptionError(f"{self.path}: the density is {self.material} kg/m^3; it must be positive")
+            raise DescriptionError(
+                f"{self.path}: the density is {self.material} kg/m^3; it must be positive"
+            )
         return float(self.material)
 
 
@@ -101,17 +104,22 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
         raise MissingExtraError("trimesh", "cad", "reading meshes") from None
     path = Path(part.path)
     if part.unit not in LENGTH:
-        raise DescriptionError(f"{path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}")
+        raise DescriptionError(
+            f"{path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}"
+        )
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise DescriptionError(
-            f"{path}: meshes are read from {', '.join(MESH_SUFFIXES)}, not from {path.suffix or 'a file without suffix'!r}"
+            f"{path}: meshes are read from {', '.join(MESH_SUFFIXES)}, not from"
+            f" {path.suffix or 'a file without suffix'!r}"
         )
     density = part.density
     try:
         mesh: Any = trimesh.load(path, force="mesh", skip_materials=True)
         n_faces = len(mesh.faces)
     except Exception as error:  # trimesh raises whatever its parsers raise
-        raise DescriptionError(f"{path}: the mesh cannot be read: {type(error).__name__}: {error}") from None
+        raise DescriptionError(
+            f"{path}: the mesh cannot be read: {type(error).__name__}: {error}"
+        ) from None
     if n_faces == 0 or not np.all(np.isfinite(mesh.vertices)):
         raise DescriptionError(f"{path}: the file holds no finite triangles")
     doubts = []
@@ -120,16 +128,23 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
     with np.errstate(invalid="ignore"):
         volume = float(mesh.volume)
     if not mesh.is_watertight:
-        doubts.append(f"{path.name}: the surface is not closed, so volume and mass are not reliable; repair the mesh")
+        doubts.append(
+            f"{path.name}: the surface is not closed, so volume and mass are not reliable; repair"
+            " the mesh"
+        )
     if volume < 0.0:
         mesh.invert()
         volume = -volume
         doubts.append(f"{path.name}: the surface was turned inside out and is turned back")
     if not volume > 0.0:
-        raise DescriptionError(f"{path}: the mesh encloses no volume; export the solid as a closed surface")
+        raise DescriptionError(
+            f"{path}: the mesh encloses no volume; export the solid as a closed surface"
+        )
     size = float(np.max(mesh.extents))
     if size > 10.0 or size < 1e-3:
-        doubts.append(f"{path.name}: the part is {size:.3g} m long in the unit {part.unit!r}; check the unit")
+        doubts.append(
+            f"{path.name}: the part is {size:.3g} m long in the unit {part.unit!r}; check the unit"
+        )
     mesh.density = density
     inertia = LinkInertia.from_com(float(mesh.mass), mesh.center_mass, mesh.moment_inertia)
     return (inertia if part.placement is None else inertia.moved(part.placement)), tuple(doubts)
@@ -143,8 +158,12 @@ def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotMode
     for name in links:
         if name not in model.link_names:
             raise DescriptionError(
-                f"{model.name} has no link {name!r}{close_match(name, model.link_names)}; its links are {', '.join(model.link_names)}"
+                f"{model.name} has no link {name!r}{close_match(name, model.link_names)}; its links"
+                f" are {', '.join(model.link_names)}"
             )
-    replaced = tuple(replace(links[link.name].link, name=link.name) if link.name in links else link for link in model.links)
+    replaced = tuple(
+        replace(links[link.name].link, name=link.name) if link.name in links else link
+        for link in model.links
+    )
     warnings = tuple(warning for cad in links.values() for warning in cad.warnings)
     return replace(model, links=replaced, notes=(*model.notes, *warnings))

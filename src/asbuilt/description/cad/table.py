@@ -34,7 +34,11 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 }
 """Our name of each column and the names it goes by, without case, blanks and underscores."""
 
-DIMENSION = {"mass": (1, 0)} | dict.fromkeys(("cx", "cy", "cz"), (0, 1)) | dict.fromkeys(("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"), (1, 2))
+DIMENSION = (
+    {"mass": (1, 0)}
+    | dict.fromkeys(("cx", "cy", "cz"), (0, 1))
+    | dict.fromkeys(("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"), (1, 2))
+)
 
 _HEADER = re.compile(r"^\s*(?P<name>[^\[(]+?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*$")
 
@@ -59,7 +63,8 @@ def read_cad_table(
     path = Path(path)
     if about not in ("com", "origin") or products not in ("tensor", "integral"):
         raise DescriptionError(
-            f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and products='tensor' or 'integral'"
+            f"{path}: about is {about!r} and products {products!r}; say about='com' or 'origin' and"
+            " products='tensor' or 'integral'"
         )
     lines, decimal_point = _cells(path)
     columns, factors = _columns(path, lines[0][1], mass_unit, length_unit)
@@ -69,25 +74,42 @@ def read_cad_table(
         place = f"{path}, line {number}"
         if len(cells) < len(lines[0][1]) or any(cell.strip() for cell in cells[len(lines[0][1]) :]):
             raise DescriptionError(
-                f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns; where numbers have decimal commas, separate cells by semicolons"
+                f"{place}: {len(cells)} cells, but the header has {len(lines[0][1])} columns; where"
+                " numbers have decimal commas, separate cells by semicolons"
             )
         values = {
-            name: finite_number(cells[columns[name]].strip().replace(",", decimal_point), f"{place}: {name}") * factors[name]
+            name: (
+                finite_number(
+                    cells[columns[name]].strip().replace(",", decimal_point), f"{place}: {name}"
+                )
+                * factors[name]
+            )
             for name in DIMENSION
         }
         link = cells[columns["link"]].strip()
         inertia = _inertia(values, about, products)
         if placements is not None and link in placements:
             inertia = inertia.moved(placements[link])
-        part = cells[columns["part"]].strip() if "part" in columns else f"part_{len(parts.get(link, [])) + 1}"
+        part = (
+            cells[columns["part"]].strip()
+            if "part" in columns
+            else f"part_{len(parts.get(link, [])) + 1}"
+        )
         parts.setdefault(link, []).append((part, inertia))
         reason = inertia.inconsistency()
         if reason is not None:
-            doubt = f"link {link!r}, part {part!r}: {reason}; check units, about={about!r} and products={products!r}"
+            doubt = (
+                f"link {link!r}, part {part!r}: {reason}; check units, about={about!r} and"
+                f" products={products!r}"
+            )
             warnings.setdefault(link, []).append(doubt)
     return {
         link: CadLink(
-            Link(name=link, inertia=LinkInertia(np.sum([inertia.parameters for _, inertia in bodies], axis=0)), parts=tuple(bodies)),
+            Link(
+                name=link,
+                inertia=LinkInertia(np.sum([inertia.parameters for _, inertia in bodies], axis=0)),
+                parts=tuple(bodies),
+            ),
             tuple(warnings.get(link, ())),
         )
         for link, bodies in parts.items()
@@ -100,7 +122,11 @@ def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkIner
     tensor = np.array([[values["Ixx"], xy, xz], [xy, values["Iyy"], yz], [xz, yz, values["Izz"]]])
     com = np.array([values["cx"], values["cy"], values["cz"]])
     mass = values["mass"]
-    return LinkInertia.from_com(mass, com, tensor) if about == "com" else LinkInertia.from_origin(mass, mass * com, tensor)
+    return (
+        LinkInertia.from_com(mass, com, tensor)
+        if about == "com"
+        else LinkInertia.from_origin(mass, mass * com, tensor)
+    )
 
 
 def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
@@ -114,11 +140,15 @@ def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
     if len(lines) < 2:
-        raise DescriptionError(f"{path}: the table has no rows; expected a header and one row per part")
+        raise DescriptionError(
+            f"{path}: the table has no rows; expected a header and one row per part"
+        )
     return lines, "," if separator == "," else "."
 
 
-def _columns(path: Path, header: list[str], mass_unit: str, length_unit: str) -> tuple[dict[str, int], dict[str, float]]:
+def _columns(
+    path: Path, header: list[str], mass_unit: str, length_unit: str
+) -> tuple[dict[str, int], dict[str, float]]:
     columns: dict[str, int] = {}
     factors: dict[str, float] = {}
     for position, cell in enumerate(header):
@@ -132,10 +162,14 @@ def _columns(path: Path, header: list[str], mass_unit: str, length_unit: str) ->
         columns[name] = position
         if name in DIMENSION:
             mass, length = DIMENSION[name]
-            given = match["unit"] or " ".join([mass_unit] * mass + [f"{length_unit}^{length}"] * (length > 0 and bool(length_unit)))
+            given = match["unit"] or " ".join(
+                [mass_unit] * mass
+                + [f"{length_unit}^{length}"] * (length > 0 and bool(length_unit))
+            )
             if not given.strip():
                 raise DescriptionError(
-                    f"{path}: column {cell.strip()!r} states no unit; write it like 'Ixx [g mm^2]' or give mass_unit and length_unit"
+                    f"{path}: column {cell.strip()!r} states no unit; write it like 'Ixx [g mm^2]'"
+                    " or give mass_unit and length_unit"
                 )
             try:
                 factors[name] = unit_factor(given, mass=mass, length=length)
@@ -143,5 +177,8 @@ def _columns(path: Path, header: list[str], mass_unit: str, length_unit: str) ->
                 raise DescriptionError(f"{path}: column {cell.strip()!r}: {error}") from None
     missing = [name for name in COLUMNS if name not in columns and name != "part"]
     if missing:
-        raise DescriptionError(f"{path}: column {', '.join(missing)} is missing; found {', '.join(cell.strip() for cell in header)}")
+        raise DescriptionError(
+            f"{path}: column {', '.join(missing)} is missing; found"
+            f" {', '.join(cell.strip() for cell in header)}"
+        )
     return columns, factors

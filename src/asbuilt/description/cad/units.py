@@ -7,7 +7,16 @@ import re
 from asbuilt.errors import DescriptionError
 
 MASS = {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237, "lbm": 0.45359237}
-LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254, "inch": 0.0254, "ft": 0.3048}
+LENGTH = {
+    "m": 1.0,
+    "cm": 1e-2,
+    "mm": 1e-3,
+    "um": 1e-6,
+    "µm": 1e-6,
+    "in": 0.0254,
+    "inch": 0.0254,
+    "ft": 0.3048,
+}
 
 _FACTOR = re.compile(r"([a-zA-Zµ]+)(?:\^?(-?\d+)|([²³]))?")
 _SUPERSCRIPT = {"²": 2, "³": 3}
@@ -34,7 +43,13 @@ def unit_factor(text: str, *, mass: int, length: int) -> float:
             found_length += exponent
             value *= LENGTH[symbol] ** exponent
         else:
-            raise DescriptionError(f"the unit {text!r} holds {symbol!r}, which is unknown; known are {', '.join([*MASS, *LENGTH])}")
+            raise DescriptionError(
+                f"the unit {text!r} holds {symbol!r}, which is unknown; known are"
+                f" {', '.join([*MASS, *LENGTH])}"
+            )
     if (found_mass, found_length) != (mass, length):
-        raise DescriptionError(f"the unit {text!r} is mass^{found_mass} length^{found_length}; expected mass^{mass} length^{length}")
+        raise DescriptionError(
+            f"the unit {text!r} is mass^{found_mass} length^{found_length}; expected mass^{mass}"
+            f" length^{length}"
+        )
     return value

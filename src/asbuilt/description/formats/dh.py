@@ -79,7 +79,10 @@ def robot_from_dh(
     (2, {'a1': 0.5, 'a2': 0.4})
     """
     if convention not in ("standard", "modified"):
-        raise DescriptionError(f"{name}: the Denavit-Hartenberg convention {convention!r} is unknown; it is 'standard' or 'modified'")
+        raise DescriptionError(
+            f"{name}: the Denavit-Hartenberg convention {convention!r} is unknown; it is 'standard'"
+            " or 'modified'"
+        )
     lengths: dict[str, float] = {}
     remarks = list(notes)
     joints, links = [], []
@@ -87,7 +90,13 @@ def robot_from_dh(
         joints.append(dh_joint(row, i, convention, remarks))
         lengths |= dh_lengths(row, i)
         inertia = row.inertia if row.inertia is not None else LinkInertia.zero()
-        links.append(Link(name=row.link or f"link_{i + 1}", inertia=inertia, inertia_known=row.inertia is not None))
+        links.append(
+            Link(
+                name=row.link or f"link_{i + 1}",
+                inertia=inertia,
+                inertia_known=row.inertia is not None,
+            )
+        )
     return RobotModel(
         name=name,
         joints=tuple(joints),
@@ -104,7 +113,11 @@ def robot_from_dh(
 
 def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
     """Return the letters of the non-zero lengths of a row and their values [m]."""
-    return {letter: value for letter, value in ((f"a{index + 1}", row.a), (f"b{index + 1}", row.b)) if value != 0.0}
+    return {
+        letter: value
+        for letter, value in ((f"a{index + 1}", row.a), (f"b{index + 1}", row.b))
+        if value != 0.0
+    }
 
 
 def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
@@ -115,12 +128,17 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
     number = index + 1
     for column, value in (("a", row.a), ("alpha", row.alpha), ("b", row.b), ("theta", row.theta)):
         if not np.isfinite(value):
-            raise DescriptionError(f"{column} of row {number} is {value}; it must be a finite number")
+            raise DescriptionError(
+                f"{column} of row {number} is {value}; it must be a finite number"
+            )
     alpha = straightened(row.alpha, f"alpha of row {number}", notes)
     theta = straightened(row.theta, f"theta of row {number}", notes)
     parent = index - 1 if row.parent is None else row.parent
     if not ROOT <= parent < index:
-        raise DescriptionError(f"row {number} hangs on row {parent + 1}; a row may only hang on an earlier row or on the root")
+        raise DescriptionError(
+            f"row {number} hangs on row {parent + 1}; a row may only hang on an earlier row or on"
+            " the root"
+        )
     along_x = ((1.0, f"a{number}"),) if row.a != 0.0 else ()
     along_z = ((1.0, f"b{number}"),) if row.b != 0.0 else ()
     tilt = rotation_x(alpha)
@@ -131,7 +149,9 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
         after = placement(tilt, (row.a, 0.0, row.b))
         after_letters = (along_x, (), along_z)
     else:
-        before = composed(placement(tilt, (row.a, 0.0, 0.0)), placement(rotation_z(theta), (0.0, 0.0, row.b)))
+        before = composed(
+            placement(tilt, (row.a, 0.0, 0.0)), placement(rotation_z(theta), (0.0, 0.0, row.b))
+        )
         after = np.eye(4)
         before_letters = added_letters((along_x, (), ()), rotated_letters(tilt, ((), (), along_z)))
     joint = Joint(
@@ -153,5 +173,9 @@ def joint_on_origin(joint: Joint, origin: Array, origin_letters: Letters | None 
     before = composed(origin, joint.before)
     local = joint.before_letters or (None if joint.before[:3, 3].any() else NO_LETTERS)
     ahead = origin_letters or (None if origin[:3, 3].any() else NO_LETTERS)
-    letters = None if local is None or ahead is None else added_letters(ahead, rotated_letters(origin[:3, :3], local))
+    letters = (
+        None
+        if local is None or ahead is None
+        else added_letters(ahead, rotated_letters(origin[:3, :3], local))
+    )
     return replace(joint, before=before, before_letters=named(letters))

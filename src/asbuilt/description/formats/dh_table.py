@@ -40,19 +40,30 @@ def read_dh_table(path: str | Path) -> RobotModel:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
     if len(lines) < 2:
-        raise DescriptionError(f"{path}: the table has no rows; expected a header and one row per link")
+        raise DescriptionError(
+            f"{path}: the table has no rows; expected a header and one row per link"
+        )
     columns = [name.strip() for name in lines[0][1]]
     _check_columns(path, columns)
     rows, table_notes = [], []
     for line, cells in lines[1:]:
         if len(cells) != len(columns):
-            raise DescriptionError(f"{path}, line {line}: {len(cells)} cells, but the header has {len(columns)} columns")
-        rows.append(_row(f"{path}, line {line}", dict(zip(columns, (cell.strip() for cell in cells), strict=True))))
+            raise DescriptionError(
+                f"{path}, line {line}: {len(cells)} cells, but the header has {len(columns)}"
+                " columns"
+            )
+        rows.append(
+            _row(
+                f"{path}, line {line}",
+                dict(zip(columns, (cell.strip() for cell in cells), strict=True)),
+            )
+        )
     last = rows[-1]
     if last.alpha != 0.0:
         table_notes.append(
-            f"alpha of the last row is {math.degrees(last.alpha):g} deg: it turns no joint, only the axes in which the mass properties of link "
-            f"{len(rows)} are read; make sure that they are given in these axes"
+            f"alpha of the last row is {math.degrees(last.alpha):g} deg: it turns no joint, only"
+            f" the axes in which the mass properties of link {len(rows)} are read; make sure that"
+            " they are given in these axes"
         )
     return robot_from_dh(rows, name=path.stem, source=str(path), notes=table_notes)
 
@@ -63,18 +74,22 @@ def _check_columns(path: Path, columns: list[str]) -> None:
         raise DescriptionError(f"{path}: column {repeated[0]!r} appears twice")
     if not set(GEOMETRY_COLUMNS) & set(columns):
         raise DescriptionError(
-            f"{path} is no table of Denavit-Hartenberg parameters: it has columns {', '.join(columns[:8])}, none of {', '.join(GEOMETRY_COLUMNS)}; "
-            "if it is a recording, name the robot before it"
+            f"{path} is no table of Denavit-Hartenberg parameters: it has columns"
+            f" {', '.join(columns[:8])}, none of {', '.join(GEOMETRY_COLUMNS)}; if it is a"
+            " recording, name the robot before it"
         )
     missing = [name for name in (*GEOMETRY_COLUMNS, *MASS_COLUMNS) if name not in columns]
     if missing:
         raise DescriptionError(
-            f"{path}: column {', '.join(missing)} is missing; the table needs {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}"
+            f"{path}: column {', '.join(missing)} is missing; the table needs"
+            f" {', '.join((*GEOMETRY_COLUMNS, *MASS_COLUMNS))}"
         )
     known = {"link", *GEOMETRY_COLUMNS, *MASS_COLUMNS, "theta_deg", "kind"}
     unknown = [name for name in columns if name not in known]
     if unknown:
-        raise DescriptionError(f"{path}: column {unknown[0]!r} is unknown; known are {', '.join(sorted(known))}")
+        raise DescriptionError(
+            f"{path}: column {unknown[0]!r} is unknown; known are {', '.join(sorted(known))}"
+        )
 
 
 def _row(place: str, cells: dict[str, str]) -> DHRow:

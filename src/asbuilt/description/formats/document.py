@@ -36,7 +36,10 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
         "links": [_link_document(link) for link in model.links],
-        "frames": [{"name": frame.name, "link": frame.link, "placement": frame.placement.tolist()} for frame in model.frames],
+        "frames": [
+            {"name": frame.name, "link": frame.link, "placement": frame.placement.tolist()}
+            for frame in model.frames
+        ],
     }
 
 
@@ -49,10 +52,17 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
             links=tuple(_link(item) for item in document["links"]),
             gravity=_array(document["gravity"]),
             root_link=str(document["root_link"]),
-            frames=tuple(Frame(str(item["name"]), int(item["link"]), _array(item["placement"])) for item in document["frames"]),
+            frames=tuple(
+                Frame(str(item["name"]), int(item["link"]), _array(item["placement"]))
+                for item in document["frames"]
+            ),
             lengths={str(letter): float(value) for letter, value in document["lengths"].items()},
             drives_by_design=bool(document["drives_by_design"]),
-            motor_coupling=None if document.get("motor_coupling") is None else _array(document["motor_coupling"]),
+            motor_coupling=(
+                None
+                if document.get("motor_coupling") is None
+                else _array(document["motor_coupling"])
+            ),
             source=str(document["source"]),
             citation=str(document["citation"]),
             notes=tuple(str(note) for note in document["notes"]),
@@ -61,7 +71,8 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
         if isinstance(problem, DescriptionError):
             raise
         raise DescriptionError(
-            f"a robot document cannot be read: {type(problem).__name__} {problem}; expected what `model_document` returns"
+            f"a robot document cannot be read: {type(problem).__name__} {problem}; expected what"
+            " `model_document` returns"
         ) from problem
 
 
@@ -74,7 +85,11 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
         "before": joint.before.tolist(),
         "after": joint.after.tolist(),
         "limits": {name: value if np.isfinite(value) else None for name, value in limits.items()},
-        "drive": {item.name: getattr(joint.drive, item.name) for item in fields(DriveValues) if item.name != "terms"},
+        "drive": {
+            item.name: getattr(joint.drive, item.name)
+            for item in fields(DriveValues)
+            if item.name != "terms"
+        },
         "drive_terms": {key: dict(numbers) for key, numbers in joint.drive.terms.items()},
         "before_letters": joint.before_letters,
         "after_letters": joint.after_letters,
@@ -83,9 +98,17 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
 
 def _joint(document: Mapping[str, Any]) -> Joint:
     unlimited = JointLimits()
-    limits = {name: getattr(unlimited, name) if value is None else float(value) for name, value in document["limits"].items()}
-    drive = {name: None if value is None else float(value) for name, value in document["drive"].items()}
-    terms = {str(key): {str(name): float(number) for name, number in term.items()} for key, term in document.get("drive_terms", {}).items()}
+    limits = {
+        name: getattr(unlimited, name) if value is None else float(value)
+        for name, value in document["limits"].items()
+    }
+    drive = {
+        name: None if value is None else float(value) for name, value in document["drive"].items()
+    }
+    terms = {
+        str(key): {str(name): float(number) for name, number in term.items()}
+        for key, term in document.get("drive_terms", {}).items()
+    }
     return Joint(
         name=str(document["name"]),
         kind=document["kind"],
@@ -113,12 +136,20 @@ def _link(document: Mapping[str, Any]) -> Link:
         name=str(document["name"]),
         inertia=LinkInertia(_array(document["inertia"])),
         inertia_known=bool(document["inertia_known"]),
-        parts=tuple((str(name), LinkInertia(_array(parameters))) for name, parameters in document["parts"]),
+        parts=tuple(
+            (str(name), LinkInertia(_array(parameters))) for name, parameters in document["parts"]
+        ),
     )
 
 
 def _letters(document: Any) -> Letters | None:
-    return None if document is None else tuple(tuple((float(factor), str(letter)) for factor, letter in axis) for axis in document)
+    return (
+        None
+        if document is None
+        else tuple(
+            tuple((float(factor), str(letter)) for factor, letter in axis) for axis in document
+        )
+    )
 
 
 def _array(values: Any) -> NDArray[np.float64]:

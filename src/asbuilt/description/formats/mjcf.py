@@ -37,7 +37,18 @@ from asbuilt.description.rotation import (
 )
 from asbuilt.errors import DescriptionError, MissingExtraError
 
-IRRELEVANT = ("asset", "contact", "deformable", "extension", "keyframe", "sensor", "size", "statistic", "visual", "custom")
+IRRELEVANT = (
+    "asset",
+    "contact",
+    "deformable",
+    "extension",
+    "keyframe",
+    "sensor",
+    "size",
+    "statistic",
+    "visual",
+    "custom",
+)
 """Sections that say nothing about rigid bodies or that refer to files which need not be here."""
 
 GENERATORS = ("attach", "composite", "flexcomp", "plugin", "replicate")
@@ -59,7 +70,9 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     content, source = described_text(path_or_text)
     root = parsed_xml(content, source)
     if root.tag != "mujoco":
-        raise DescriptionError(f"{source}: the outermost element is <{root.tag}>; an MJCF file has <mujoco model=...>")
+        raise DescriptionError(
+            f"{source}: the outermost element is <{root.tag}>; an MJCF file has <mujoco model=...>"
+        )
     try:
         import mujoco  # noqa: PLC0415 - an extra
     except ImportError:
@@ -71,15 +84,25 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     for body in range(1, compiled.nbody):
         tree.add(body)
     if not tree.joints:
-        raise DescriptionError(f"{source}: no body has a hinge or slide joint, so there is nothing to identify")
+        raise DescriptionError(
+            f"{source}: no body has a hinge or slide joint, so there is nothing to identify"
+        )
     tree.add_sites()
-    sprung = [joint.name for index, joint in enumerate(tree.joints) if np.any(compiled.jnt_stiffness[index])]
+    sprung = [
+        joint.name
+        for index, joint in enumerate(tree.joints)
+        if np.any(compiled.jnt_stiffness[index])
+    ]
     if sprung:
         tree.notes.append(
-            f"the springs of {', '.join(sprung)} (stiffness) are left out; identify with --drive auto,spring:joints=... to have them found"
+            f"the springs of {', '.join(sprung)} (stiffness) are left out; identify with --drive"
+            " auto,spring:joints=... to have them found"
         )
     if compiled.neq:
-        tree.notes.append(f"{compiled.neq} equality constraints are left out; every joint counts as driven on its own")
+        tree.notes.append(
+            f"{compiled.neq} equality constraints are left out; every joint counts as driven on"
+            " its own"
+        )
     return RobotModel(
         drives_by_design=False,
         name=root.get("model") or "robot",
@@ -101,9 +124,13 @@ def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list
     try:
         return mujoco.MjModel.from_xml_string(tostring(root, encoding="unicode")), warnings
     except RecursionError:
-        raise DescriptionError(f"{source}: the elements are nested too deeply; MuJoCo allows about 500 bodies in a row") from None
+        raise DescriptionError(
+            f"{source}: the elements are nested too deeply; MuJoCo allows about 500 bodies in a row"
+        ) from None
     except ValueError as error:
-        raise DescriptionError(f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}") from None
+        raise DescriptionError(
+            f"{source}: MuJoCo refuses the model: {' '.join(str(error).split())}"
+        ) from None
     finally:
         mujoco.set_mju_user_warning(previous)
 
@@ -113,19 +140,22 @@ def _without_shapes(root: Element, source: str) -> set[str]:
     included = next(root.iter("include"), None)
     if included is not None:
         raise DescriptionError(
-            f"{source}: the file includes {included.get('file')!r}; load the included robot file itself, or save the whole model as one file "
-            "(mujoco.mj_saveLastXML)"
+            f"{source}: the file includes {included.get('file')!r}; load the included robot file"
+            " itself, or save the whole model as one file (mujoco.mj_saveLastXML)"
         )
     generated = next((element.tag for element in root.iter() if element.tag in GENERATORS), None)
     if generated is not None:
         raise DescriptionError(
-            f"{source}: the model holds <{generated}>, which MuJoCo expands from other files or into soft bodies; write its rigid bodies out"
+            f"{source}: the model holds <{generated}>, which MuJoCo expands from other files or"
+            " into soft bodies; write its rigid bodies out"
         )
     for section in IRRELEVANT:
         for element in root.findall(section):
             root.remove(element)
     shapes: dict[str | None, str] = {
-        name: shape for element in root.findall("default") for name, shape in _default_shapes(element, "sphere")
+        name: shape
+        for element in root.findall("default")
+        for name, shape in _default_shapes(element, "sphere")
     }
     for element in root.iter():
         element.attrib.pop("material", None)
@@ -135,14 +165,24 @@ def _without_shapes(root: Element, source: str) -> set[str]:
         compiler.attrib.pop("fusestatic", None)
         from_geoms = compiler.get("inertiafromgeom") == "true"
     unknown: set[str] = set()
-    waiting: list[tuple[Element, str | None]] = [(world, None) for world in root.findall("worldbody")]
+    waiting: list[tuple[Element, str | None]] = [
+        (world, None) for world in root.findall("worldbody")
+    ]
     while waiting:
         body, inherited = waiting.pop()
         inside = list(_inside(body, body.get("childclass", inherited)))
-        waiting.extend((element, childclass) for _, element, childclass in inside if element.tag == "body")
+        waiting.extend(
+            (element, childclass) for _, element, childclass in inside if element.tag == "body"
+        )
         explicit = body.find("inertial") is not None and not from_geoms
-        geoms = [(holder, element, element.get("class", childclass)) for holder, element, childclass in inside if element.tag == "geom"]
-        lost = not explicit and any(_shape(geom, kind, shapes) in SHAPELESS for _, geom, kind in geoms)
+        geoms = [
+            (holder, element, element.get("class", childclass))
+            for holder, element, childclass in inside
+            if element.tag == "geom"
+        ]
+        lost = not explicit and any(
+            _shape(geom, kind, shapes) in SHAPELESS for _, geom, kind in geoms
+        )
         for holder, geom, _ in geoms:
             if explicit or lost or body.tag == "worldbody":
                 holder.remove(geom)
@@ -150,7 +190,9 @@ def _without_shapes(root: Element, source: str) -> set[str]:
             body.set("name", body.get("name") or f"unnamed_{len(unknown) + 1}")
             unknown.add(body.get("name", ""))
             if body.find("inertial") is None:
-                body.insert(0, Element("inertial", {"pos": "0 0 0", "mass": "1", "diaginertia": "1 1 1"}))
+                body.insert(
+                    0, Element("inertial", {"pos": "0 0 0", "mass": "1", "diaginertia": "1 1 1"})
+                )
     for geom in (geom for default in root.iter("default") for geom in default.findall("geom")):
         if geom.attrib.pop("mesh", None) is not None or geom.get("type") in SHAPELESS:
             geom.attrib.pop("type", None)
@@ -167,7 +209,9 @@ def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, El
 
 
 def _shape(geom: Element, kind: str | None, shapes: dict[str | None, str]) -> str:
-    return "mesh" if geom.get("mesh") is not None else geom.get("type") or shapes.get(kind, "sphere")
+    return (
+        "mesh" if geom.get("mesh") is not None else geom.get("type") or shapes.get(kind, "sphere")
+    )
 
 
 def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, str]]:
@@ -176,8 +220,12 @@ def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, 
     if geom is not None:
         shape = geom.get("type") or ("mesh" if geom.get("mesh") is not None else inherited)
     name = element.get("class") or "main"
-    own: list[tuple[str | None, str]] = [(name, shape)] + ([(None, shape)] if name == "main" else [])
-    return own + [entry for nested in element.findall("default") for entry in _default_shapes(nested, shape)]
+    own: list[tuple[str | None, str]] = [(name, shape)] + (
+        [(None, shape)] if name == "main" else []
+    )
+    return own + [
+        entry for nested in element.findall("default") for entry in _default_shapes(nested, shape)
+    ]
 
 
 @dataclass
@@ -204,7 +252,9 @@ class _Tree:
         name = self.name(self.mujoco.mjtObj.mjOBJ_BODY, body, "body")
         parent = int(m.body_parentid[body])
         carrier = self.carrier[parent]
-        pose = composed(self.pose[parent], self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}"))
+        pose = composed(
+            self.pose[parent], self.placed(m.body_pos[body], m.body_quat[body], f"body {name!r}")
+        )
         first, count = int(m.body_jntadr[body]), int(m.body_jntnum[body])
         for k in range(count):
             joint = self.joint(first + k, name, carrier, pose)
@@ -219,11 +269,14 @@ class _Tree:
             return
         if name in self.unknown:
             self.notes.append(
-                f"body {name!r} has no <inertial>, and its inertia would come from a mesh that is not read; it counts as not given"
+                f"body {name!r} has no <inertial>, and its inertia would come from a mesh that is"
+                " not read; it counts as not given"
             )
         elif m.body_mass[body] > 0.0:
             frame = placement(rotation_from_quaternion(m.body_iquat[body]), m.body_ipos[body])
-            inertia = LinkInertia.from_com(float(m.body_mass[body]), np.zeros(3), np.diag(m.body_inertia[body]))
+            inertia = LinkInertia.from_com(
+                float(m.body_mass[body]), np.zeros(3), np.diag(m.body_inertia[body])
+            )
             self.parts[carrier].append((name, inertia.moved(frame).moved(pose)))
 
     def joint(self, index: int, body: str, parent: int, pose: Array) -> Joint:
@@ -233,12 +286,17 @@ class _Tree:
         if kind in (FREE, BALL):
             what = "free" if kind == FREE else "ball"
             raise DescriptionError(
-                f"{self.source}: joint {name!r} of body {body!r} is a {what} joint; asbuilt describes robots on a standing root with hinge and slide "
-                "joints: remove it, or replace it by hinges"
+                f"{self.source}: joint {name!r} of body {body!r} is a {what} joint; asbuilt"
+                " describes robots on a standing root with hinge and slide joints: remove it, or"
+                " replace it by hinges"
             )
         onto, anchor = rotation_onto(m.jnt_axis[index]), np.array(m.jnt_pos[index])
         at_rest = float(m.qpos0[m.jnt_qposadr[index]])
-        back = placement(rotation_z(-at_rest)) if kind == HINGE else placement(translation=(0.0, 0.0, -at_rest))
+        back = (
+            placement(rotation_z(-at_rest))
+            if kind == HINGE
+            else placement(translation=(0.0, 0.0, -at_rest))
+        )
         return Joint(
             name=name,
             kind=self.kind(index),
@@ -256,18 +314,37 @@ class _Tree:
 
     def limits(self, index: int) -> JointLimits:
         m = self.model
-        lower, upper = (float(bound) for bound in m.jnt_range[index]) if m.jnt_limited[index] else (-np.inf, np.inf)
-        torque = float(np.abs(m.jnt_actfrcrange[index]).max()) if m.jnt_actfrclimited[index] else np.inf
+        lower, upper = (
+            (float(bound) for bound in m.jnt_range[index])
+            if m.jnt_limited[index]
+            else (-np.inf, np.inf)
+        )
+        torque = (
+            float(np.abs(m.jnt_actfrcrange[index]).max()) if m.jnt_actfrclimited[index] else np.inf
+        )
         for actuator in range(m.nu):
-            drives = m.actuator_trntype[actuator] == self.mujoco.mjtTrn.mjTRN_JOINT and m.actuator_trnid[actuator, 0] == index
+            drives = (
+                m.actuator_trntype[actuator] == self.mujoco.mjtTrn.mjTRN_JOINT
+                and m.actuator_trnid[actuator, 0] == index
+            )
             if drives and m.actuator_forcelimited[actuator]:
-                torque = min(torque, float(np.abs(m.actuator_forcerange[actuator]).max() * abs(m.actuator_gear[actuator, 0])))
+                torque = min(
+                    torque,
+                    float(
+                        np.abs(m.actuator_forcerange[actuator]).max()
+                        * abs(m.actuator_gear[actuator, 0])
+                    ),
+                )
         return JointLimits(lower=lower, upper=upper, torque=torque)
 
     def drive(self, coordinate: int) -> DriveValues:
         values = (
             float(np.ravel(array[coordinate])[0])
-            for array in (self.model.dof_armature, self.model.dof_damping, self.model.dof_frictionloss)
+            for array in (
+                self.model.dof_armature,
+                self.model.dof_damping,
+                self.model.dof_frictionloss,
+            )
         )
         armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
         return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb)
@@ -287,11 +364,26 @@ class _Tree:
             name = self.mujoco.mj_id2name(self.model, self.mujoco.mjtObj.mjOBJ_SITE, site)
             if name and name not in taken:
                 body = int(self.model.site_bodyid[site])
-                own = self.placed(self.model.site_pos[site], self.model.site_quat[site], f"site {name!r}")
-                self.frames.append(Frame(name=name, link=self.carrier[body], placement=composed(self.pose[body], own)))
+                own = self.placed(
+                    self.model.site_pos[site], self.model.site_quat[site], f"site {name!r}"
+                )
+                self.frames.append(
+                    Frame(
+                        name=name, link=self.carrier[body], placement=composed(self.pose[body], own)
+                    )
+                )
 
     def link(self, index: int) -> Link:
         name, parts = self.names[index], self.parts[index]
-        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0)) if parts else LinkInertia.zero()
+        total = (
+            LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
+            if parts
+            else LinkInertia.zero()
+        )
         merged = len(parts) > 1 or any(part != name for part, _ in parts)
-        return Link(name=name, inertia=total, inertia_known=name not in self.unknown, parts=tuple(parts) if merged else ())
+        return Link(
+            name=name,
+            inertia=total,
+            inertia_known=name not in self.unknown,
+            parts=tuple(parts) if merged else (),
+        )

@@ -41,7 +41,14 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     6
     """
     root = Element("mujoco", model=model.name)
-    SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false", balanceinertia="false")
+    SubElement(
+        root,
+        "compiler",
+        angle="radian",
+        autolimits="true",
+        inertiafromgeom="false",
+        balanceinertia="false",
+    )
     SubElement(root, "option", gravity=_numbers(model.gravity), integrator="RK4", timestep="0.001")
     if shapes:
         _scene(root, stretched_length(model))
@@ -50,7 +57,11 @@ def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True)
     for k, joint in enumerate(model.joints):
         bodies.append(_body(bodies[joint.parent + 1], model, k))
     for frame in model.frames:
-        SubElement(bodies[frame.link + 1], "site", {"name": frame.name, **_pose(frame.placement), "size": "0.005"})
+        SubElement(
+            bodies[frame.link + 1],
+            "site",
+            {"name": frame.name, **_pose(frame.placement), "size": "0.005"},
+        )
     if shapes:
         for solid in link_solids(model):
             _geom(bodies[solid.link + 1], solid)
@@ -74,13 +85,26 @@ def _body(parent: Element, model: RobotModel, k: int) -> Element:
 
 def _joint(joint: Joint) -> dict[str, str]:
     R, p = joint.after[:3, :3], joint.after[:3, 3]
-    fields = {"type": "hinge" if joint.is_revolute else "slide", "axis": _numbers(R[2]), "pos": _numbers(-R.T @ p)}
+    fields = {
+        "type": "hinge" if joint.is_revolute else "slide",
+        "axis": _numbers(R[2]),
+        "pos": _numbers(-R.T @ p),
+    }
     limits, drive = joint.limits, joint.drive
-    if joint.kind != "continuous" and np.isfinite(limits.lower) and np.isfinite(limits.upper) and limits.lower < limits.upper:
+    if (
+        joint.kind != "continuous"
+        and np.isfinite(limits.lower)
+        and np.isfinite(limits.upper)
+        and limits.lower < limits.upper
+    ):
         fields["range"] = _numbers([limits.lower, limits.upper])
     if np.isfinite(limits.torque):
         fields["actuatorfrcrange"] = _numbers([-limits.torque, limits.torque])
-    for name, value in (("armature", drive.armature), ("damping", drive.viscous), ("frictionloss", drive.coulomb)):
+    for name, value in (
+        ("armature", drive.armature),
+        ("damping", drive.viscous),
+        ("frictionloss", drive.coulomb),
+    ):
         if value is not None and value != 0.0:
             fields[name] = _numbers([value])
     return fields
@@ -89,9 +113,13 @@ def _joint(joint: Joint) -> dict[str, str]:
 def _inertial(body: Element, inertia: LinkInertia, what: str) -> None:
     reason = inertia.inconsistency()
     if reason is not None:
-        raise InertiaError(f"{what} cannot be written as MJCF, whose bodies must be possible: {reason}")
+        raise InertiaError(
+            f"{what} cannot be written as MJCF, whose bodies must be possible: {reason}"
+        )
     if inertia.mass <= FEATHER:
-        SubElement(body, "inertial", pos="0 0 0", mass=repr(FEATHER), diaginertia=_numbers([FEATHER] * 3))
+        SubElement(
+            body, "inertial", pos="0 0 0", mass=repr(FEATHER), diaginertia=_numbers([FEATHER] * 3)
+        )
         return
     moments, axes = np.linalg.eigh(inertia.inertia_about_com)
     if np.linalg.det(axes) < 0:
@@ -99,13 +127,17 @@ def _inertial(body: Element, inertia: LinkInertia, what: str) -> None:
     moments = np.maximum(moments, FEATHER)
     moments[0] = max(moments[0], moments[2] - moments[1])
     pose = {"pos": _numbers(inertia.com), "quat": _numbers(quaternion_from_rotation(axes))}
-    SubElement(body, "inertial", {**pose, "mass": repr(inertia.mass), "diaginertia": _numbers(moments)})
+    SubElement(
+        body, "inertial", {**pose, "mass": repr(inertia.mass), "diaginertia": _numbers(moments)}
+    )
 
 
 def _scene(root: Element, reach: float) -> None:
     visual = SubElement(root, "visual")
     SubElement(visual, "global", offwidth="1920", offheight="1440")
-    SubElement(root, "statistic", extent=_numbers([reach]), center=_numbers([0.0, 0.0, 0.4 * reach]))
+    SubElement(
+        root, "statistic", extent=_numbers([reach]), center=_numbers([0.0, 0.0, 0.4 * reach])
+    )
 
 
 def _geom(body: Element, solid: Solid) -> None:
@@ -114,7 +146,12 @@ def _geom(body: Element, solid: Solid) -> None:
     SubElement(
         body,
         "geom",
-        {"type": "capsule" if rod else "cylinder", "fromto": ends, "size": _numbers([solid.radius]), "rgba": PALETTE[rod]},
+        {
+            "type": "capsule" if rod else "cylinder",
+            "fromto": ends,
+            "size": _numbers([solid.radius]),
+            "rgba": PALETTE[rod],
+        },
         contype="0",
         conaffinity="0",
         group="1",

@@ -70,7 +70,10 @@ class _Reading:
             return ROOT
         if name not in known:
             there = ", ".join([self.file.root_link, *known])
-            raise DescriptionError(f"{what} is {name!r}, which is neither the root link nor an earlier link; known here: {there}")
+            raise DescriptionError(
+                f"{what} is {name!r}, which is neither the root link nor an earlier link; known"
+                f" here: {there}"
+            )
         return known.index(name)
 
     def placed(self, table: PlacementTable, what: str, index: int) -> tuple[Array, Letters | None]:
@@ -79,10 +82,18 @@ class _Reading:
             R = snapped(table.rotation)
         else:
             angles = zip(("roll", "pitch", "yaw"), table.rpy or (0.0, 0.0, 0.0), strict=True)
-            R = rotation_from_rpy([straightened(value * self.unit, f"{name} of {what}", self.notes) for name, value in angles])
+            R = rotation_from_rpy(
+                [
+                    straightened(value * self.unit, f"{name} of {what}", self.notes)
+                    for name, value in angles
+                ]
+            )
         if not any(isinstance(value, str) for value in table.xyz):
             return placement(R, np.array(table.xyz, dtype=np.float64)), None
-        letters: Letters = tuple(self.letters(value, f"{axis}{index + 1}") for axis, value in zip("xyz", table.xyz, strict=True))
+        letters: Letters = tuple(
+            self.letters(value, f"{axis}{index + 1}")
+            for axis, value in zip("xyz", table.xyz, strict=True)
+        )
         return placement(R, length_values(letters, self.lengths)), letters
 
     def letters(self, value: float | str, letter: str) -> tuple[tuple[float, str], ...]:
@@ -96,7 +107,11 @@ class _Reading:
         return ((1.0, letter),)
 
     def joint(self, link: LinkTable, index: int, parent: int) -> Joint:
-        return self.dh_joint(link, link.dh, index, parent) if link.dh is not None else self.placed_joint(link, index, parent)
+        return (
+            self.dh_joint(link, link.dh, index, parent)
+            if link.dh is not None
+            else self.placed_joint(link, index, parent)
+        )
 
     def dh_joint(self, link: LinkTable, dh: DHTable, index: int, parent: int) -> Joint:
         row = DHRow(
@@ -110,20 +125,34 @@ class _Reading:
             limits=self.limits(link),
             drive=link.drive.values,
         )
-        joint, letters = dh_joint(row, index, self.file.convention or "standard", self.notes), dh_lengths(row, index)
+        joint, letters = (
+            dh_joint(row, index, self.file.convention or "standard", self.notes),
+            dh_lengths(row, index),
+        )
         for letter, value in letters.items():
             if self.lengths.setdefault(letter, value) != value:
                 raise DescriptionError(
-                    f"the named length {letter} = {self.lengths[letter]} is also the letter of link {link.name!r}, where it is {value}; give it another name"
+                    f"the named length {letter} = {self.lengths[letter]} is also the letter of link"
+                    f" {link.name!r}, where it is {value}; give it another name"
                 )
         if link.origin is not None:
-            joint = joint_on_origin(joint, *self.placed(link.origin, f"origin of link {link.name!r}", index))
+            joint = joint_on_origin(
+                joint, *self.placed(link.origin, f"origin of link {link.name!r}", index)
+            )
         return joint
 
     def placed_joint(self, link: LinkTable, index: int, parent: int) -> Joint:
-        before, before_letters = self.placed(link.origin or PlacementTable(), f"origin of link {link.name!r}", index)
-        after, after_letters = self.placed(link.after or PlacementTable(), f"after of link {link.name!r}", index)
-        onto = rotation_onto(np.array(link.axis) / math.hypot(*link.axis)) if link.axis is not None else np.eye(3)
+        before, before_letters = self.placed(
+            link.origin or PlacementTable(), f"origin of link {link.name!r}", index
+        )
+        after, after_letters = self.placed(
+            link.after or PlacementTable(), f"after of link {link.name!r}", index
+        )
+        onto = (
+            rotation_onto(np.array(link.axis) / math.hypot(*link.axis))
+            if link.axis is not None
+            else np.eye(3)
+        )
         return Joint(
             name=link.joint or f"joint_{index + 1}",
             kind=link.kind,
@@ -133,7 +162,9 @@ class _Reading:
             limits=self.limits(link),
             drive=link.drive.values,
             before_letters=before_letters,
-            after_letters=rotated_letters(onto.T, after_letters) if after_letters is not None else None,
+            after_letters=(
+                rotated_letters(onto.T, after_letters) if after_letters is not None else None
+            ),
         )
 
     def limits(self, link: LinkTable) -> JointLimits:
@@ -149,16 +180,31 @@ class _Reading:
 
 
 def _model(file: RobotFile, source: str) -> RobotModel:
-    reading = _Reading(file, math.pi / 180.0 if file.angle_unit == "deg" else 1.0, dict(file.lengths), list(file.notes))
+    reading = _Reading(
+        file,
+        math.pi / 180.0 if file.angle_unit == "deg" else 1.0,
+        dict(file.lengths),
+        list(file.notes),
+    )
     names = [link.name for link in file.links]
     joints = []
     for i, link in enumerate(file.links):
-        parent = i - 1 if link.parent is None else reading.link_index(link.parent, names[:i], f"parent of link {link.name!r}")
+        parent = (
+            i - 1
+            if link.parent is None
+            else reading.link_index(link.parent, names[:i], f"parent of link {link.name!r}")
+        )
         joints.append(reading.joint(link, i, parent))
     frames = []
     for frame in file.frames:
         carrier = reading.link_index(frame.link, names, f"link of frame {frame.name!r}")
-        frames.append(Frame(name=frame.name, link=carrier, placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0]))
+        frames.append(
+            Frame(
+                name=frame.name,
+                link=carrier,
+                placement=reading.placed(frame, f"frame {frame.name!r}", carrier)[0],
+            )
+        )
     return RobotModel(
         name=file.name,
         joints=tuple(joints),
@@ -182,7 +228,8 @@ def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:
         for name in (table.motor, *table.turns):
             if name not in names:
                 raise DescriptionError(
-                    f"coupling of motor {table.motor!r} names joint {name!r}, which does not exist; the joints are {', '.join(names)}"
+                    f"coupling of motor {table.motor!r} names joint {name!r}, which does not exist;"
+                    f" the joints are {', '.join(names)}"
                 )
         coupling[names.index(table.motor)] = [table.turns.get(name, 0.0) for name in names]
     return coupling
@@ -194,4 +241,6 @@ def _link(link: LinkTable) -> Link:
         total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
         return Link(name=link.name, inertia=total, parts=parts)
     inertia = link.inertia
-    return Link(name=link.name, inertia=inertia or LinkInertia.zero(), inertia_known=inertia is not None)
+    return Link(
+        name=link.name, inertia=inertia or LinkInertia.zero(), inertia_known=inertia is not None
+    )

@@ -26,7 +26,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0)]
 Vector = tuple[Finite, Finite, Finite]
 Length = Annotated[
-    float | str, BeforeValidator(lambda value: float(value) if isinstance(value, int) and not isinstance(value, bool) else value)
+    float | str,
+    BeforeValidator(
+        lambda value: (
+            float(value) if isinstance(value, int) and not isinstance(value, bool) else value
+        )
+    ),
 ]
 AngleUnit = Literal["rad", "deg"]
 
@@ -77,7 +82,13 @@ class TensorTable(_Table):
     @property
     def matrix(self) -> Array:
         """The symmetric 3 x 3 tensor."""
-        return np.array([[self.Ixx, self.Ixy, self.Ixz], [self.Ixy, self.Iyy, self.Iyz], [self.Ixz, self.Iyz, self.Izz]])
+        return np.array(
+            [
+                [self.Ixx, self.Ixy, self.Ixz],
+                [self.Ixy, self.Iyy, self.Iyz],
+                [self.Ixz, self.Iyz, self.Izz],
+            ]
+        )
 
 
 class MassTable(_Table):
@@ -91,16 +102,29 @@ class MassTable(_Table):
 
     @model_validator(mode="after")
     def _complete(self) -> MassTable:
-        given = [name for name in ("com", "first_moment", "inertia_about_com", "inertia_about_origin") if getattr(self, name) is not None]
+        given = [
+            name
+            for name in ("com", "first_moment", "inertia_about_com", "inertia_about_origin")
+            if getattr(self, name) is not None
+        ]
         if self.mass is None:
             if given:
-                raise ValueError(f"{given[0]} is given without mass; give mass too, or leave all mass properties out")
+                raise ValueError(
+                    f"{given[0]} is given without mass; give mass too, or leave all mass"
+                    " properties out"
+                )
             return self
         if (self.com is None) == (self.first_moment is None):
             raise ValueError("give com or first_moment beside mass, and only one of them")
         if (self.inertia_about_com is None) == (self.inertia_about_origin is None):
-            raise ValueError("give inertia_about_com or inertia_about_origin beside mass, and only one of them")
-        if self.first_moment is not None and self.inertia_about_com is not None and self.mass == 0.0:
+            raise ValueError(
+                "give inertia_about_com or inertia_about_origin beside mass, and only one of them"
+            )
+        if (
+            self.first_moment is not None
+            and self.inertia_about_com is not None
+            and self.mass == 0.0
+        ):
             raise ValueError("a link without mass has no centre of mass; give inertia_about_origin")
         return self
 
@@ -110,10 +134,18 @@ class MassTable(_Table):
         if self.mass is None:
             return None
         if self.inertia_about_com is not None:
-            com = np.array(self.com) if self.com is not None else np.array(self.first_moment) / self.mass
+            com = (
+                np.array(self.com)
+                if self.com is not None
+                else np.array(self.first_moment) / self.mass
+            )
             return LinkInertia.from_com(self.mass, com, self.inertia_about_com.matrix)
         assert self.inertia_about_origin is not None
-        moment = np.array(self.first_moment) if self.first_moment is not None else self.mass * np.array(self.com)
+        moment = (
+            np.array(self.first_moment)
+            if self.first_moment is not None
+            else self.mass * np.array(self.com)
+        )
         return LinkInertia.from_origin(self.mass, moment, self.inertia_about_origin.matrix)
 
 
@@ -136,7 +168,10 @@ class LimitsTable(_Table):
     @model_validator(mode="after")
     def _ordered(self) -> LimitsTable:
         if not self.lower <= self.upper or self.lower == math.inf or self.upper == -math.inf:
-            raise ValueError(f"lower = {self.lower} must not exceed upper = {self.upper}, and neither may lie beyond all positions")
+            raise ValueError(
+                f"lower = {self.lower} must not exceed upper = {self.upper}, and neither may lie"
+                " beyond all positions"
+            )
         return self
 
 
@@ -157,9 +192,13 @@ class DriveTable(_Table):
     def _sound(self) -> DriveTable:
         plain = [key for key in self.terms if key in type(self).model_fields]
         if plain:
-            raise ValueError(f"{plain[0]} stands beside terms, not among them: drive = {{{plain[0]} = 1.0}}")
+            raise ValueError(
+                f"{plain[0]} stands beside terms, not among them: drive = {{{plain[0]} = 1.0}}"
+            )
         if self.gear_ratio == 0.0:
-            raise ValueError("gear_ratio is how many turns of the motor make one of the joint, and cannot be 0")
+            raise ValueError(
+                "gear_ratio is how many turns of the motor make one of the joint, and cannot be 0"
+            )
         return self
 
     @property
@@ -195,7 +234,10 @@ class LinkTable(MassTable):
         if self.dh is not None and (self.axis is not None or self.after is not None):
             raise ValueError("a link placed by dh takes no axis and no after")
         if self.dh is None and self.origin is None:
-            raise ValueError("the link has no geometry: give dh = {...} or origin = {...} (origin = {} where the frames coincide)")
+            raise ValueError(
+                "the link has no geometry: give dh = {...} or origin = {...} (origin = {} where the"
+                " frames coincide)"
+            )
         if self.axis is not None and math.hypot(*self.axis) == 0.0:
             raise ValueError("axis has length zero")
         if self.parts and self.mass is not None:
@@ -235,7 +277,10 @@ class RobotFile(_Table):
     @model_validator(mode="after")
     def _convention_stated(self) -> RobotFile:
         if self.convention is None and any(link.dh is not None for link in self.links):
-            raise ValueError('the file has dh rows but does not say which: add convention = "standard" or convention = "modified"')
+            raise ValueError(
+                'the file has dh rows but does not say which: add convention = "standard" or'
+                ' convention = "modified"'
+            )
         return self
 
 
@@ -260,7 +305,9 @@ def _explained(source: str, content: dict[str, Any], error: ValidationError) -> 
             table = _inside(table, step)
             if isinstance(step, int):
                 label = table.get("name", "") if isinstance(table, dict) else ""
-                place[-1:] = [f"{place[-1] if place else ''}[{step + 1}]" + (f" {label!r}" if label else "")]
+                place[-1:] = [
+                    f"{place[-1] if place else ''}[{step + 1}]" + (f" {label!r}" if label else "")
+                ]
             elif step not in ("float", "str", "nullable"):
                 place.append(str(step))
         message = problem["msg"].removeprefix("Value error, ")
@@ -280,4 +327,8 @@ def _explained(source: str, content: dict[str, Any], error: ValidationError) -> 
 def _inside(table: Any, step: int | str) -> Any:
     if isinstance(table, dict):
         return table.get(str(step))
-    return table[step] if isinstance(table, list) and isinstance(step, int) and step < len(table) else None
+    return (
+        table[step]
+        if isinstance(table, list) and isinstance(step, int) and step < len(table)
+        else None
+    )

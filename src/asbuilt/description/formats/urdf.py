@@ -38,7 +38,11 @@ from asbuilt.description.rotation import (
 )
 from asbuilt.errors import DescriptionError
 
-MOVING: dict[str, JointKind] = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic"}
+MOVING: dict[str, JointKind] = {
+    "revolute": "revolute",
+    "continuous": "continuous",
+    "prismatic": "prismatic",
+}
 AXIS_TOLERANCE = 1e-6
 """An axis whose length differs from 1 by more is scaled to unit length with a note."""
 
@@ -84,21 +88,40 @@ def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> R
     content, source = described_text(path_or_text)
     root = parsed_xml(content, source)
     if root.tag == "mujoco":
-        raise DescriptionError(f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or read_mjcf")
+        raise DescriptionError(
+            f"{source}: this is a MuJoCo model (MJCF), not a URDF; load it with load_robot or"
+            " read_mjcf"
+        )
     if root.tag != "robot":
-        raise DescriptionError(f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>")
+        raise DescriptionError(
+            f"{source}: the outermost element is <{root.tag}>; a URDF has <robot name=...>"
+        )
     notes: list[str] = []
     bodies = _bodies(root, source, notes, straighten)
     connections = _connections(root, bodies, source, notes, straighten)
     top = _root_link(bodies, connections, source)
     tree = _merged(top, bodies, connections, source, notes)
     if not tree.joints:
-        raise DescriptionError(f"{source}: no joint moves (revolute, continuous or prismatic), so there is nothing to identify")
+        raise DescriptionError(
+            f"{source}: no joint moves (revolute, continuous or prismatic), so there is nothing to"
+            " identify"
+        )
     links = []
     for name, parts in zip(tree.links, tree.parts, strict=True):
-        total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0)) if parts else LinkInertia.zero()
+        total = (
+            LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
+            if parts
+            else LinkInertia.zero()
+        )
         merged = len(parts) > 1 or any(part != name for part, _ in parts)
-        links.append(Link(name=name, inertia=total, inertia_known=bool(parts), parts=tuple(parts) if merged else ()))
+        links.append(
+            Link(
+                name=name,
+                inertia=total,
+                inertia_known=bool(parts),
+                parts=tuple(parts) if merged else (),
+            )
+        )
     return RobotModel(
         drives_by_design=False,
         name=(root.get("name") or "robot").strip(),
@@ -125,7 +148,10 @@ def _origin(element: Element, place: str, notes: list[str], straighten: bool) ->
     xyz = numbers(origin, "xyz", 3, place) if origin.get("xyz") is not None else [0.0, 0.0, 0.0]
     rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") is not None else [0.0, 0.0, 0.0]
     if straighten:
-        rpy = [straightened(value, f"{name} of {place}", notes) for name, value in zip(("roll", "pitch", "yaw"), rpy, strict=True)]
+        rpy = [
+            straightened(value, f"{name} of {place}", notes)
+            for name, value in zip(("roll", "pitch", "yaw"), rpy, strict=True)
+        ]
     return placement(rotation_from_rpy(rpy), xyz)
 
 
@@ -134,10 +160,14 @@ def _bodies(root: Element, source: str, notes: list[str], straighten: bool) -> d
     for i, element in enumerate(root.findall("link")):
         name = required(element, "name", f"{source}, link number {i + 1}")
         if name in bodies:
-            raise DescriptionError(f"{source}: two links are named {name!r}; every link needs its own name")
+            raise DescriptionError(
+                f"{source}: two links are named {name!r}; every link needs its own name"
+            )
         place = f"{source}, link {name!r}"
         inertial = _only(element, "inertial", place, notes)
-        bodies[name] = _Body(name, _inertia(inertial, place, notes, straighten) if inertial is not None else None)
+        bodies[name] = _Body(
+            name, _inertia(inertial, place, notes, straighten) if inertial is not None else None
+        )
     if not bodies:
         raise DescriptionError(f"{source}: the URDF has no <link>")
     return bodies
@@ -149,46 +179,67 @@ def _inertia(inertial: Element, place: str, notes: list[str], straighten: bool) 
     if mass is None or tensor is None:
         missing = "mass" if mass is None else "inertia"
         raise DescriptionError(
-            f"{place}: <{missing}> is missing; give <mass value=.../> and <inertia ixx=... .../>, or leave <inertial> out"
+            f"{place}: <{missing}> is missing; give <mass value=.../> and <inertia ixx=... .../>,"
+            " or leave <inertial> out"
         )
     xx, yy, zz = (number(tensor, name, place) for name in ("ixx", "iyy", "izz"))
     xy, xz, yz = (number(tensor, name, place) for name in ("ixy", "ixz", "iyz"))
-    about_com = LinkInertia.from_com(number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    about_com = LinkInertia.from_com(
+        number(mass, "value", place), np.zeros(3), [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    )
     return about_com.moved(_origin(inertial, place, notes, straighten))
 
 
-def _connections(root: Element, bodies: dict[str, _Body], source: str, notes: list[str], straighten: bool) -> list[_Connection]:
+def _connections(
+    root: Element, bodies: dict[str, _Body], source: str, notes: list[str], straighten: bool
+) -> list[_Connection]:
     connections: list[_Connection] = []
     names: set[str] = set()
     parent_joint: dict[str, str] = {}
     for i, element in enumerate(root.findall("joint")):
         name = required(element, "name", f"{source}, joint number {i + 1}")
         if name in names:
-            raise DescriptionError(f"{source}: two joints are named {name!r}; every joint needs its own name")
+            raise DescriptionError(
+                f"{source}: two joints are named {name!r}; every joint needs its own name"
+            )
         names.add(name)
         place = f"{source}, joint {name!r}"
         kind = required(element, "type", place)
         if kind in ("floating", "planar"):
             raise DescriptionError(
-                f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still and whose joints are revolute, continuous, "
-                'prismatic or fixed: replace it by type="fixed" or by a chain of those'
+                f"{place}: type is {kind!r}; asbuilt describes robots whose root link stands still"
+                " and whose joints are revolute, continuous, prismatic or fixed: replace it by"
+                ' type="fixed" or by a chain of those'
             )
         if kind not in (*MOVING, "fixed"):
-            raise DescriptionError(f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed")
+            raise DescriptionError(
+                f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed"
+            )
         if kind != "fixed" and element.find("mimic") is not None:
             raise DescriptionError(
-                f'{place}: the joint mimics another one, so it has no drive of its own: make it type="fixed", or remove <mimic> if it is driven'
+                f"{place}: the joint mimics another one, so it has no drive of its own: make it"
+                ' type="fixed", or remove <mimic> if it is driven'
             )
         parent, child = (_end(element, end, bodies, place) for end in ("parent", "child"))
         if parent == child:
             raise DescriptionError(f"{place}: the joint connects link {parent!r} with itself")
         if child in parent_joint:
             raise DescriptionError(
-                f"{source}: link {child!r} is the child of joint {parent_joint[child]!r} and of joint {name!r}; closed chains are not supported, "
-                "a link hangs on one joint"
+                f"{source}: link {child!r} is the child of joint {parent_joint[child]!r} and of"
+                f" joint {name!r}; closed chains are not supported, a link hangs on one joint"
             )
         parent_joint[child] = name
-        connections.append(_Connection(name, kind, parent, child, _origin(element, place, notes, straighten), element, place))
+        connections.append(
+            _Connection(
+                name,
+                kind,
+                parent,
+                child,
+                _origin(element, place, notes, straighten),
+                element,
+                place,
+            )
+        )
     return connections
 
 
@@ -198,7 +249,9 @@ def _end(element: Element, end: str, bodies: dict[str, _Body], place: str) -> st
         raise DescriptionError(f"{place}: <{end} link=...> is missing")
     name = required(found, "link", place)
     if name not in bodies:
-        raise DescriptionError(f"{place}: the {end} link {name!r} does not exist{close_match(name, bodies)}")
+        raise DescriptionError(
+            f"{place}: the {end} link {name!r} does not exist{close_match(name, bodies)}"
+        )
     return name
 
 
@@ -206,15 +259,26 @@ def _root_link(bodies: dict[str, _Body], connections: list[_Connection], source:
     children = {connection.child for connection in connections}
     tops = [name for name in bodies if name not in children]
     if not tops:
-        raise DescriptionError(f"{source}: every link is the child of a joint, so the joints form a loop; one link must be the root")
+        raise DescriptionError(
+            f"{source}: every link is the child of a joint, so the joints form a loop; one link"
+            " must be the root"
+        )
     if len(tops) > 1:
         raise DescriptionError(
-            f"{source}: {len(tops)} links have no parent joint ({', '.join(repr(name) for name in tops[:5])}); a robot has one root: connect the others to it"
+            f"{source}: {len(tops)} links have no parent joint"
+            f" ({', '.join(repr(name) for name in tops[:5])}); a robot has one root: connect the"
+            " others to it"
         )
     return tops[0]
 
 
-def _merged(top: str, bodies: dict[str, _Body], connections: list[_Connection], source: str, notes: list[str]) -> _Tree:
+def _merged(
+    top: str,
+    bodies: dict[str, _Body],
+    connections: list[_Connection],
+    source: str,
+    notes: list[str],
+) -> _Tree:
     tree = _Tree()
     below: dict[str, list[_Connection]] = {}
     for connection in connections:
@@ -238,7 +302,10 @@ def _merged(top: str, bodies: dict[str, _Body], connections: list[_Connection], 
         waiting.extend((after, carrier, pose) for after in reversed(below.get(body.name, [])))
     if len(reached) < len(bodies):
         lost = next(name for name in bodies if name not in reached)
-        raise DescriptionError(f"{source}: link {lost!r} cannot be reached from the root link {top!r}; its joints form a loop")
+        raise DescriptionError(
+            f"{source}: link {lost!r} cannot be reached from the root link {top!r}; its joints form"
+            " a loop"
+        )
     return tree
 
 
@@ -257,14 +324,20 @@ def _joint(connection: _Connection, parent: int, pose: Array, notes: list[str]) 
 
 def _axis(connection: _Connection, notes: list[str]) -> Array:
     element = connection.element.find("axis")
-    given = np.array([1.0, 0.0, 0.0] if element is None else numbers(element, "xyz", 3, connection.place))
+    given = np.array(
+        [1.0, 0.0, 0.0] if element is None else numbers(element, "xyz", 3, connection.place)
+    )
     length = float(np.linalg.norm(given))
     if length == 0.0:
         raise DescriptionError(
-            f'{connection.place}: the axis is {given.tolist()} and has no direction; give a unit vector such as xyz="0 0 1"'
+            f"{connection.place}: the axis is {given.tolist()} and has no direction; give a unit"
+            ' vector such as xyz="0 0 1"'
         )
     if abs(length - 1.0) > AXIS_TOLERANCE:
-        notes.append(f"{connection.place}: the axis {given.tolist()} has length {length:.6g} and is scaled to 1")
+        notes.append(
+            f"{connection.place}: the axis {given.tolist()} has length {length:.6g} and is scaled"
+            " to 1"
+        )
     return given / length
 
 
@@ -276,7 +349,9 @@ def _limits(connection: _Connection, notes: list[str]) -> JointLimits:
     if connection.kind == "continuous":
         lower, upper = -np.inf, np.inf
     if lower > upper:
-        raise DescriptionError(f"{place}: lower limit {lower} exceeds upper limit {upper}; swap them")
+        raise DescriptionError(
+            f"{place}: lower limit {lower} exceeds upper limit {upper}; swap them"
+        )
     bounds = {}
     for attribute in ("velocity", "effort"):
         value = number(element, attribute, place, np.inf)
@@ -286,7 +361,9 @@ def _limits(connection: _Connection, notes: list[str]) -> JointLimits:
             notes.append(f"{place}: {attribute} limit is 0, which is taken as not stated")
             value = np.inf
         bounds[attribute] = value
-    return JointLimits(lower=lower, upper=upper, velocity=bounds["velocity"], torque=bounds["effort"])
+    return JointLimits(
+        lower=lower, upper=upper, velocity=bounds["velocity"], torque=bounds["effort"]
+    )
 
 
 def _drive(connection: _Connection) -> DriveValues:

@@ -31,7 +31,10 @@ def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
     try:
         size = path.stat().st_size
         if size > LARGEST_DESCRIPTION:
-            raise DescriptionError(f"{path} has {size / 1e6:.0f} MB; a robot description has at most {LARGEST_DESCRIPTION / 1e6:.0f} MB")
+            raise DescriptionError(
+                f"{path} has {size / 1e6:.0f} MB; a robot description has at most"
+                f" {LARGEST_DESCRIPTION / 1e6:.0f} MB"
+            )
         return path.read_bytes(), str(path)
     except (OSError, ValueError) as error:
         raise DescriptionError(f"{path} cannot be read: {error}") from None
@@ -41,7 +44,9 @@ def outermost_tag(content: bytes) -> str:
     """Return the name of the first element of an XML text, comments passed over; an empty text where there is none."""
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         content = content.decode("utf-16", "replace").encode()
-    match = re.search(rb"<(?:\w+:)?([A-Za-z_][\w.-]*)", re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL))
+    match = re.search(
+        rb"<(?:\w+:)?([A-Za-z_][\w.-]*)", re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL)
+    )
     return match[1].decode() if match else ""
 
 
@@ -52,7 +57,8 @@ def parsed_xml(content: bytes, source: str) -> Element:
     except DefusedXmlException as error:
         what = type(error).__name__.removesuffix("Forbidden").lower()
         raise DescriptionError(
-            f"{source}: the XML declares or refers to {what} ({error}); a robot description needs none, and they can hide an attack: remove them"
+            f"{source}: the XML declares or refers to {what} ({error}); a robot description needs"
+            " none, and they can hide an attack: remove them"
         ) from None
     except ParseError as error:
         raise DescriptionError(f"{source}: this is not well-formed XML: {error}") from None
@@ -64,12 +70,14 @@ def parsed_xml(content: bytes, source: str) -> Element:
         namespace, _, tag = element.tag.rpartition("}")
         if "xacro" in namespace:
             raise DescriptionError(
-                f"{source}: the file holds <xacro:{tag}>, so it is not expanded yet: run  xacro FILE > robot.urdf  and load that"
+                f"{source}: the file holds <xacro:{tag}>, so it is not expanded yet: run  xacro"
+                " FILE > robot.urdf  and load that"
             )
         for attribute, value in element.attrib.items():
             if "${" in value or "$(" in value:
                 raise DescriptionError(
-                    f"{source}: <{tag}> has {attribute}={value!r}, a xacro expression that is not expanded yet: run  xacro FILE > robot.urdf  and load that"
+                    f"{source}: <{tag}> has {attribute}={value!r}, a xacro expression that is not"
+                    " expanded yet: run  xacro FILE > robot.urdf  and load that"
                 )
         element.tag = tag
     return root
@@ -87,7 +95,9 @@ def number(element: Element, attribute: str, place: str, default: float | None =
     """Return a finite number from an attribute; raises `DescriptionError` where it is missing (without default), no number or not finite."""
     if default is not None and element.get(attribute) is None:
         return default
-    return finite_number(required(element, attribute, place), f"{place}: {attribute} of <{element.tag}>")
+    return finite_number(
+        required(element, attribute, place), f"{place}: {attribute} of <{element.tag}>"
+    )
 
 
 def numbers(element: Element, attribute: str, count: int, place: str) -> list[float]:

@@ -19,10 +19,16 @@ LENGTH_TOLERANCE = 1e-12
 """Letters must stand for the lengths of a placement to this [m]."""
 
 
-def lettered_translation(transform: Array, letters: Letters | None, lengths: Mapping[str, float]) -> Letters:
+def lettered_translation(
+    transform: Array, letters: Letters | None, lengths: Mapping[str, float]
+) -> Letters:
     """Return the letters of a placement's translation, or its numbers where it has none or they say something else."""
     translation = transform[:3, 3]
-    if letters is not None and np.abs(length_values(letters, {**lengths, NUMBER: 1.0}) - translation).max() < LENGTH_TOLERANCE:
+    if (
+        letters is not None
+        and np.abs(length_values(letters, {**lengths, NUMBER: 1.0}) - translation).max()
+        < LENGTH_TOLERANCE
+    ):
         return letters
     return tuple(((float(value), NUMBER),) if value else () for value in translation)
 
@@ -58,8 +64,14 @@ def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
     joints = []
     for joint in model.joints:
         before, after = (
-            placement(transform[:3, :3], length_values(lettered_translation(transform, letters, model.lengths), values))
-            for transform, letters in ((joint.before, joint.before_letters), (joint.after, joint.after_letters))
+            placement(
+                transform[:3, :3],
+                length_values(lettered_translation(transform, letters, model.lengths), values),
+            )
+            for transform, letters in (
+                (joint.before, joint.before_letters),
+                (joint.after, joint.after_letters),
+            )
         )
         joints.append(replace(joint, before=before, after=after))
     return replace(model, joints=tuple(joints), lengths=dict(lengths))

@@ -74,7 +74,8 @@ class BaseParameters:
         given = np.asarray(chi, dtype=np.float64)
         if given.shape != (self.n_standard,):
             raise UsageError(
-                f"{self.robot} with drive terms {self.drive} has {self.n_standard} standard parameters, got shape {given.shape}"
+                f"{self.robot} with drive terms {self.drive} has {self.n_standard} standard"
+                f" parameters, got shape {given.shape}"
             )
         unknown = np.isnan(given)
         beta = self.regrouping @ np.where(unknown, 0.0, given)
@@ -114,20 +115,31 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
         columns=found.columns,
         regrouping=found.matrix,
         expressions=tuple(
-            _written({int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)}, column, names)
+            _written(
+                {int(j): Polynomial.number(row[j]) for j in np.flatnonzero(row)}, column, names
+            )
             for row, column in zip(found.matrix, found.columns, strict=True)
         ),
-        symbolic=tuple(_written(row, column, names) for row, column in zip(lettered, found.columns, strict=True)),
+        symbolic=tuple(
+            _written(row, column, names)
+            for row, column in zip(lettered, found.columns, strict=True)
+        ),
         standard=parameter_verdicts(model, drive, found, names),
     )
 
 
-def _disagreement(model: RobotModel, drive: DriveSet, structural: int, numeric: ObservationRank) -> str:
-    sizes = numeric.singular_values[max(0, min(structural, numeric.rank) - 1) : max(structural, numeric.rank) + 1]
+def _disagreement(
+    model: RobotModel, drive: DriveSet, structural: int, numeric: ObservationRank
+) -> str:
+    sizes = numeric.singular_values[
+        max(0, min(structural, numeric.rank) - 1) : max(structural, numeric.rank) + 1
+    ]
     return (
-        f"{model.name} with drive terms {drive}: its structure gives {structural} base parameters, but the numeric rank of a random observation "
-        f"matrix is {numeric.rank} (singular values there, relative to the largest: {', '.join(f'{size:.1e}' for size in sizes)}). "
-        "Most likely the description is almost, but not exactly, special: write angles near right angles and lengths near zero exactly"
+        f"{model.name} with drive terms {drive}: its structure gives {structural} base parameters,"
+        f" but the numeric rank of a random observation matrix is {numeric.rank} (singular values"
+        f" there, relative to the largest: {', '.join(f'{size:.1e}' for size in sizes)}). Most"
+        " likely the description is almost, but not exactly, special: write angles near right"
+        " angles and lengths near zero exactly"
         + ("; or two drive terms have the same effect" if len(drive.terms) > 1 else "")
     )
 

@@ -50,7 +50,9 @@ class _LinkView:
     origin_moves: bool
 
 
-def parameter_verdicts(model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]) -> tuple[StandardParameter, ...]:
+def parameter_verdicts(
+    model: RobotModel, drive: DriveSet, found: Regrouping, names: Sequence[str]
+) -> tuple[StandardParameter, ...]:
     """Return the verdict on every standard parameter, in id order."""
     views = [_link_view(found, i) for i in range(model.n_joints)]
     verdicts = []
@@ -132,19 +134,34 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
         if len(slides) == 1:
             phrase = f"{name} only slides along {_a(_slope(model, slides[0]))} line and never turns"
         else:
-            phrase = f"{name} only slides, {'in a plane' if len(slides) == 2 else 'in all directions'}, and never turns"
+            phrase = (
+                f"{name} only slides, {'in a plane' if len(slides) == 2 else 'in all directions'},"
+                " and never turns"
+            )
     elif len(directions) == 1:
         slope = _slope(model, _axis_at_rest(model, turning[0]))
         if len(twists) == 1:
             phrase = f"{name} only turns about {_a(slope)} axis"
         elif len(turning) < len(chain):
-            phrase = f"{name} slides, but turns only about {'parallel' if slope == 'fixed' else slope} axes"
+            phrase = (
+                f"{name} slides, but turns only about {'parallel' if slope == 'fixed' else slope}"
+                " axes"
+            )
         else:
-            phrase = f"{name} only turns about {'' if slope == 'fixed' else slope + ', '}parallel axes"
+            phrase = (
+                f"{name} only turns about {'' if slope == 'fixed' else slope + ', '}parallel axes"
+            )
     else:
         phrase = f"{name} turns about axes of {'two' if len(directions) == 2 else 'all'} directions"
     axis = directions[0] if len(directions) == 1 else np.zeros(3)
-    return _LinkView(link + 1, phrase, len(directions), len(twists), axis, bool(np.abs(linear).max(initial=0.0) > SMALL))
+    return _LinkView(
+        link + 1,
+        phrase,
+        len(directions),
+        len(twists),
+        axis,
+        bool(np.abs(linear).max(initial=0.0) > SMALL),
+    )
 
 
 def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
@@ -153,21 +170,44 @@ def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
         if view.turns == 0:
             return f"{view.phrase}, so its moments of inertia never act"
         if view.turns == 1:
-            return f"{view.phrase}, so only its inertia about {'that axis' if view.screws == 1 else 'that direction'} acts"
-        return f"{view.phrase}, but never so that this {'moment' if letter[1] == letter[2] else 'product'} of inertia acts"
+            return (
+                f"{view.phrase}, so only its inertia about"
+                f" {'that axis' if view.screws == 1 else 'that direction'} acts"
+            )
+        return (
+            f"{view.phrase}, but never so that this"
+            f" {'moment' if letter[1] == letter[2] else 'product'} of inertia acts"
+        )
     if letter == "m":
-        still = "the origin of its frame lies on that axis" if view.turns == view.screws == 1 else "the origin of its frame never moves"
+        still = (
+            "the origin of its frame lies on that axis"
+            if view.turns == view.screws == 1
+            else "the origin of its frame never moves"
+        )
         return f"{view.phrase} and {still}, so a mass there needs no torque"
     if view.turns == 0:
         return f"{view.phrase}, so it makes no difference where in the link its mass sits"
     component = np.array([letter == "mx", letter == "my", letter == "mz"], dtype=np.float64)
     if view.turns == 1 and abs(float(view.axis @ component)) > 1.0 - SMALL:
-        return f"{view.phrase}, so it makes no difference where along {'that axis' if view.screws == 1 else 'this direction'} its mass sits"
-    work = "there is no gravity" if weightless else "gravity does no work on this part of its first moment"
+        return (
+            f"{view.phrase}, so it makes no difference where along"
+            f" {'that axis' if view.screws == 1 else 'this direction'} its mass sits"
+        )
+    work = (
+        "there is no gravity"
+        if weightless
+        else "gravity does no work on this part of its first moment"
+    )
     if view.origin_moves:
-        return f"{view.phrase}, {work}, and its inertia about its axes of motion does not depend on it either"
+        return (
+            f"{view.phrase}, {work}, and its inertia about its axes of motion does not depend on it"
+            " either"
+        )
     if view.turns == view.screws == 1:
-        return f"{view.phrase} through the origin of its frame and {work}, so the place of its mass acts only through its inertia about that axis"
+        return (
+            f"{view.phrase} through the origin of its frame and {work}, so the place of its mass"
+            " acts only through its inertia about that axis"
+        )
     return f"{view.phrase}, but the origin of its frame never moves and {work}"
 
 
@@ -179,7 +219,9 @@ def _alone(view: _LinkView, letter: str) -> str:
     return f"{view.phrase}, and no other parameter acts on the torques as {what} does"
 
 
-def _in_sums(model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, letter: str) -> str:
+def _in_sums(
+    model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, letter: str
+) -> str:
     link = column // 10
     parent = model.joints[link].parent
     own = found.null_blocks[link]
@@ -193,7 +235,10 @@ def _in_sums(model: RobotModel, found: Regrouping, views: Sequence[_LinkView], c
         return _gathered(model, link, givers)
     if parent == ROOT:
         if np.abs(own[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
-            return f"{views[link].phrase}, so it acts on joint {link + 1} just as a part of its drive does"
+            return (
+                f"{views[link].phrase}, so it acts on joint {link + 1} just as a part of its drive"
+                " does"
+            )
         return f"{views[link].phrase}, so it acts only through its inertia about that axis"
     return _moved_to_parent(model, found, views, column, letter)
 
@@ -202,38 +247,70 @@ def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:
     turning = all(model.joints[child].is_revolute for child in givers)
     unchanged = "does not change as it turns" if turning else "does not change as it moves"
     if len(givers) == 1:
-        return f"link {givers[0] + 1} hangs on link {link + 1}, and what {unchanged} acts as a part of link {link + 1}"
-    return f"links {_listed([str(child + 1) for child in givers])} hang on link {link + 1}, and what of each {unchanged} acts as a part of link {link + 1}"
+        return (
+            f"link {givers[0] + 1} hangs on link {link + 1}, and what {unchanged} acts as a part of"
+            f" link {link + 1}"
+        )
+    return (
+        f"links {_listed([str(child + 1) for child in givers])} hang on link {link + 1}, and what"
+        f" of each {unchanged} acts as a part of link {link + 1}"
+    )
 
 
-def _moved_to_parent(model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, letter: str) -> str:
+def _moved_to_parent(
+    model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, letter: str
+) -> str:
     link = column // 10
     joint, number = model.joints[link], link + 1
     axis, parent = f"the axis of joint {number}", f"link {joint.parent + 1}"
     kind = 0 if letter == "m" else 1 if letter.startswith("m") else 2
     if not joint.is_revolute and kind == 2:
-        return f"joint {number} slides, so link {number} always turns with {parent} and their inertias add up"
+        return (
+            f"joint {number} slides, so link {number} always turns with {parent} and their inertias"
+            " add up"
+        )
     axial = np.abs(found.axial_blocks[link][:, column % 10]) > SMALL
     if joint.is_revolute and axial[2]:
-        return f"equal inertias in the two directions across {axis} look the same at every angle of joint {number}, so they act as if they belonged to {parent}"
+        return (
+            f"equal inertias in the two directions across {axis} look the same at every angle of"
+            f" joint {number}, so they act as if they belonged to {parent}"
+        )
     if joint.is_revolute and column in found.columns:
-        summed = found.matrix[int(np.searchsorted(found.columns, column)), 10 * link : 10 * link + 10] != 0.0
+        summed = (
+            found.matrix[int(np.searchsorted(found.columns, column)), 10 * link : 10 * link + 10]
+            != 0.0
+        )
         for present, what, short in (
             (axial[0] and summed[9], f"a mass on {axis}", "mass"),
             (axial[1] and summed[6:9].any(), f"a first moment along {axis}", "first moment"),
         ):
             if present:
-                return f"{what} acts as if it belonged to {parent}, and what else the {short} does, it does as {letter}{number}"
+                return (
+                    f"{what} acts as if it belonged to {parent}, and what else the {short} does, it"
+                    f" does as {letter}{number}"
+                )
     if joint.is_revolute and axial[kind]:
         if kind == 0:
-            return f"the mass of link {number} acts only together with {parent}, because a mass on {axis} moves with {parent} whatever joint {number} does"
-        return f"a first moment along {axis} stays as it is while joint {number} turns, so it acts as if it belonged to {parent}"
+            return (
+                f"the mass of link {number} acts only together with {parent}, because a mass on"
+                f" {axis} moves with {parent} whatever joint {number} does"
+            )
+        return (
+            f"a first moment along {axis} stays as it is while joint {number} turns, so it acts as"
+            f" if it belonged to {parent}"
+        )
     block = found.null_blocks[link]
     mine = np.abs(block[:, column]) > SMALL
     if np.abs(block[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
-        return f"{views[joint.parent].phrase}, never along {axis}, so a part of the drive of joint {number} acts just as it does"
+        return (
+            f"{views[joint.parent].phrase}, never along {axis}, so a part of the drive of joint"
+            f" {number} acts just as it does"
+        )
     moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max(initial=0.0) > SMALL
-    return f"{views[joint.parent].phrase}, too little to tell this part of link {number} from {parent if moves else 'its others'}"
+    return (
+        f"{views[joint.parent].phrase}, too little to tell this part of link {number} from"
+        f" {parent if moves else 'its others'}"
+    )
 
 
 def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
@@ -242,35 +319,64 @@ def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status)
     if not term.is_at(joint):
         return f"joint {joint + 1} is not among the joints that {term.key} was chosen for"
     if term.of_motor and status == "unidentifiable":
-        return f"motor {joint + 1} turns with joint {joint + 1} alone, where {term.key.removeprefix('motor_')} says the same"
+        return (
+            f"motor {joint + 1} turns with joint {joint + 1} alone, where"
+            f" {term.key.removeprefix('motor_')} says the same"
+        )
     if term.of_motor and status == "grouped":
-        return f"motor {joint + 1} turns just as a link does, so its rotor acts as an inertia of that link"
+        return (
+            f"motor {joint + 1} turns just as a link does, so its rotor acts as an inertia of that"
+            " link"
+        )
     if term.key == "balancer" and status == "grouped":
-        return f"gravity looks the same to joint {joint + 1} at all times, so a first moment of link {joint + 1} acts just as its balancer does"
+        return (
+            f"gravity looks the same to joint {joint + 1} at all times, so a first moment of link"
+            f" {joint + 1} acts just as its balancer does"
+        )
     if term.key.startswith("asymmetric") and status == "grouped":
         return f"other terms of the drive of joint {joint + 1} make up the same torque"
     return ""
 
 
-def _of_drive(model: RobotModel, views: Sequence[_LinkView], joint: int, *, letter: str, status: Status) -> str:
+def _of_drive(
+    model: RobotModel, views: Sequence[_LinkView], joint: int, *, letter: str, status: Status
+) -> str:
     number = joint + 1
     parent = model.joints[joint].parent
     turns = model.joints[joint].is_revolute
     if letter == "Fv":
-        return f"its torque follows the speed of joint {number} alone and turns into heat, as that of no inertia does"
+        return (
+            f"its torque follows the speed of joint {number} alone and turns into heat, as that of"
+            " no inertia does"
+        )
     if letter == "Fc":
-        return f"its torque follows the direction in which joint {number} moves, and nothing else does"
+        return (
+            f"its torque follows the direction in which joint {number} moves, and nothing else does"
+        )
     if letter == "Fo":
         if status == "identifiable":
             return f"nothing else gives joint {number} a constant {'torque' if turns else 'force'}"
-        return f"joint {number} slides at a constant slope, so the weight it carries is as constant as the offset of its drive"
+        return (
+            f"joint {number} slides at a constant slope, so the weight it carries is as constant as"
+            " the offset of its drive"
+        )
     if letter == "Ia" and status == "identifiable":
-        return f"it acts on joint {number} alone, while the inertia of link {number} also couples with the motion of link {parent + 1}"
+        return (
+            f"it acts on joint {number} alone, while the inertia of link {number} also couples with"
+            f" the motion of link {parent + 1}"
+        )
     if letter == "Ia":
         ahead = (
-            f"the axis of joint {number} is fixed" if parent == ROOT else f"{views[parent].phrase}, never along the axis of joint {number}"
+            f"the axis of joint {number} is fixed"
+            if parent == ROOT
+            else f"{views[parent].phrase}, never along the axis of joint {number}"
         )
-        return f"{ahead}, so the armature acts as {'an inertia of link' if turns else 'a mass of link'} {number}"
+        return (
+            f"{ahead}, so the armature acts as"
+            f" {'an inertia of link' if turns else 'a mass of link'} {number}"
+        )
     return (
-        f"its torque at joint {number} differs from that of every other parameter" if status == "identifiable" else "it acts only in a sum"
+        f"its torque at joint {number} differs from that of every other parameter"
+        if status == "identifiable"
+        else "it acts only in a sum"
     )

@@ -47,14 +47,20 @@ def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
     Y = np.zeros((n, samples, n_columns))
     rigid = Y[:, :, : 10 * n]
     _rigid_body_columns(model, q, qd, qdd, rigid)
-    load = np.stack([rows @ rng.uniform(0.5, 1.5, 10 * n) for rows in rigid], axis=1) if drive.needs_load else None
+    load = (
+        np.stack([rows @ rng.uniform(0.5, 1.5, 10 * n) for rows in rigid], axis=1)
+        if drive.needs_load
+        else None
+    )
     drive = DriveSet(tuple(term.typical() for term in drive.terms))
     shares, of_motor = model.motor_shares, drive.of_motor
     for k in range(n):
         first = 10 * n + drive.columns_per_joint * k
         columns = drive_columns(drive, k, q, qd, qdd, load=load, shares=shares).T
         for j in range(n):
-            Y[j, :, first : first + drive.columns_per_joint] = columns * np.where(of_motor, shares[k, j], float(j == k))
+            Y[j, :, first : first + drive.columns_per_joint] = columns * np.where(
+                of_motor, shares[k, j], float(j == k)
+            )
     stacked = Y.reshape(n * samples, n_columns)
     sizes = np.linalg.norm(stacked, axis=0)
     present = sizes > ABSENT_COLUMN * sizes.max()
@@ -67,7 +73,13 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
     """Fill `out` (n, n_samples, 10 n) by Kane's equations."""
     samples, n = q.shape
     still = np.zeros((samples, 3))
-    ahead = (np.broadcast_to(np.eye(3), (samples, 3, 3)), still, still, still, np.broadcast_to(-model.gravity, (samples, 3)))
+    ahead = (
+        np.broadcast_to(np.eye(3), (samples, 3, 3)),
+        still,
+        still,
+        still,
+        np.broadcast_to(-model.gravity, (samples, 3)),
+    )
     states = {ROOT: ahead}
     axes, points = np.zeros((n, samples, 3)), np.zeros((n, samples, 3))
     revolute = np.array([joint.is_revolute for joint in model.joints])
@@ -91,7 +103,13 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
         else:
             slid = q[:, i, None] * z
             p = p + slid
-            a = a + _cross(dw, slid) + _cross(w, _cross(w, slid)) + 2.0 * _cross(w, rate * z) + acceleration * z
+            a = (
+                a
+                + _cross(dw, slid)
+                + _cross(w, _cross(w, slid))
+                + 2.0 * _cross(w, rate * z)
+                + acceleration * z
+            )
         arm = R @ joint.after[:3, 3]
         R = R @ joint.after[:3, :3]
         p, a = p + arm, a + _cross(dw, arm) + _cross(w, _cross(w, arm))
@@ -101,7 +119,9 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
         turns = revolute[chain, None, None]
         angular = np.where(turns, axes[chain], 0.0)
         linear = np.where(turns, _cross(axes[chain], p - points[chain]), axes[chain])
-        partial = np.concatenate([np.swapaxes(angular, 0, 1) @ R, np.swapaxes(linear, 0, 1) @ R], axis=2)
+        partial = np.concatenate(
+            [np.swapaxes(angular, 0, 1) @ R, np.swapaxes(linear, 0, 1) @ R], axis=2
+        )
         out[chain, :, 10 * i : 10 * i + 10] = np.swapaxes(partial @ body, 0, 1)
 
 
@@ -117,7 +137,9 @@ def _inertia_forces(w: Array, dw: Array, a: Array) -> Array:
         body[:, :3, column] = dw @ tensor + _cross(w, w @ tensor)
     for k, unit in enumerate(np.eye(3)):
         body[:, :3, 6 + k] = _cross(np.broadcast_to(unit, a.shape), a)
-        body[:, 3:, 6 + k] = _cross(dw, np.broadcast_to(unit, a.shape)) + _cross(w, _cross(w, np.broadcast_to(unit, a.shape)))
+        body[:, 3:, 6 + k] = _cross(dw, np.broadcast_to(unit, a.shape)) + _cross(
+            w, _cross(w, np.broadcast_to(unit, a.shape))
+        )
     body[:, 3:, 9] = a
     return body
 

@@ -25,7 +25,14 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.structure import IMITABLE, DriveStructure, drive_structure, realisable
 from asbuilt.dynamics.parameters import parameter_count
 
-AXIAL = np.array([[0, 0, 0, 0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 0, 0, 0, 1, 0], [1, 0, 0, 1, 0, 0, 0, 0, 0, 0]], dtype=np.float64)
+AXIAL = np.array(
+    [
+        [0, 0, 0, 0, 0, 0, 0, 0, 0, 1],
+        [0, 0, 0, 0, 0, 0, 0, 0, 1, 0],
+        [1, 0, 0, 1, 0, 0, 0, 0, 0, 0],
+    ],
+    dtype=np.float64,
+)
 """A mass on the z axis, a first moment along it, and `Ixx = Iyy`: what a turn about z leaves as it is."""
 
 LETTER_TOLERANCE = 1e-9
@@ -57,13 +64,20 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
     model = nearest_origins(model)
     size = characteristic_length(model)
-    structure = drive_structure(model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints]))
+    structure = drive_structure(
+        model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints])
+    )
     directions, motions = transferable_directions(model, structure.imitable)
     to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
     scales = _scales(model, drive)
     blocks = _null_blocks(model, drive, directions, to_link, structure, scales)
-    redundant = np.hstack([np.zeros((len(structure.redundant), 10 * model.n_joints)), structure.redundant]) / scales
-    echelon, dependent = reversed_echelon(np.vstack([*_realised(model, drive, directions, blocks, structure), redundant]))
+    redundant = (
+        np.hstack([np.zeros((len(structure.redundant), 10 * model.n_joints)), structure.redundant])
+        / scales
+    )
+    echelon, dependent = reversed_echelon(
+        np.vstack([*_realised(model, drive, directions, blocks, structure), redundant])
+    )
     columns = np.setdiff1d(np.arange(len(scales)), dependent)
     matrix = np.zeros((len(columns), len(scales)))
     matrix[np.arange(len(columns)), columns] = 1.0
@@ -90,24 +104,38 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
     fails - its factors are no polynomials, or only right for these lengths - keeps its numbers.
     """
     n_standard = found.matrix.shape[1]
-    numbers: list[Row] = [{int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)} for row in found.matrix]
+    numbers: list[Row] = [
+        {int(j): Polynomial.number(float(row[j])) for j in np.flatnonzero(row)}
+        for row in found.matrix
+    ]
     if not model.lengths or found.structure.motor_columns.any():
         return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
-    combined = dependent_columns(_lettered_null_rows(model, found), [int(pivot) for pivot in pivots])
+    combined = dependent_columns(
+        _lettered_null_rows(model, found), [int(pivot) for pivot in pivots]
+    )
     if combined is None:
         return numbers
-    rows: dict[int, Row] = {int(column): {int(column): Polynomial.number(1.0)} for column in found.columns}
+    rows: dict[int, Row] = {
+        int(column): {int(column): Polynomial.number(1.0)} for column in found.columns
+    }
     for j, members in combined.items():
         for b, factor in members.items():
             rows[b][j] = factor
-    other = {letter: value * (1.2 + 0.3 * np.sin(k + 1.0)) for k, (letter, value) in enumerate(model.lengths.items())}
+    other = {
+        letter: value * (1.2 + 0.3 * np.sin(k + 1.0))
+        for k, (letter, value) in enumerate(model.lengths.items())
+    }
     elsewhere = structural_regrouping(same_build(found.model, other), drive)
     if not np.array_equal(elsewhere.columns, found.columns):
         return numbers
     checks = ((found.matrix, model.lengths), (elsewhere.matrix, other))
     return [
-        lettered if all(_agree(lettered, matrix[b], lengths) for matrix, lengths in checks) else numbers[b]
+        (
+            lettered
+            if all(_agree(lettered, matrix[b], lengths) for matrix, lengths in checks)
+            else numbers[b]
+        )
         for b, lettered in enumerate(dict(sorted(row.items())) for row in rows.values())
     ]
 
@@ -129,21 +157,35 @@ def _lettered_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
     first, strength = 10 * model.n_joints, float(np.linalg.norm(model.gravity))
     ways = found.structure.ways
     per = ways.shape[2]
-    units = np.array([_function_units(joint.is_revolute, found.size, strength) for joint in model.joints])
+    units = np.array(
+        [_function_units(joint.is_revolute, found.size, strength) for joint in model.joints]
+    )
     rows = null_rows(found.model, found.directions)
     changes = [
-        np.stack([each.armature, each.offset, each.sine, each.cosine], axis=1) * units[each.link] @ ways[each.link]
+        np.stack([each.armature, each.offset, each.sine, each.cosine], axis=1)
+        * units[each.link]
+        @ ways[each.link]
         for each in found.directions
     ]
     links = [each.link for each in found.directions for _ in range(len(each.child))]
     for row, link, change in zip(rows, links, np.vstack(changes), strict=True):
-        row |= {first + per * link + int(c): Polynomial.number(float(change[c])) for c in np.flatnonzero(change)}
+        row |= {
+            first + per * link + int(c): Polynomial.number(float(change[c]))
+            for c in np.flatnonzero(change)
+        }
     for redundant in found.structure.redundant:
-        rows.append({first + int(c): Polynomial.number(float(redundant[c])) for c in np.flatnonzero(redundant)})
+        rows.append(
+            {
+                first + int(c): Polynomial.number(float(redundant[c]))
+                for c in np.flatnonzero(redundant)
+            }
+        )
     return rows
 
 
-def _function_units(revolute: bool, size: float, strength: float) -> tuple[float, float, float, float]:
+def _function_units(
+    revolute: bool, size: float, strength: float
+) -> tuple[float, float, float, float]:
     """Return one unit of the changes of armature, offset, sine and cosine in lengths divided by the robot's size and forces divided by gravity."""
     force = strength if strength > 0.0 else 1.0
     return (size**2, force, force * size, force * size) if revolute else (1.0, force, 1.0, 1.0)
@@ -178,9 +220,13 @@ def _null_blocks(
         block = np.zeros((len(found.child), parameter_count(model, drive)))
         block[:, 10 * found.link : 10 * found.link + 10] = found.child @ shift.T
         if joint.parent >= 0:
-            block[:, 10 * joint.parent : 10 * joint.parent + 10] = -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
+            block[:, 10 * joint.parent : 10 * joint.parent + 10] = (
+                -found.onto_parent @ shift_matrix(_sized(joint.before, size)).T
+            )
         own = slice(first + per * found.link, first + per * (found.link + 1))
-        units = np.array(_function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity))))
+        units = np.array(
+            _function_units(joint.is_revolute, size, float(np.linalg.norm(model.gravity)))
+        )
         changes = np.stack([found.armature, found.offset, found.sine, found.cosine], axis=1)
         block[:, own] = (changes * units @ structure.ways[found.link]) / scales[own]
         blocks.append(block)
@@ -188,7 +234,11 @@ def _null_blocks(
 
 
 def _realised(
-    model: RobotModel, drive: DriveSet, directions: list[TransferableDirections], blocks: Sequence[Array], structure: DriveStructure
+    model: RobotModel,
+    drive: DriveSet,
+    directions: list[TransferableDirections],
+    blocks: Sequence[Array],
+    structure: DriveStructure,
 ) -> list[Array]:
     """Return the null vectors of the torques: the directions themselves, or such sums of them that the motors' armatures can take part in."""
     if not structure.motor_columns.any():

@@ -63,8 +63,22 @@ SHIFT_LINEAR, SHIFT_SQUARE = _translation_tensors()
 
 def _turn_harmonics() -> tuple[Array, Array]:
     angles = 2.0 * np.pi * np.arange(5) / 5.0
-    turns = [np.array([[np.cos(q), -np.sin(q), 0.0], [np.sin(q), np.cos(q), 0.0], [0.0, 0.0, 1.0]]) for q in angles]
-    fourier = np.linalg.inv(np.stack([angles * 0 + 1, np.cos(angles), np.sin(angles), np.cos(2 * angles), np.sin(2 * angles)], axis=1))
+    turns = [
+        np.array([[np.cos(q), -np.sin(q), 0.0], [np.sin(q), np.cos(q), 0.0], [0.0, 0.0, 1.0]])
+        for q in angles
+    ]
+    fourier = np.linalg.inv(
+        np.stack(
+            [
+                angles * 0 + 1,
+                np.cos(angles),
+                np.sin(angles),
+                np.cos(2 * angles),
+                np.sin(2 * angles),
+            ],
+            axis=1,
+        )
+    )
     shifts = np.einsum("ka,aij->kij", fourier, [shift_of_rotation(turn) for turn in turns])
     rotations = np.einsum("ka,aij->kij", fourier, turns)
     return np.round(8.0 * shifts) / 8.0, np.round(8.0 * rotations) / 8.0
@@ -99,7 +113,9 @@ def kinetic_functional(u: Array, w: Array) -> Array:
     """
     angular = u[..., :3, None] * w[..., None, :3]
     angular = angular + angular.swapaxes(-1, -2)
-    inertia = np.stack([angular[..., i, j] / (4.0 if i == j else 2.0) for i, j in SYMMETRIC], axis=-1)
+    inertia = np.stack(
+        [angular[..., i, j] / (4.0 if i == j else 2.0) for i, j in SYMMETRIC], axis=-1
+    )
     moment = (np.cross(u[..., 3:], w[..., :3]) + np.cross(w[..., 3:], u[..., :3])) / 2.0
     mass = np.sum(u[..., 3:] * w[..., 3:], axis=-1, keepdims=True) / 2.0
     return np.concatenate([inertia, moment, mass], axis=-1)
@@ -197,12 +213,18 @@ class Imitable:
 
 def characteristic_length(model: RobotModel) -> float:
     """Return the power of two next to the robot's largest offset between joints [m], 1 where all are zero."""
-    sizes = [np.abs(placement[:3, 3]).max() for joint in model.joints for placement in (joint.before, joint.after)]
+    sizes = [
+        np.abs(placement[:3, 3]).max()
+        for joint in model.joints
+        for placement in (joint.before, joint.after)
+    ]
     largest = max(sizes)
     return float(2.0 ** np.round(np.log2(largest))) if largest > 0.0 else 1.0
 
 
-def transferable_directions(model: RobotModel, imitable: Sequence[Imitable]) -> tuple[list[TransferableDirections], list[LinkMotion]]:
+def transferable_directions(
+    model: RobotModel, imitable: Sequence[Imitable]
+) -> tuple[list[TransferableDirections], list[LinkMotion]]:
     """Return, link by link, all directions in which parameters move to the parent without a trace, and what each link can do.
 
     With the last links first, these directions span the null space of the torques (Lagrangian argument in the derivation). `imitable` says
@@ -210,8 +232,14 @@ def transferable_directions(model: RobotModel, imitable: Sequence[Imitable]) -> 
     """
     n, size = model.n_joints, characteristic_length(model)
     strength = float(np.linalg.norm(model.gravity))
-    gravity = np.append(model.gravity / strength, 1.0) if strength > 0.0 else np.array([0.0, 0.0, 0.0, 1.0])
-    root = LinkMotion(np.zeros((0, 6)), np.zeros((0, 10)), row_space(gravity[None]), np.zeros((0, 6 + n)))
+    gravity = (
+        np.append(model.gravity / strength, 1.0)
+        if strength > 0.0
+        else np.array([0.0, 0.0, 0.0, 1.0])
+    )
+    root = LinkMotion(
+        np.zeros((0, 6)), np.zeros((0, 10)), row_space(gravity[None]), np.zeros((0, 6 + n))
+    )
     motions: list[LinkMotion] = []
     directions: list[TransferableDirections] = []
     for c, joint in enumerate(model.joints):
@@ -219,25 +247,45 @@ def transferable_directions(model: RobotModel, imitable: Sequence[Imitable]) -> 
             parent, fixed = root, joint.before
         else:
             parent, fixed = motions[joint.parent], model.joints[joint.parent].after @ joint.before
-        motion, found = _pass_joint(parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c])
+        motion, found = _pass_joint(
+            parent, fixed[:3, :3], fixed[:3, 3] / size, joint.is_revolute, c, imitable[c]
+        )
         motions.append(motion)
         shifts = TURN_SHIFTS if joint.is_revolute else SLIDE_SHIFTS
-        onto_parent = found[:, :10] @ shifts[0].T if joint.parent >= 0 else np.zeros((len(found), 10))
+        onto_parent = (
+            found[:, :10] @ shifts[0].T if joint.parent >= 0 else np.zeros((len(found), 10))
+        )
         directions.append(
-            TransferableDirections(c, found[:, :10], onto_parent, found[:, 10], found[:, 11], found[:, 12], found[:, 13], found[:, 14:])
+            TransferableDirections(
+                c,
+                found[:, :10],
+                onto_parent,
+                found[:, 10],
+                found[:, 11],
+                found[:, 12],
+                found[:, 13],
+                found[:, 14:],
+            )
         )
     return directions, motions
 
 
 def _pass_joint(
-    parent: LinkMotion, rotation: Array, translation: Array, turns: bool, number: int, imitable: Imitable
+    parent: LinkMotion,
+    rotation: Array,
+    translation: Array,
+    turns: bool,
+    number: int,
+    imitable: Imitable,
 ) -> tuple[LinkMotion, Array]:
     """Carry what the parent can do through one joint; return what the child can do and its directions (k, 14 + n): ten, then those of the drive."""
     to_joint = np.zeros((6, 6))
     to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
     to_joint[3:, :3] = -rotation.T @ _cross(translation)
     shift = (
-        np.eye(10) + np.einsum("a,aij->ij", translation, SHIFT_LINEAR) + np.einsum("a,b,abij->ij", translation, translation, SHIFT_SQUARE)
+        np.eye(10)
+        + np.einsum("a,aij->ij", translation, SHIFT_LINEAR)
+        + np.einsum("a,b,abij->ij", translation, translation, SHIFT_SQUARE)
     )
     shift = shift @ shift_of_rotation(rotation)
     twists = parent.twists @ to_joint.T
@@ -250,7 +298,9 @@ def _pass_joint(
     moved = np.einsum("kij,vj->kvi", moves, twists).reshape(-1, 6)
     own = kinetic_functional(axis, axis)[None]
     carried = np.einsum("vi,kij->kvj", kinetic, shifts)
-    on_moment = np.hstack([np.zeros((len(gravity), 6)), gravity[:, :3], np.zeros((len(gravity), 1))])
+    on_moment = np.hstack(
+        [np.zeros((len(gravity), 6)), gravity[:, :3], np.zeros((len(gravity), 1))]
+    )
     weights = np.einsum("vi,kij->kvj", on_moment, shifts)
     n = parent.paced.shape[1] - 6
     paced = np.einsum("kij,vj->kvi", moves, parent.paced[:, :6] @ to_joint.T)
@@ -260,7 +310,9 @@ def _pass_joint(
 
     blocks: list[Array] = []
 
-    def demand(rows: Array, *, of_drive: int = 0, change: Array | float = 0.0, mutual: Array | None = None) -> None:
+    def demand(
+        rows: Array, *, of_drive: int = 0, change: Array | float = 0.0, mutual: Array | None = None
+    ) -> None:
         block = np.zeros((len(rows), 14 + n))
         block[:, :10] = rows
         if of_drive:
@@ -288,15 +340,27 @@ def _pass_joint(
     blocks.append(np.eye(14 + n)[~allowed])
     found, _ = reversed_echelon(null_space(np.vstack(blocks)))
 
-    turned = np.einsum("vi,kij->kvj", gravity[:, :3], _TURN_ROTATIONS[:3] if turns else np.eye(3)[None])
+    turned = np.einsum(
+        "vi,kij->kvj", gravity[:, :3], _TURN_ROTATIONS[:3] if turns else np.eye(3)[None]
+    )
     ones = np.zeros((*turned.shape[:2], 1))
     ones[0, :, 0] = gravity[:, 3]
     beat = np.zeros(6 + n)
     beat[:6], beat[6 + number] = axis, 1.0
     motion = LinkMotion(
         twists=row_space(np.vstack([moved, axis])),
-        kinetic=row_space(np.vstack([carried.reshape(-1, 10), kinetic_functional(moved, np.broadcast_to(axis, moved.shape)), own])),
+        kinetic=row_space(
+            np.vstack(
+                [
+                    carried.reshape(-1, 10),
+                    kinetic_functional(moved, np.broadcast_to(axis, moved.shape)),
+                    own,
+                ]
+            )
+        ),
         gravity=row_space(np.concatenate([turned, ones], axis=2).reshape(-1, 4)),
-        paced=row_space(np.vstack([np.concatenate([paced, beats], axis=2).reshape(-1, 6 + n), beat])),
+        paced=row_space(
+            np.vstack([np.concatenate([paced, beats], axis=2).reshape(-1, 6 + n), beat])
+        ),
     )
     return motion, found

@@ -38,7 +38,11 @@ class Polynomial:
     __slots__ = ("terms",)
 
     def __init__(self, terms: Mapping[Monomial, float]) -> None:
-        self.terms = {monomial: factor for monomial, factor in terms.items() if abs(factor) > COEFFICIENT_TOLERANCE}
+        self.terms = {
+            monomial: factor
+            for monomial, factor in terms.items()
+            if abs(factor) > COEFFICIENT_TOLERANCE
+        }
 
     @classmethod
     def number(cls, value: float) -> Polynomial:
@@ -80,7 +84,10 @@ class Polynomial:
 
     def value(self, lengths: Mapping[str, float]) -> float:
         """Return the value at given lengths."""
-        return sum(factor * prod(lengths[letter] for letter in monomial) for monomial, factor in self.terms.items())
+        return sum(
+            factor * prod(lengths[letter] for letter in monomial)
+            for monomial, factor in self.terms.items()
+        )
 
     def __repr__(self) -> str:
         return written([("", self)]) or "0"
@@ -97,12 +104,16 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -
     for found in directions:
         joint = model.joints[found.link]
         R = joint.after[:3, :3]
-        back = rotated_letters(-R.T, lettered_translation(joint.after, joint.after_letters, model.lengths))
+        back = rotated_letters(
+            -R.T, lettered_translation(joint.after, joint.after_letters, model.lengths)
+        )
         there = lettered_translation(joint.before, joint.before_letters, model.lengths)
         for k in range(len(found.child)):
             row = _shifted(found.child[k] * physical, R.T, back, 10 * found.link)
             if joint.parent >= 0:
-                row |= _shifted(-found.onto_parent[k] * physical, joint.before[:3, :3], there, 10 * joint.parent)
+                row |= _shifted(
+                    -found.onto_parent[k] * physical, joint.before[:3, :3], there, 10 * joint.parent
+                )
             rows.append({column: entry for column, entry in row.items() if entry})
     return rows
 
@@ -110,7 +121,10 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -
 def _shifted(parameters: Array, rotation: Array, letters: Letters, first: int) -> Row:
     """Return the ten parameters after a turn and a shift by letters, in columns `first` ... `first + 9`."""
     turned = shift_of_rotation(rotation) @ parameters
-    along = [Polynomial({() if letter == NUMBER else (letter,): factor for factor, letter in axis}) for axis in letters]
+    along = [
+        Polynomial({() if letter == NUMBER else (letter,): factor for factor, letter in axis})
+        for axis in letters
+    ]
     total = [Polynomial.number(value) for value in turned]
 
     def gather(weight: Polynomial, vector: Array) -> None:
@@ -134,7 +148,9 @@ def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, R
     waiting = [dict(row) for row in rows]
     done: dict[int, Row] = {}
     for pivot in sorted(pivots, reverse=True):
-        candidates = [(row, constant) for row in waiting if pivot in row and (constant := row[pivot].constant)]
+        candidates = [
+            (row, constant) for row in waiting if pivot in row and (constant := row[pivot].constant)
+        ]
         if not candidates:
             return None
         chosen, divisor = min(candidates, key=lambda item: (-round(abs(item[1]), 6), len(item[0])))
@@ -154,7 +170,10 @@ def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, R
         done[pivot] = unit
     if any(max(row) != pivot for pivot, row in done.items()):
         return None
-    return {pivot: {column: entry.times(-1.0) for column, entry in row.items() if column != pivot} for pivot, row in done.items()}
+    return {
+        pivot: {column: entry.times(-1.0) for column, entry in row.items() if column != pivot}
+        for pivot, row in done.items()
+    }
 
 
 def number_text(value: float) -> str:
@@ -168,7 +187,9 @@ def number_text(value: float) -> str:
 
 def _product(monomial: Monomial) -> str:
     powers = Counter(monomial)
-    return "*".join(letter if power == 1 else f"{letter}**{power}" for letter, power in powers.items())
+    return "*".join(
+        letter if power == 1 else f"{letter}**{power}" for letter, power in powers.items()
+    )
 
 
 def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
@@ -181,7 +202,12 @@ def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
     groups: dict[tuple[int, Monomial, str, str], list[tuple[bool, str]]] = {}
     for name, factor in terms:
         for monomial, value in factor.terms.items():
-            key = (-len(monomial), monomial, number_text(abs(value)), "" if monomial and name else name)
+            key = (
+                -len(monomial),
+                monomial,
+                number_text(abs(value)),
+                "" if monomial and name else name,
+            )
             groups.setdefault(key, []).append((value < 0, name))
     constants = [key for key in groups if not key[1]]
     lettered = sorted((key for key in groups if key[1]), key=lambda key: (key[0], key[1]))
@@ -192,9 +218,15 @@ def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
         size, letters = key[2], _product(key[1])
         names = members[0][1]
         if len(members) > 1:
-            rest = "".join(f" {'-' if sign != negative else '+'} {name}" for sign, name in members[1:])
+            rest = "".join(
+                f" {'-' if sign != negative else '+'} {name}" for sign, name in members[1:]
+            )
             names = f"({names}{rest})"
         factors = [part for part in ("" if size == "1" else size, letters, names) if part]
         product = "*".join(factors) or "1"
-        text += f" {'-' if negative else '+'} {product}" if text else f"{'-' if negative else ''}{product}"
+        text += (
+            f" {'-' if negative else '+'} {product}"
+            if text
+            else f"{'-' if negative else ''}{product}"
+        )
     return text

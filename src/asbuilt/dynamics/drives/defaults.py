@@ -15,7 +15,9 @@ def usual_drive(model: RobotModel, source: str) -> DriveSet:
     drive = DriveSet.default(source)
     if source in MOTOR_SOURCES:
         drive = DriveSet((*drive.terms, *coupled_motor_terms(model).terms))
-    return DriveSet((*drive.terms, *(term for term in described_drive(model)[0].terms if term.by_construction)))
+    return DriveSet(
+        (*drive.terms, *(term for term in described_drive(model)[0].terms if term.by_construction))
+    )
 
 
 def coupled_motor_terms(model: RobotModel) -> DriveSet:

@@ -51,8 +51,13 @@ class DriveSet:
         keys = [term.key for term in self.terms]
         repeated = sorted({key for key in keys if keys.count(key) > 1})
         if repeated:
-            raise UsageError(f"drive term {repeated[0]!r} is given {keys.count(repeated[0])} times; name each term once")
-        object.__setattr__(self, "terms", tuple(sorted(self.terms, key=lambda term: (term.position, term.key))))
+            raise UsageError(
+                f"drive term {repeated[0]!r} is given {keys.count(repeated[0])} times; name each"
+                " term once"
+            )
+        object.__setattr__(
+            self, "terms", tuple(sorted(self.terms, key=lambda term: (term.position, term.key)))
+        )
 
     @classmethod
     def parse(cls, text: str | Sequence[str]) -> DriveSet:
@@ -63,7 +68,9 @@ class DriveSet:
         Raises UsageError for terms, shapes and values that do not exist.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
-        chosen = [[part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()]
+        chosen = [
+            [part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()
+        ]
         keys = [key for key, *_ in chosen]
         if keys == [NONE]:
             return cls()
@@ -74,7 +81,9 @@ class DriveSet:
                 hint = f"did you mean {near[0]!r}? " if near else ""
                 if key == NONE:
                     hint = f"{NONE!r} stands alone; "
-                raise UsageError(f"unknown drive term {key!r}; {hint}available: {', '.join(known)}, or {NONE}")
+                raise UsageError(
+                    f"unknown drive term {key!r}; {hint}available: {', '.join(known)}, or {NONE}"
+                )
         return cls(tuple(_stated(known[key], options) for key, *options in chosen))
 
     @classmethod
@@ -138,7 +147,11 @@ class DriveSet:
     def functions(self, joint: int) -> tuple[Mapping[Hashable, float], ...]:
         """Return each column of a joint (counted from 0) as a sum of elementary functions; see `DriveTerm.functions`."""
         empty: dict[Hashable, float] = {}
-        return tuple(function if term.is_at(joint) else empty for term in self.terms for function in term.at(joint).functions())
+        return tuple(
+            function if term.is_at(joint) else empty
+            for term in self.terms
+            for function in term.at(joint).functions()
+        )
 
     def check_joints(self, n_joints: int) -> None:
         """Raise UsageError where shapes are stated for another number of joints."""
@@ -151,7 +164,9 @@ class DriveSet:
 
     def units(self, kind: JointKind) -> tuple[str, ...]:
         """Return the parameter units of a joint of this kind."""
-        return tuple(unit for term in self.terms for unit in term.units(revolute=kind != "prismatic"))
+        return tuple(
+            unit for term in self.terms for unit in term.units(revolute=kind != "prismatic")
+        )
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
         """Return what the description says of each parameter of one joint (of a set `at` that joint), None where it is silent or has other shapes."""
@@ -178,7 +193,10 @@ class DriveSet:
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
         if load is None and self.needs_load:
             needy = next(term.key for term in self.terms if term.needs_load)
-            raise UsageError(f"drive term {needy!r} needs the rigid-body torque of the joint; pass load, shape {q.shape}")
+            raise UsageError(
+                f"drive term {needy!r} needs the rigid-body torque of the joint; pass load, shape"
+                f" {q.shape}"
+            )
         row = 0
         for shared in self.terms:
             term = shared if joint is None else shared.at(joint)
@@ -199,7 +217,9 @@ def _described(term: DriveTerm, drive: DriveValues) -> tuple[float | None, ...]:
     numbers = drive.terms.get(term.key)
     if numbers is None:
         return term.values(drive)
-    if any(numbers.get(shape.name, shape.default) != term.value(shape.name) for shape in term.shapes):
+    if any(
+        numbers.get(shape.name, shape.default) != term.value(shape.name) for shape in term.shapes
+    ):
         return (None,) * len(term.letters)
     return tuple(numbers.get(letter) for letter in term.letters)
 
@@ -214,11 +234,15 @@ def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
             numbers = ()
         if not equals or not numbers:
             raise UsageError(
-                f"option {option!r} of drive term {term.key!r} must read name=number, or name=number/number/... with one per joint"
+                f"option {option!r} of drive term {term.key!r} must read name=number, or"
+                " name=number/number/... with one per joint"
             )
         if name == "joints":
             if any(not number.is_integer() or number < 1 for number in numbers):
-                raise UsageError(f"joints of drive term {term.key!r} are numbers from 1, such as joints=2/5, got {values!r}")
+                raise UsageError(
+                    f"joints of drive term {term.key!r} are numbers from 1, such as joints=2/5, got"
+                    f" {values!r}"
+                )
             term = replace(term, joints=tuple(sorted({int(number) for number in numbers})))
         else:
             shapes[name] = numbers[0] if len(numbers) == 1 else numbers

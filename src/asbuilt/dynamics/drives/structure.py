@@ -40,7 +40,10 @@ class DriveStructure:
     def imitable(self) -> list[Imitable]:
         """What the drive of each joint has that links may imitate."""
         mutual = bool(self.motor_columns.any())
-        return [Imitable(bool(able[0]) or mutual, bool(able[1]), bool(able[2]), bool(able[3]), mutual) for able in self.able]
+        return [
+            Imitable(bool(able[0]) or mutual, bool(able[1]), bool(able[2]), bool(able[3]), mutual)
+            for able in self.able
+        ]
 
 
 def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStructure:
@@ -51,14 +54,20 @@ def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
     shares = model.motor_shares * unit[None, :] / unit[:, None]
     coupled = np.abs(shares).max(axis=1) > 0.0
     of_motor = drive.of_motor
-    armature_of_motor = np.array([term.key == "motor_armature" for term in drive.terms for _ in term.letters], dtype=bool)
+    armature_of_motor = np.array(
+        [term.key == "motor_armature" for term in drive.terms for _ in term.letters], dtype=bool
+    )
     for k in range(n):
         functions = drive.functions(k)
-        known = list(dict.fromkeys([*IMITABLE, *(name for function in functions for name in function)]))
+        known = list(
+            dict.fromkeys([*IMITABLE, *(name for function in functions for name in function)])
+        )
         matrix = np.zeros((len(known), m))
         for column, function in enumerate(functions):
             for name, factor in function.items():
-                matrix[known.index(name), column] = 0.0 if of_motor[column] and not coupled[k] else factor
+                matrix[known.index(name), column] = (
+                    0.0 if of_motor[column] and not coupled[k] else factor
+                )
         for f in range(4):
             wanted = np.zeros(len(known))
             wanted[f] = 1.0
@@ -70,17 +79,26 @@ def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
             placed[k] = row
             redundant.append(placed.ravel())
     return DriveStructure(
-        ways, able, np.array(redundant).reshape(len(redundant), n * m), armature_of_motor[None, :] & coupled[:, None], shares
+        ways,
+        able,
+        np.array(redundant).reshape(len(redundant), n * m),
+        armature_of_motor[None, :] & coupled[:, None],
+        shares,
     )
 
 
-def realisable(directions: list[TransferableDirections], structure: DriveStructure) -> tuple[Array, Array, Array]:
+def realisable(
+    directions: list[TransferableDirections], structure: DriveStructure
+) -> tuple[Array, Array, Array]:
     """Return which sums of all directions the armatures at hand can make: (r, k) sums, with the armature changes of joints (r, n) and motors (r, n).
 
     A mutual armature of joints i and j exists only as a part of a motor's that both turn: `Q = diag(Ia) + sum_m Iam_m T_m T_m^T`.
     """
     n = len(structure.shares)
-    armature, mutual = np.concatenate([found.armature for found in directions]), np.vstack([found.mutual for found in directions])
+    armature, mutual = (
+        np.concatenate([found.armature for found in directions]),
+        np.vstack([found.mutual for found in directions]),
+    )
     link = np.concatenate([np.full(len(found.child), found.link) for found in directions])
     k = len(link)
     motors = np.flatnonzero(structure.motor_columns.any(axis=1))

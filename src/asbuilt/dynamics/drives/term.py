@@ -95,7 +95,10 @@ class DriveTerm(ABC):
 
         The link dynamics can imitate "qdd", "1", "sin q" and "cos q" alone; other names only tell terms apart.
         """
-        return tuple({(self.key, letter, *(self.value(shape.name) for shape in self.shapes)): 1.0} for letter in self.letters)
+        return tuple(
+            {(self.key, letter, *(self.value(shape.name) for shape in self.shapes)): 1.0}
+            for letter in self.letters
+        )
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
         """Return the unit of each parameter."""
@@ -113,7 +116,9 @@ class DriveTerm(ABC):
     @property
     def free_shapes(self) -> tuple[Shape, ...]:
         """The shapes that a fit may move, since no value is stated."""
-        return tuple(shape for shape in self.shapes if shape.fitted and getattr(self, shape.name) is None)
+        return tuple(
+            shape for shape in self.shapes if shape.fitted and getattr(self, shape.name) is None
+        )
 
     def value(self, name: str) -> float:
         """Return the value of a shape: the stated one, or the default. A term with one value per joint must be taken `at` a joint first, or raises UsageError."""
@@ -121,7 +126,9 @@ class DriveTerm(ABC):
         if stated is None:
             return next(shape.default for shape in self.shapes if shape.name == name)
         if isinstance(stated, tuple):
-            raise UsageError(f"{self} has one {name} per joint; say of which joint its columns are wanted")
+            raise UsageError(
+                f"{self} has one {name} per joint; say of which joint its columns are wanted"
+            )
         return stated
 
     def is_at(self, joint: int) -> bool:
@@ -132,7 +139,11 @@ class DriveTerm(ABC):
         """Return the term of one joint (counted from 0), with one number per shape."""
         own = {shape.name: getattr(self, shape.name) for shape in self.shapes}
         several = {name: values for name, values in own.items() if isinstance(values, tuple)}
-        return self._with({name: values[joint] for name, values in several.items()}) if several else self
+        return (
+            self._with({name: values[joint] for name, values in several.items()})
+            if several
+            else self
+        )
 
     def typical(self) -> Self:
         """Return the term with shapes at which its columns stand out, where they do not decide its structure."""
@@ -143,11 +154,16 @@ class DriveTerm(ABC):
         """Raise UsageError where a shape is given for another number of joints, or a joint does not exist."""
         outside = [number for number in self.joints or () if not 1 <= number <= n_joints]
         if outside:
-            raise UsageError(f"{self} names joint {outside[0]}; the robot has joints 1 to {n_joints}")
+            raise UsageError(
+                f"{self} names joint {outside[0]}; the robot has joints 1 to {n_joints}"
+            )
         for shape in self.shapes:
             stated = getattr(self, shape.name)
             if isinstance(stated, tuple) and len(stated) != n_joints:
-                raise UsageError(f"{self} states {len(stated)} values of {shape.name}, one per joint; the robot has {n_joints} joints")
+                raise UsageError(
+                    f"{self} states {len(stated)} values of {shape.name}, one per joint; the robot"
+                    f" has {n_joints} joints"
+                )
 
     def with_shapes(self, values: Mapping[str, ShapeValue]) -> Self:
         """Return the term with these shapes stated; raises UsageError for a name or a value that it does not take."""
@@ -157,10 +173,13 @@ class DriveTerm(ABC):
                 there = f"it has {', '.join(known)}" if known else "it has none"
                 raise UsageError(f"drive term {self.key!r} has no option {name!r}; {there}")
             shape = known[name]
-            for number in () if stated is None else stated if isinstance(stated, tuple) else (stated,):
+            for number in (
+                () if stated is None else stated if isinstance(stated, tuple) else (stated,)
+            ):
                 if not shape.lower <= number <= shape.upper:
                     raise UsageError(
-                        f"{name} of drive term {self.key!r} must lie between {shape.lower:g} and {shape.upper:g} {shape.unit}".rstrip()
+                        f"{name} of drive term {self.key!r} must lie between {shape.lower:g} and"
+                        f" {shape.upper:g} {shape.unit}".rstrip()
                         + f", got {number:g}"
                     )
         return self._with(values)
@@ -175,5 +194,7 @@ class DriveTerm(ABC):
         for shape in self.shapes:
             stated = getattr(self, shape.name)
             if stated is not None:
-                parts.append(f"{shape.name}={'/'.join(map(repr, stated if isinstance(stated, tuple) else (stated,)))}")
+                parts.append(
+                    f"{shape.name}={'/'.join(map(repr, stated if isinstance(stated, tuple) else (stated,)))}"
+                )
         return ":".join(parts)

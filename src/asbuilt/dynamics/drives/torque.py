@@ -65,7 +65,8 @@ def drive_torque(
     theta = np.asarray(values, dtype=np.float64)
     if theta.shape != (n * drive.columns_per_joint,):
         raise UsageError(
-            f"{n} joints with drive terms {drive} have {n * drive.columns_per_joint} drive parameters, got shape {theta.shape}"
+            f"{n} joints with drive terms {drive} have {n * drive.columns_per_joint} drive"
+            f" parameters, got shape {theta.shape}"
         )
     torque = np.zeros(q.shape)
     of_motor = drive.of_motor
@@ -88,7 +89,9 @@ def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
     known = available_terms()
     for joint in model.joints:
         for key, numbers in joint.drive.terms.items():
-            _check_described(known, f"{model.name}: the drive of joint {joint.name!r}", key, numbers)
+            _check_described(
+                known, f"{model.name}: the drive of joint {joint.name!r}", key, numbers
+            )
     stated = []
     for key, term in known.items():
         there = [k for k, joint in enumerate(model.joints) if key in joint.drive.terms]
@@ -104,16 +107,25 @@ def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> Drive
     """Return a term with the shapes and the joints (counted from 0) of a description."""
     shapes: dict[str, ShapeValue] = {}
     for shape in term.shapes:
-        numbers = tuple(float(joint.drive.terms.get(term.key, {}).get(shape.name, shape.default)) for joint in model.joints)
+        numbers = tuple(
+            float(joint.drive.terms.get(term.key, {}).get(shape.name, shape.default))
+            for joint in model.joints
+        )
         shapes[shape.name] = numbers[0] if len(set(numbers)) == 1 else numbers
     joints = None if len(there) == model.n_joints else tuple(k + 1 for k in there)
     return replace(term.with_shapes(shapes), joints=joints)
 
 
-def _check_described(known: Mapping[str, DriveTerm], where: str, key: str, numbers: Mapping[str, float]) -> None:
+def _check_described(
+    known: Mapping[str, DriveTerm], where: str, key: str, numbers: Mapping[str, float]
+) -> None:
     if key not in known:
-        raise DescriptionError(f"{where} has a term {key!r}, which does not exist; there are {', '.join(known)}")
+        raise DescriptionError(
+            f"{where} has a term {key!r}, which does not exist; there are {', '.join(known)}"
+        )
     names = (*known[key].letters, *(shape.name for shape in known[key].shapes))
     for name in numbers:
         if name not in names:
-            raise DescriptionError(f"{where} has {name!r} in its term {key!r}, which has {', '.join(names)}")
+            raise DescriptionError(
+                f"{where} has {name!r} in its term {key!r}, which has {', '.join(names)}"
+            )

@@ -40,7 +40,14 @@ def _inertia_times(chi, zx, zy, zz, mx, my, mz):
     nx = zx * chi[0] + zy * chi[1] + zz * chi[2] + mz * hy - my * hz
     ny = zx * chi[1] + zy * chi[3] + zz * chi[4] + mx * hz - mz * hx
     nz = zx * chi[2] + zy * chi[4] + zz * chi[5] + my * hx - mx * hy
-    return nx, ny, nz, mx * mass + zy * hz - zz * hy, my * mass + zz * hx - zx * hz, mz * mass + zx * hy - zy * hx
+    return (
+        nx,
+        ny,
+        nz,
+        mx * mass + zy * hz - zz * hy,
+        my * mass + zz * hx - zx * hz,
+        mz * mass + zx * hy - zy * hx,
+    )
 
 
 @compiled
@@ -49,7 +56,11 @@ def _add_to_column(rows, screws, joints, upto, column, matrix, nx, ny, nz, fx, f
     for k in range(upto + 1):
         zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * k * BLOCK)
         place = matrix + (joints[k] * joints.size + column) * BLOCK
-        store(rows, place, load(rows, place) + (zx * nx + zy * ny + zz * nz) + (mx * fx + my * fy + mz * fz))
+        store(
+            rows,
+            place,
+            load(rows, place) + (zx * nx + zy * ny + zz * nz) + (mx * fx + my * fy + mz * fz),
+        )
 
 
 @compiled
@@ -59,7 +70,9 @@ def _add_mass(depth, rows, screws, chi, joints, matrix):
         for j in range(depth + 1):
             zx, zy, zz, mx, my, mz = _screw(rows, screws + 6 * j * BLOCK + at)
             nx, ny, nz, fx, fy, fz = _inertia_times(chi, zx, zy, zz, mx, my, mz)
-            _add_to_column(rows, screws + at, joints, j, joints[j], matrix + at, nx, ny, nz, fx, fy, fz)
+            _add_to_column(
+                rows, screws + at, joints, j, joints[j], matrix + at, nx, ny, nz, fx, fy, fz
+            )
 
 
 @compiled
@@ -86,8 +99,17 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
             ax, ay, az = cross(zx, zy, zz, lx, ly, lz)
             bx, by, bz = cross(mx, my, mz, px, py, pz)
             cx, cy, cz = cross(zx, zy, zz, px, py, pz)
-            nx, ny, nz, fx, fy, fz = nx + ax + bx, ny + ay + by, nz + az + bz, fx + cx, fy + cy, fz + cz
-            _add_to_column(rows, screws + at, joints, depth, joints[j], matrix + at, nx, ny, nz, fx, fy, fz)
+            nx, ny, nz, fx, fy, fz = (
+                nx + ax + bx,
+                ny + ay + by,
+                nz + az + bz,
+                fx + cx,
+                fy + cy,
+                fz + cz,
+            )
+            _add_to_column(
+                rows, screws + at, joints, depth, joints[j], matrix + at, nx, ny, nz, fx, fy, fz
+            )
             rate = load(rows, rates + joints[j] * BLOCK + at)
             wx, wy, wz = wx + zx * rate, wy + zy * rate, wz + zz * rate
             vx, vy, vz = vx + mx * rate, vy + my * rate, vz + mz * rate
@@ -117,7 +139,9 @@ def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis
                 trigonometry(rows, angle, cosine, sine)
             move_screws(code, placements[i], rows, read, write, angle, cosine, sine)
             if coriolis:
-                _add_coriolis(code[DEPTH], rows, write + STATE * BLOCK, rates, chi[i], chain[i], matrix)
+                _add_coriolis(
+                    code[DEPTH], rows, write + STATE * BLOCK, rates, chi[i], chain[i], matrix
+                )
             else:
                 _add_mass(code[DEPTH], rows, write + STATE * BLOCK, chi[i], chain[i], matrix)
         for sample in range(count):

@@ -47,14 +47,24 @@ def _broadcast(builder: Any, value: Any) -> Any:
     if value.type == _VECTOR:
         return value
     kind = ir.VectorType(value.type, LANES)
-    single = builder.insert_element(ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
-    return builder.shuffle_vector(single, ir.Constant(kind, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+    single = builder.insert_element(
+        ir.Constant(kind, ir.Undefined), value, ir.Constant(ir.IntType(32), 0)
+    )
+    return builder.shuffle_vector(
+        single,
+        ir.Constant(kind, ir.Undefined),
+        ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES),
+    )
 
 
 def _type_of_pair(_context: Any) -> Any:
     def typed(left: Any, right: Any) -> Any:
         pair = (left, right)
-        return lanes if lanes in pair and all(side in (lanes, types.float64) for side in pair) else None
+        return (
+            lanes
+            if lanes in pair and all(side in (lanes, types.float64) for side in pair)
+            else None
+        )
 
     return typed
 
@@ -78,7 +88,11 @@ def _lower_negative(_context: Any, builder: Any, _signature: Any, args: Any) -> 
     return builder.fneg(args[0], flags=_FUSED)
 
 
-for _operation, _instruction in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul")):
+for _operation, _instruction in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+):
     type_callable(_operation)(_type_of_pair)
     for _pair in ((lanes, lanes), (lanes, types.float64), (types.float64, lanes)):
         lower_builtin(_operation, *_pair)(_lower_pair(_instruction))
@@ -129,8 +143,13 @@ def _splat(_typing: Any, value: Any) -> Any:
 def _exceeds(_typing: Any, value: Any, limit: Any) -> Any:
     def generate(_context: Any, builder: Any, _signature: Any, args: Any) -> Any:
         bound = _broadcast(builder, args[1])
-        outside = builder.or_(builder.fcmp_ordered(">", args[0], bound), builder.fcmp_ordered("<", args[0], builder.fneg(bound)))
-        return builder.icmp_unsigned("!=", builder.bitcast(outside, ir.IntType(LANES)), ir.Constant(ir.IntType(LANES), 0))
+        outside = builder.or_(
+            builder.fcmp_ordered(">", args[0], bound),
+            builder.fcmp_ordered("<", args[0], builder.fneg(bound)),
+        )
+        return builder.icmp_unsigned(
+            "!=", builder.bitcast(outside, ir.IntType(LANES)), ir.Constant(ir.IntType(LANES), 0)
+        )
 
     return types.boolean(lanes, types.float64), generate
 
@@ -167,7 +186,11 @@ LARGEST_ANGLE = 1.0e5
 
 _SHIFT = 6755399441055744.0  # 1.5 * 2**52: adding it leaves the nearest integer in the last bits
 _TWO_OVER_PI = 0.6366197723675814
-_HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
+_HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = (
+    1.57079632673412561417,
+    6.07710050630396597660e-11,
+    2.02226624879595063154e-21,
+)
 
 
 @compiled

@@ -68,7 +68,11 @@ class Layout:
         last_child = {int(parent): i for i, parent in enumerate(geometry.parent) if parent != ROOT}
         n_slots = 1
         for i, parent in enumerate(geometry.parent.tolist()):
-            read, depth = (0, 0) if parent == ROOT else (int(codes[parent, WRITE]), int(codes[parent, DEPTH]) + 1)
+            read, depth = (
+                (0, 0)
+                if parent == ROOT
+                else (int(codes[parent, WRITE]), int(codes[parent, DEPTH]) + 1)
+            )
             if last_child.get(parent) == i:
                 write = read
             else:
@@ -77,11 +81,23 @@ class Layout:
                 (geometry.before_rotation[i], geometry.before_translation[i]),
                 (geometry.after_rotation[i], geometry.after_translation[i]),
             )
-            codes[i] = parent, read, write, depth, geometry.revolute[i], *(_kind_of_placement(*side) for side in sides)
+            codes[i] = (
+                parent,
+                read,
+                write,
+                depth,
+                geometry.revolute[i],
+                *(_kind_of_placement(*side) for side in sides),
+            )
             if parent != ROOT:
                 chain[i, :depth] = chain[parent, :depth]
             chain[i, depth] = i
-        parts = geometry.before_rotation, geometry.before_translation, geometry.after_rotation, geometry.after_translation
+        parts = (
+            geometry.before_rotation,
+            geometry.before_translation,
+            geometry.after_rotation,
+            geometry.after_translation,
+        )
         placements = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)
         return cls(codes, chain, placements, np.array(geometry.gravity), n_slots)
 
@@ -227,7 +243,9 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
         v, dv = load(rows, rate + at), load(rows, change + at)
         kind = code[BEFORE]
         if kind != NOTHING:
-            ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[9]), splat(p[10]), splat(p[11]))
+            ax, ay, az = accelerated(
+                wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[9]), splat(p[10]), splat(p[11])
+            )
             wx, wy, wz = into(kind, p, 0, wx, wy, wz)
             dx, dy, dz = into(kind, p, 0, dx, dy, dz)
             ax, ay, az = into(kind, p, 0, ax, ay, az)
@@ -245,7 +263,9 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
             ax, ay, az = ax + wy * v2, ay - wx * v2, az + dv
         kind = code[AFTER]
         if kind != NOTHING:
-            ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[21]), splat(p[22]), splat(p[23]))
+            ax, ay, az = accelerated(
+                wx, wy, wz, dx, dy, dz, ax, ay, az, splat(p[21]), splat(p[22]), splat(p[23])
+            )
             wx, wy, wz = into(kind, p, 12, wx, wy, wz)
             dx, dy, dz = into(kind, p, 12, dx, dy, dz)
             ax, ay, az = into(kind, p, 12, ax, ay, az)

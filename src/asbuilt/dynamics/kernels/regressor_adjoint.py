@@ -42,7 +42,13 @@ from asbuilt.errors import UsageError
 
 
 def regressor_adjoint(
-    plan: RegressorPlan, q: Array, qd: Array, qdd: Array, weights: Array, loads: Array | None = None, parameters: Array | None = None
+    plan: RegressorPlan,
+    q: Array,
+    qd: Array,
+    qdd: Array,
+    weights: Array,
+    loads: Array | None = None,
+    parameters: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Return the derivatives of `f = sum_skc G[s, k, c] Y[s, k, c] + sum_sk l[s, k] tau[s, k]` with respect to q, qd and qdd, each (N, n).
 
@@ -55,11 +61,14 @@ def regressor_adjoint(
     n_samples = states[0].shape[0]
     if weights.ndim != 2 or weights.shape[0] < plan.n_rows or weights.shape[1] < n_samples:
         raise UsageError(
-            f"weights must have at least {plan.n_rows} rows and {n_samples} columns, got {weights.shape}; use plan.buffer(n_samples)"
+            f"weights must have at least {plan.n_rows} rows and {n_samples} columns, got"
+            f" {weights.shape}; use plan.buffer(n_samples)"
         )
     lam = np.zeros((0, n)) if loads is None else np.ascontiguousarray(loads, dtype=np.float64)
     if loads is not None and lam.shape != (n_samples, n):
-        raise UsageError(f"loads must have shape ({n_samples}, {n}), one per sample and joint, got {lam.shape}")
+        raise UsageError(
+            f"loads must have shape ({n_samples}, {n}), one per sample and joint, got {lam.shape}"
+        )
     chi = np.zeros((n, 10)) if parameters is None else inertial_parameters(plan.model, parameters)
     out = tuple(np.empty((n_samples, n)) for _ in range(3))
     _adjoint(
@@ -103,8 +112,17 @@ def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
         zx, zy, zz = vector(rows, s)
         mx, my, mz = vector(rows, s + 3 * BLOCK)
 
-        lx, ly, lz = wx * ixx + wy * ixy + wz * ixz, wx * ixy + wy * iyy + wz * iyz, wx * ixz + wy * iyz + wz * izz
-        wh, ww, mh, mw = wx * hx + wy * hy + wz * hz, wx * wx + wy * wy + wz * wz, mx * hx + my * hy + mz * hz, mx * wx + my * wy + mz * wz
+        lx, ly, lz = (
+            wx * ixx + wy * ixy + wz * ixz,
+            wx * ixy + wy * iyy + wz * iyz,
+            wx * ixz + wy * iyz + wz * izz,
+        )
+        wh, ww, mh, mw = (
+            wx * hx + wy * hy + wz * hz,
+            wx * wx + wy * wy + wz * wz,
+            mx * hx + my * hy + mz * hz,
+            mx * wx + my * wy + mz * wz,
+        )
         gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
         ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
         b = screw_bar + at
@@ -142,8 +160,16 @@ def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
 @compiled
 def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
     """Return the derivative of b . (w x (w x t)) with respect to w."""
-    wt, bw, bt = wx * tx + wy * ty + wz * tz, bx * wx + by * wy + bz * wz, bx * tx + by * ty + bz * tz
-    return bx * wt + tx * bw - (bt + bt) * wx, by * wt + ty * bw - (bt + bt) * wy, bz * wt + tz * bw - (bt + bt) * wz
+    wt, bw, bt = (
+        wx * tx + wy * ty + wz * tz,
+        bx * wx + by * wy + bz * wz,
+        bx * tx + by * ty + bz * tz,
+    )
+    return (
+        bx * wt + tx * bw - (bt + bt) * wx,
+        by * wt + ty * bw - (bt + bt) * wy,
+        bz * wt + tz * bw - (bt + bt) * wz,
+    )
 
 
 @compiled
@@ -257,7 +283,24 @@ def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine
 
 
 @compiled
-def _adjoint(codes, chain, placements, gravity, places, weights, stride, loads, chi, q, qd, qdd, n_samples, q_bar, qd_bar, qdd_bar):
+def _adjoint(
+    codes,
+    chain,
+    placements,
+    gravity,
+    places,
+    weights,
+    stride,
+    loads,
+    chi,
+    q,
+    qd,
+    qdd,
+    n_samples,
+    q_bar,
+    qd_bar,
+    qdd_bar,
+):
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK
     bars = (n + 1) * slot
@@ -276,26 +319,53 @@ def _adjoint(codes, chain, placements, gravity, places, weights, stride, loads, 
         if loaded:
             gather(loads, block, count, n, rows, lam // BLOCK)
         for i in range(n):
-            read, write, angle, turn = (codes[i, PARENT] + 1) * slot, (i + 1) * slot, angles + i * BLOCK, turns + 2 * i * BLOCK
+            read, write, angle, turn = (
+                (codes[i, PARENT] + 1) * slot,
+                (i + 1) * slot,
+                angles + i * BLOCK,
+                turns + 2 * i * BLOCK,
+            )
             if codes[i, REVOLUTE]:
                 trigonometry(rows, angle, turn, turn + BLOCK)
-            move_link(codes[i], placements[i], rows, read, write, angle, angle + n * BLOCK, angle + 2 * n * BLOCK, turn, turn + BLOCK)
+            move_link(
+                codes[i],
+                placements[i],
+                rows,
+                read,
+                write,
+                angle,
+                angle + n * BLOCK,
+                angle + 2 * n * BLOCK,
+                turn,
+                turn + BLOCK,
+            )
             move_screws(codes[i], placements[i], rows, read, write, angle, turn, turn + BLOCK)
         _clear(rows, bars, (n + 1) * (STATE + 6 * n))
         for i in range(n - 1, -1, -1):
-            state, state_bar, angle, turn = (i + 1) * slot, bars + (i + 1) * slot, angles + i * BLOCK, turns + 2 * i * BLOCK
+            state, state_bar, angle, turn = (
+                (i + 1) * slot,
+                bars + (i + 1) * slot,
+                angles + i * BLOCK,
+                turns + 2 * i * BLOCK,
+            )
             for d in range(codes[i, DEPTH] + 1):
                 k = chain[i, d]
                 for c in range(10):
                     row = places[k, i, c]
                     for at in range(0, BLOCK, LANES):
                         if loaded:
-                            store(rows, given + c * BLOCK + at, load(rows, lam + k * BLOCK + at) * chi[i, c])
+                            store(
+                                rows,
+                                given + c * BLOCK + at,
+                                load(rows, lam + k * BLOCK + at) * chi[i, c],
+                            )
                         else:
                             store(rows, given + c * BLOCK + at, splat(0.0))
                     if row >= 0:
                         for sample in range(count):
-                            rows[given + c * BLOCK + sample] += weights[row * stride + block + sample]
+                            rows[given + c * BLOCK + sample] += weights[
+                                row * stride + block + sample
+                            ]
                 o = (STATE + 6 * d) * BLOCK
                 _own_terms(rows, state, state + o, state_bar, state_bar + o, given)
             above = codes[i, PARENT] + 1
@@ -304,9 +374,30 @@ def _adjoint(codes, chain, placements, gravity, places, weights, stride, loads, 
             place[2] = found + (2 * n + i) * BLOCK
             place[3] = n * BLOCK
             _state_back(
-                codes[i], placements[i], rows, state, above * slot, state_bar, bars + above * slot, angle, turn, turn + BLOCK, place
+                codes[i],
+                placements[i],
+                rows,
+                state,
+                above * slot,
+                state_bar,
+                bars + above * slot,
+                angle,
+                turn,
+                turn + BLOCK,
+                place,
             )
-            _screws_back(codes[i], placements[i], rows, state, state_bar, bars + above * slot, angle, turn, turn + BLOCK, place[0])
+            _screws_back(
+                codes[i],
+                placements[i],
+                rows,
+                state,
+                state_bar,
+                bars + above * slot,
+                angle,
+                turn,
+                turn + BLOCK,
+                place[0],
+            )
         for sample in range(count):
             for i in range(n):
                 o = (block + sample) * n + i

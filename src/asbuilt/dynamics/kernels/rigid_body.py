@@ -69,41 +69,87 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
 
     force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment (Atkeson, An and Hollerbach, 1986).
     """
-    o0, o1, o2 = _position(places[0], stride, start), _position(places[1], stride, start), _position(places[2], stride, start)
-    o3, o4, o5 = _position(places[3], stride, start), _position(places[4], stride, start), _position(places[5], stride, start)
-    o6, o7, o8 = _position(places[6], stride, start), _position(places[7], stride, start), _position(places[8], stride, start)
+    o0, o1, o2 = (
+        _position(places[0], stride, start),
+        _position(places[1], stride, start),
+        _position(places[2], stride, start),
+    )
+    o3, o4, o5 = (
+        _position(places[3], stride, start),
+        _position(places[4], stride, start),
+        _position(places[5], stride, start),
+    )
+    o6, o7, o8 = (
+        _position(places[6], stride, start),
+        _position(places[7], stride, start),
+        _position(places[8], stride, start),
+    )
     o9 = _position(places[9], stride, start)
     for at in range(0, BLOCK, LANES):
         r, t = screw + at, terms + at
         zx, zy, zz = vector(rows, r)
         mx, my, mz = vector(rows, r + 3 * BLOCK)
         if o0 >= 0:
-            xx = zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
+            xx = (
+                zx * load(rows, t) + zy * load(rows, t + 4 * BLOCK) - zz * load(rows, t + 5 * BLOCK)
+            )
             store(out, o0 + at, xx)
         if o1 >= 0:
-            xy = zx * load(rows, t + 9 * BLOCK) + zy * load(rows, t + 6 * BLOCK) + zz * load(rows, t + 14 * BLOCK)
+            xy = (
+                zx * load(rows, t + 9 * BLOCK)
+                + zy * load(rows, t + 6 * BLOCK)
+                + zz * load(rows, t + 14 * BLOCK)
+            )
             store(out, o1 + at, xy)
         if o2 >= 0:
-            xz = zx * load(rows, t + 10 * BLOCK) + zy * load(rows, t + 13 * BLOCK) + zz * load(rows, t + 7 * BLOCK)
+            xz = (
+                zx * load(rows, t + 10 * BLOCK)
+                + zy * load(rows, t + 13 * BLOCK)
+                + zz * load(rows, t + 7 * BLOCK)
+            )
             store(out, o2 + at, xz)
         if o3 >= 0:
-            yy = zy * load(rows, t + BLOCK) + zz * load(rows, t + 5 * BLOCK) - zx * load(rows, t + 3 * BLOCK)
+            yy = (
+                zy * load(rows, t + BLOCK)
+                + zz * load(rows, t + 5 * BLOCK)
+                - zx * load(rows, t + 3 * BLOCK)
+            )
             store(out, o3 + at, yy)
         if o4 >= 0:
-            yz = zx * load(rows, t + 12 * BLOCK) + zy * load(rows, t + 11 * BLOCK) + zz * load(rows, t + 8 * BLOCK)
+            yz = (
+                zx * load(rows, t + 12 * BLOCK)
+                + zy * load(rows, t + 11 * BLOCK)
+                + zz * load(rows, t + 8 * BLOCK)
+            )
             store(out, o4 + at, yz)
         if o5 >= 0:
-            izz = zx * load(rows, t + 3 * BLOCK) - zy * load(rows, t + 4 * BLOCK) + zz * load(rows, t + 2 * BLOCK)
+            izz = (
+                zx * load(rows, t + 3 * BLOCK)
+                - zy * load(rows, t + 4 * BLOCK)
+                + zz * load(rows, t + 2 * BLOCK)
+            )
             store(out, o5 + at, izz)
         ax, ay, az = vector(rows, t + 18 * BLOCK)
         if o6 >= 0:
-            hx = my * load(rows, t + 10 * BLOCK) - mx * load(rows, t + 15 * BLOCK) - mz * load(rows, t + 9 * BLOCK)
+            hx = (
+                my * load(rows, t + 10 * BLOCK)
+                - mx * load(rows, t + 15 * BLOCK)
+                - mz * load(rows, t + 9 * BLOCK)
+            )
             store(out, o6 + at, hx + zz * ay - zy * az)
         if o7 >= 0:
-            hy = mz * load(rows, t + 6 * BLOCK) - my * load(rows, t + 16 * BLOCK) - mx * load(rows, t + 11 * BLOCK)
+            hy = (
+                mz * load(rows, t + 6 * BLOCK)
+                - my * load(rows, t + 16 * BLOCK)
+                - mx * load(rows, t + 11 * BLOCK)
+            )
             store(out, o7 + at, hy + zx * az - zz * ax)
         if o8 >= 0:
-            hz = mx * load(rows, t + 8 * BLOCK) - my * load(rows, t + 7 * BLOCK) - mz * load(rows, t + 17 * BLOCK)
+            hz = (
+                mx * load(rows, t + 8 * BLOCK)
+                - my * load(rows, t + 7 * BLOCK)
+                - mz * load(rows, t + 17 * BLOCK)
+            )
             store(out, o8 + at, hz + zy * ax - zx * ay)
         if o9 >= 0:
             store(out, o9 + at, mx * ax + my * ay + mz * az)
@@ -129,11 +175,21 @@ def _regressor_block(codes, chain, placements, n_slots, places, rows, out, strid
         move_screws(code, p, rows, read, write, angle, cosine, sine)
         _link_terms(rows, write, terms)
         for d in range(code[DEPTH] + 1):
-            _columns_of_link(rows, write + (STATE + 6 * d) * BLOCK, terms, places[chain[i, d], i], out, stride, start)
+            _columns_of_link(
+                rows,
+                write + (STATE + 6 * d) * BLOCK,
+                terms,
+                places[chain[i, d], i],
+                out,
+                stride,
+                start,
+            )
 
 
 @compiled
-def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride):
+def regressor_rows(
+    codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride
+):
     """Write the regressor with samples innermost: one row of `out` per joint and chosen column, `stride` numbers long.
 
     `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the first row of joint k and the row after its last.
@@ -157,7 +213,23 @@ def regressor_rows(codes, chain, placements, gravity, n_slots, places, bounds, q
 
 
 @compiled
-def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, columns, q, qd, qdd, start, stop, out, width):
+def regressor_stack(
+    codes,
+    chain,
+    placements,
+    gravity,
+    n_slots,
+    places,
+    bounds,
+    columns,
+    q,
+    qd,
+    qdd,
+    start,
+    stop,
+    out,
+    width,
+):
     """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest.
 
     `columns` increases within a joint, so that neighbours can be moved by the vector.
@@ -174,11 +246,18 @@ def regressor_stack(codes, chain, placements, gravity, n_slots, places, bounds, 
         for k in range(n):
             row = bounds[k, 0]
             while row < bounds[k, 1]:
-                neighbours = row + LANES <= bounds[k, 1] and columns[row + LANES - 1] - columns[row] == LANES - 1
+                neighbours = (
+                    row + LANES <= bounds[k, 1]
+                    and columns[row + LANES - 1] - columns[row] == LANES - 1
+                )
                 o = (block * n + k) * width + columns[row]
                 for sample in range(count):
                     if neighbours:
-                        store(out, o + sample * n * width, load_every(tile, row * BLOCK + sample, BLOCK))
+                        store(
+                            out,
+                            o + sample * n * width,
+                            load_every(tile, row * BLOCK + sample, BLOCK),
+                        )
                     else:
                         out[o + sample * n * width] = tile[row * BLOCK + sample]
                 row += LANES if neighbours else 1
@@ -257,12 +336,36 @@ def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
                 trigonometry(rows, angle, cosine, cosine + BLOCK)
             read, write = (codes[i, PARENT] + 1) * state, (i + 1) * state
             rate, change = angle + n * BLOCK, angle + 2 * n * BLOCK
-            move_link(codes[i], placements[i], rows, read, write, angle, rate, change, cosine, cosine + BLOCK)
+            move_link(
+                codes[i],
+                placements[i],
+                rows,
+                read,
+                write,
+                angle,
+                rate,
+                change,
+                cosine,
+                cosine + BLOCK,
+            )
             _wrench(rows, write, forces + i * FORCE * BLOCK, chi[i])
         for i in range(n - 1, -1, -1):
             angle, cosine = angles + i * BLOCK, turns + 2 * i * BLOCK
-            force, parent_force = forces + i * FORCE * BLOCK, forces + codes[i, PARENT] * FORCE * BLOCK
-            _hand_down(codes[i], placements[i], rows, force, parent_force, angle, cosine, cosine + BLOCK, torques + i * BLOCK)
+            force, parent_force = (
+                forces + i * FORCE * BLOCK,
+                forces + codes[i, PARENT] * FORCE * BLOCK,
+            )
+            _hand_down(
+                codes[i],
+                placements[i],
+                rows,
+                force,
+                parent_force,
+                angle,
+                cosine,
+                cosine + BLOCK,
+                torques + i * BLOCK,
+            )
         for sample in range(count):
             for i in range(n):
                 out[(block + sample) * n + i] = rows[torques + i * BLOCK + sample]

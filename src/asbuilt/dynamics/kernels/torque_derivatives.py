@@ -38,7 +38,13 @@ MASS, MOMENT, INERTIA, MOMENTUM, FLOW, WRENCH, BODY = 0, 1, 4, 10, 13, 22, 28
 """Rows of a body, summed over all that a joint carries: mass, first moment h, inertia I, momentum, `D = sum dm rdot r^T`, and wrench."""
 
 
-def torque_derivatives(model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, parameters: ArrayLike | None = None) -> Array:
+def torque_derivatives(
+    model: RobotModel,
+    q: ArrayLike,
+    qd: ArrayLike,
+    qdd: ArrayLike,
+    parameters: ArrayLike | None = None,
+) -> Array:
     """Return `d tau_k / d (q_j, qd_j, qdd_j)` of the rigid bodies for each set of parameters, shape (n_samples, n_sets, n, n, 3), axes k, j, order.
 
     `q, qd, qdd` are (n_samples, n); `parameters` (n_sets, 10 n) are sets of standard parameters, the model's own alone where None. Raises
@@ -47,14 +53,28 @@ def torque_derivatives(model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: Arra
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
     samples, n = qs.shape
-    sets = np.asarray(model.parameters[None] if parameters is None else parameters, dtype=np.float64)
+    sets = np.asarray(
+        model.parameters[None] if parameters is None else parameters, dtype=np.float64
+    )
     if sets.ndim != 2 or sets.shape[1] != 10 * n:
-        raise UsageError(f"sets of parameters of {model.name} must have shape (n_sets, {10 * n}), got {sets.shape}")
+        raise UsageError(
+            f"sets of parameters of {model.name} must have shape (n_sets, {10 * n}), got"
+            f" {sets.shape}"
+        )
     layout = layout_of(model)
     out = np.zeros((samples, len(sets), n, n, 3))
     chi = np.ascontiguousarray(sets).reshape(len(sets), n, 10)
     inputs = flat(qs), flat(qds), flat(qdds)
-    _derivatives(layout.codes, layout.chain, layout.placements, layout.gravity, chi, *inputs, samples, out.reshape(-1))
+    _derivatives(
+        layout.codes,
+        layout.chain,
+        layout.placements,
+        layout.gravity,
+        chi,
+        *inputs,
+        samples,
+        out.reshape(-1),
+    )
     return out
 
 
@@ -69,7 +89,11 @@ def _turned(rows, at, p, o, to):
     for row in range(3):
         x, y, z = vector(rows, at + 3 * row * BLOCK)
         for column in range(3):
-            store(rows, to + (3 * row + column) * BLOCK, x * p[o + column] + y * p[o + 3 + column] + z * p[o + 6 + column])
+            store(
+                rows,
+                to + (3 * row + column) * BLOCK,
+                x * p[o + column] + y * p[o + 3 + column] + z * p[o + 6 + column],
+            )
 
 
 @compiled
@@ -77,8 +101,12 @@ def _moved(rows, at, x, y, z):
     """Return R (x, y, z) for the rotation in nine rows."""
     return (
         load(rows, at) * x + load(rows, at + BLOCK) * y + load(rows, at + 2 * BLOCK) * z,
-        load(rows, at + 3 * BLOCK) * x + load(rows, at + 4 * BLOCK) * y + load(rows, at + 5 * BLOCK) * z,
-        load(rows, at + 6 * BLOCK) * x + load(rows, at + 7 * BLOCK) * y + load(rows, at + 8 * BLOCK) * z,
+        load(rows, at + 3 * BLOCK) * x
+        + load(rows, at + 4 * BLOCK) * y
+        + load(rows, at + 5 * BLOCK) * z,
+        load(rows, at + 6 * BLOCK) * x
+        + load(rows, at + 7 * BLOCK) * y
+        + load(rows, at + 8 * BLOCK) * z,
     )
 
 
@@ -146,8 +174,20 @@ def _move(code, p, rows, above, own, angle, rate, change, cosine, sine):
         v, a = load(rows, rate + at), load(rows, change + at)
         put(rows, r + SPEED * BLOCK, wx + sx * v, wy + sy * v, wz + sz * v)
         put(rows, r + (SPEED + 3) * BLOCK, vx + tx * v, vy + ty * v, vz + tz * v)
-        put(rows, r + CHANGE * BLOCK, dx + sx * a + ex * v, dy + sy * a + ey * v, dz + sz * a + ez * v)
-        put(rows, r + (CHANGE + 3) * BLOCK, ax + tx * a + fx * v, ay + ty * a + fy * v, az + tz * a + fz * v)
+        put(
+            rows,
+            r + CHANGE * BLOCK,
+            dx + sx * a + ex * v,
+            dy + sy * a + ey * v,
+            dz + sz * a + ez * v,
+        )
+        put(
+            rows,
+            r + (CHANGE + 3) * BLOCK,
+            ax + tx * a + fx * v,
+            ay + ty * a + fy * v,
+            az + tz * a + fz * v,
+        )
 
 
 @compiled
@@ -308,7 +348,9 @@ def _pairs(code, chain, rows, motions, body, i, n, tile):
                 by_position = _dot(ux, uy, uz, b0, b1, b2)
                 ux, uy, uz = vector(rows, o + TURN_2 * BLOCK)
                 vx, vy, vz = vector(rows, o + (TURN_2 + 3) * BLOCK)
-                by_position = by_position + _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
+                by_position = (
+                    by_position + _dot(ux, uy, uz, a0, a1, a2) + _dot(vx, vy, vz, a3, a4, a5)
+                )
                 put(rows, down, by_position, _dot(sx, sy, sz, b0, b1, b2) + twice + twice, inertia)
             by_position = _dot(sx, sy, sz, d0, d1, d2) + _dot(tx, ty, tz, d3, d4, d5)
             by_velocity = _dot(sx, sy, sz, c0, c1, c2) + _dot(tx, ty, tz, c3, c4, c5)
@@ -330,10 +372,25 @@ def _derivatives(codes, chain, placements, gravity, chi, q, qd, qdd, n_samples, 
         count = min(BLOCK, n_samples - block)
         gather_states(q, qd, qdd, block, count, n, rows, angles // BLOCK)
         for i in range(n):
-            above, own, angle = (codes[i, PARENT] + 1) * MOTION * BLOCK, motions + i * MOTION * BLOCK, angles + i * BLOCK
+            above, own, angle = (
+                (codes[i, PARENT] + 1) * MOTION * BLOCK,
+                motions + i * MOTION * BLOCK,
+                angles + i * BLOCK,
+            )
             if codes[i, REVOLUTE]:
                 trigonometry(rows, angle, turns, turns + BLOCK)
-            _move(codes[i], placements[i], rows, above, own, angle, angle + n * BLOCK, angle + 2 * n * BLOCK, turns, turns + BLOCK)
+            _move(
+                codes[i],
+                placements[i],
+                rows,
+                above,
+                own,
+                angle,
+                angle + n * BLOCK,
+                angle + 2 * n * BLOCK,
+                turns,
+                turns + BLOCK,
+            )
         for one in range(n_sets):
             for i in range(n):
                 _embody(rows, motions + i * MOTION * BLOCK, bodies + i * BODY * BLOCK, chi[one, i])

@@ -50,7 +50,10 @@ class Capsule:
         found = []
         for axis in (*axes, *np.eye(3)):
             centred = cloud - middle
-            centred -= ((centred - np.outer(centred @ axis, axis)).max(axis=0) + (centred - np.outer(centred @ axis, axis)).min(axis=0)) / 2
+            centred -= (
+                (centred - np.outer(centred @ axis, axis)).max(axis=0)
+                + (centred - np.outer(centred @ axis, axis)).min(axis=0)
+            ) / 2
             along = centred @ axis
             off = np.linalg.norm(centred - np.outer(along, axis), axis=1)
             radius = float(off.max())
@@ -122,7 +125,9 @@ def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
         try:
             radius = float(text.partition(":")[2]) if ":" in text else None
         except ValueError:
-            raise DescriptionError(f"skeleton:RADIUS takes a radius in metres, got {text!r}") from None
+            raise DescriptionError(
+                f"skeleton:RADIUS takes a radius in metres, got {text!r}"
+            ) from None
         return Surroundings(skeleton_capsules(model, radius))
     path = Path(text)
     if path.suffix.lower() in (".urdf", ".xml"):
@@ -131,10 +136,15 @@ def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
         file = _SurroundingsFile.model_validate(content)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
-        raise DescriptionError(f"{path} cannot be read: {problem}; give skeleton, skeleton:RADIUS, a .urdf or a .toml file") from None
+        raise DescriptionError(
+            f"{path} cannot be read: {problem}; give skeleton, skeleton:RADIUS, a .urdf or a .toml"
+            " file"
+        ) from None
     except ValidationError as problem:
         first = problem.errors()[0]
-        raise DescriptionError(f"{path}: {'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from None
+        raise DescriptionError(
+            f"{path}: {'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
+        ) from None
     return _from_file(model, file, path)
 
 
@@ -144,18 +154,32 @@ def _from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surrou
         link, pose = _carrier(model, table.link, path)
         ends = [pose[:3, :3] @ np.array(end) + pose[:3, 3] for end in (table.start, table.stop)]
         if not table.radius > 0:
-            raise DescriptionError(f"{path}: the radius of the capsule on {table.link} must be positive, got {table.radius}")
+            raise DescriptionError(
+                f"{path}: the radius of the capsule on {table.link} must be positive, got"
+                f" {table.radius}"
+            )
         capsules.append(Capsule(link, ends[0], ends[1], table.radius))
     if not capsules:
-        raise DescriptionError(f"{path}: no [[capsules]] and no skeleton, so nothing can collide; give skeleton = RADIUS or capsules")
+        raise DescriptionError(
+            f"{path}: no [[capsules]] and no skeleton, so nothing can collide; give skeleton ="
+            " RADIUS or capsules"
+        )
     obstacles = [
-        Obstacle(table.name, np.array(table.size), placement(rotation_from_rpy(list(table.rpy)), list(table.position)))
+        Obstacle(
+            table.name,
+            np.array(table.size),
+            placement(rotation_from_rpy(list(table.rpy)), list(table.position)),
+        )
         for table in file.obstacles
     ]
     if file.floor is not None:
         size = np.array([FLOOR_SIZE, FLOOR_SIZE, FLOOR_DEPTH])
-        obstacles.append(Obstacle("floor", size, placement(np.eye(3), [0.0, 0.0, file.floor - FLOOR_DEPTH / 2])))
-    allowed = frozenset(frozenset(_carrier(model, name, path)[0] for name in pair) for pair in file.allowed)
+        obstacles.append(
+            Obstacle("floor", size, placement(np.eye(3), [0.0, 0.0, file.floor - FLOOR_DEPTH / 2]))
+        )
+    allowed = frozenset(
+        frozenset(_carrier(model, name, path)[0] for name in pair) for pair in file.allowed
+    )
     return Surroundings(tuple(capsules), tuple(obstacles), allowed, file.clearance)
 
 
@@ -188,7 +212,10 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
             own = np.eye(4)
             if origin is not None:
                 rpy = numbers(origin, "rpy", 3, place) if origin.get("rpy") else [0.0, 0.0, 0.0]
-                own = placement(rotation_from_rpy(rpy), numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0])
+                own = placement(
+                    rotation_from_rpy(rpy),
+                    numbers(origin, "xyz", 3, place) if origin.get("xyz") else [0.0, 0.0, 0.0],
+                )
             points = _points(geometry[0], place, Path(source).parent)
             if points is None:
                 missing.append(geometry[0].get("filename", f"<{geometry[0].tag}>"))
@@ -196,9 +223,14 @@ def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
                 whole = pose @ own
                 found.append(Capsule.around(link, points @ whole[:3, :3].T + whole[:3, 3]))
     if not found:
-        reason = f"its {len(missing)} meshes, such as {missing[0]}, are not beside it" if missing else "it has none"
+        reason = (
+            f"its {len(missing)} meshes, such as {missing[0]}, are not beside it"
+            if missing
+            else "it has none"
+        )
         raise DescriptionError(
-            f"{source}: no <collision> geometry can be read, {reason}; give skeleton:RADIUS or a TOML file with capsules"
+            f"{source}: no <collision> geometry can be read, {reason}; give skeleton:RADIUS or a"
+            " TOML file with capsules"
         )
     return tuple(found)
 
@@ -210,9 +242,14 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
         half = np.array(numbers(shape, "size", 3, place)) / 2
         return np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
     if shape.tag == "cylinder":
-        (radius,), (length,) = numbers(shape, "radius", 1, place), numbers(shape, "length", 1, place)
+        (radius,), (length,) = (
+            numbers(shape, "radius", 1, place),
+            numbers(shape, "length", 1, place),
+        )
         ring = radius * np.column_stack([np.cos(around), np.sin(around)])
-        return np.vstack([np.column_stack([ring, np.full(24, z)]) for z in (-length / 2, length / 2)])
+        return np.vstack(
+            [np.column_stack([ring, np.full(24, z)]) for z in (-length / 2, length / 2)]
+        )
     if shape.tag == "sphere":
         return numbers(shape, "radius", 1, place)[0] * np.vstack([np.eye(3), -np.eye(3)])
     if shape.tag != "mesh":
@@ -232,10 +269,14 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
     except Exception as problem:  # trimesh raises whatever its parsers raise
         raise DescriptionError(
-            f"{place}: the mesh {file} cannot be read ({problem}); give skeleton:RADIUS or a TOML file with capsules"
+            f"{place}: the mesh {file} cannot be read ({problem}); give skeleton:RADIUS or a TOML"
+            " file with capsules"
         ) from None
     if not vertices.size:
-        raise DescriptionError(f"{place}: the mesh {file} has no vertices; give skeleton:RADIUS or a TOML file with capsules")
+        raise DescriptionError(
+            f"{place}: the mesh {file} has no vertices; give skeleton:RADIUS or a TOML file with"
+            " capsules"
+        )
     scale = np.array(numbers(shape, "scale", 3, place)) if shape.get("scale") else np.ones(3)
     return vertices * scale
 
@@ -249,7 +290,9 @@ def _carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
             return frame.link, frame.placement
     if name in (model.root_link, "world", "root"):
         return ROOT, np.eye(4)
-    raise DescriptionError(f"{path}: {model.name} has no link {name!r}; it has {', '.join(model.link_names)}")
+    raise DescriptionError(
+        f"{path}: {model.name} has no link {name!r}; it has {', '.join(model.link_names)}"
+    )
 
 
 def neighbours(model: RobotModel) -> frozenset[frozenset[int]]:

@@ -38,12 +38,18 @@ def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance
     bodies = surroundings(model, source)
     guard = CollisionGuard(model, bodies)
     t = np.linspace(0.0, motion.duration, int(np.ceil(motion.duration * CHECK_RATE)) + 1)
-    nearest = [guard.smallest_distance(motion.derivative(part)) for part in np.array_split(t, max(1, len(t) // POSES_AT_ONCE))]
+    nearest = [
+        guard.smallest_distance(motion.derivative(part))
+        for part in np.array_split(t, max(1, len(t) // POSES_AT_ONCE))
+    ]
     distance = min(nearest)
     if distance <= 0.0:
         part = np.array_split(t, max(1, len(t) // POSES_AT_ONCE))[int(np.argmin(nearest))]
         raise MotionError(
-            f"bodies of {source} run into each other by {-1000 * distance:.0f} mm between t = {part[0]:.2f} and {part[-1]:.2f} s of the motion; design it with "
-            f"--collision {source}"
+            f"bodies of {source} run into each other by {-1000 * distance:.0f} mm between t ="
+            f" {part[0]:.2f} and {part[-1]:.2f} s of the motion; design it with --collision"
+            f" {source}"
         )
-    return Clearance(source, distance, tuple(obstacle.name for obstacle in bodies.obstacles), guard.left_out)
+    return Clearance(
+        source, distance, tuple(obstacle.name for obstacle in bodies.obstacles), guard.left_out
+    )

@@ -41,18 +41,30 @@ class CollisionGuard(StateConstraint):
         joined = neighbours(model) | bodies.allowed
         links = [capsule.link for capsule in bodies.capsules]
         self.pairs = [
-            (a, b) for a, b in combinations(range(len(links)), 2) if links[a] != links[b] and frozenset((links[a], links[b])) not in joined
+            (a, b)
+            for a, b in combinations(range(len(links)), 2)
+            if links[a] != links[b] and frozenset((links[a], links[b])) not in joined
         ]
-        self.pairs += [(a, len(links) + b) for b in range(len(bodies.obstacles)) for a in range(len(links)) if links[a] != ROOT]
+        self.pairs += [
+            (a, len(links) + b)
+            for b in range(len(bodies.obstacles))
+            for a in range(len(links))
+            if links[a] != ROOT
+        ]
         poses = random_states(MotionBounds.assumed(model), SURVEYED, np.random.default_rng(0))[0]
         close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > ALWAYS
         names = [model.root_link if link == ROOT else model.link_names[link] for link in links]
         names += [obstacle.name for obstacle in bodies.obstacles]
-        self.left_out = tuple(f"{names[a]} - {names[b]}" for (a, b), always in zip(self.pairs, close, strict=True) if always)
+        self.left_out = tuple(
+            f"{names[a]} - {names[b]}"
+            for (a, b), always in zip(self.pairs, close, strict=True)
+            if always
+        )
         self.pairs = [pair for pair, always in zip(self.pairs, close, strict=True) if not always]
         if not self.pairs:
             raise MotionError(
-                f"{model.name}: no pair of bodies is left that could collide; check the capsules and the pairs allowed to touch"
+                f"{model.name}: no pair of bodies is left that could collide; check the capsules"
+                " and the pairs allowed to touch"
             )
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
@@ -66,11 +78,22 @@ class CollisionGuard(StateConstraint):
         gradient = np.zeros((*distances.shape, self._model.n_joints))
         axes, origins = _joint_axes(self._model, q)
         for number, (a, b) in enumerate(self.pairs):
-            for body, point, sign in ((a, points[:, number, 0], -1.0), (b, points[:, number, 1], 1.0)):
-                link = self._bodies.capsules[body].link if body < len(self._bodies.capsules) else ROOT
+            for body, point, sign in (
+                (a, points[:, number, 0], -1.0),
+                (b, points[:, number, 1], 1.0),
+            ):
+                link = (
+                    self._bodies.capsules[body].link if body < len(self._bodies.capsules) else ROOT
+                )
                 for k in self._model.ancestors(link):
-                    speed = np.cross(axes[:, k], point - origins[:, k]) if self._model.joints[k].is_revolute else axes[:, k]
-                    gradient[:, number, k] += sign * np.einsum("si,si->s", normals[:, number], speed)
+                    speed = (
+                        np.cross(axes[:, k], point - origins[:, k])
+                        if self._model.joints[k].is_revolute
+                        else axes[:, k]
+                    )
+                    gradient[:, number, k] += sign * np.einsum(
+                        "si,si->s", normals[:, number], speed
+                    )
         slopes: Array = slope[:, :, None, None] * gradient[..., None]
         return slopes
 
@@ -88,22 +111,38 @@ class CollisionGuard(StateConstraint):
         ends = []
         for capsule in self._bodies.capsules:
             if capsule.link == ROOT:
-                ends.append(tuple(np.broadcast_to(end, (len(q), 3)) for end in (capsule.start, capsule.stop - capsule.start)))
+                ends.append(
+                    tuple(
+                        np.broadcast_to(end, (len(q), 3))
+                        for end in (capsule.start, capsule.stop - capsule.start)
+                    )
+                )
             else:
                 rotation, origin = links[:, capsule.link, :3, :3], links[:, capsule.link, :3, 3]
-                ends.append((rotation @ capsule.start + origin, rotation @ (capsule.stop - capsule.start)))
+                ends.append(
+                    (rotation @ capsule.start + origin, rotation @ (capsule.stop - capsule.start))
+                )
         samples, count, n_capsules = len(q), len(self.pairs), len(self._bodies.capsules)
-        distances, points, normals = np.empty((samples, count)), np.zeros((samples, count, 2, 3)), np.empty((samples, count, 3))
+        distances, points, normals = (
+            np.empty((samples, count)),
+            np.zeros((samples, count, 2, 3)),
+            np.empty((samples, count, 3)),
+        )
         among = [place for place, (_, b) in enumerate(self.pairs) if b < n_capsules]
         if among:
             first, second = ([self.pairs[place][side] for place in among] for side in (0, 1))
             stacks = [
-                np.stack([ends[body][part] for body in bodies], axis=1).reshape(-1, 3) for bodies in (first, second) for part in (0, 1)
+                np.stack([ends[body][part] for body in bodies], axis=1).reshape(-1, 3)
+                for bodies in (first, second)
+                for part in (0, 1)
             ]
             near = [point.reshape(samples, -1, 3) for point in nearest_on_segments(*stacks)]
             apart = near[1] - near[0]
             size = np.sqrt((apart**2).sum(axis=2))
-            radii = [self._bodies.capsules[a].radius + self._bodies.capsules[b].radius for a, b in zip(first, second, strict=True)]
+            radii = [
+                self._bodies.capsules[a].radius + self._bodies.capsules[b].radius
+                for a, b in zip(first, second, strict=True)
+            ]
             distances[:, among] = size - np.array(radii)
             normals[:, among] = apart / np.maximum(size, 1e-12)[:, :, None]
             points[:, among, 0], points[:, among, 1] = near
@@ -111,7 +150,9 @@ class CollisionGuard(StateConstraint):
             if b >= n_capsules:
                 obstacle = self._bodies.obstacles[b - n_capsules]
                 rotation, middle = obstacle.pose[:3, :3], obstacle.pose[:3, 3]
-                point, distance, normal = nearest_to_box((ends[a][0] - middle) @ rotation, ends[a][1] @ rotation, obstacle.size / 2)
+                point, distance, normal = nearest_to_box(
+                    (ends[a][0] - middle) @ rotation, ends[a][1] @ rotation, obstacle.size / 2
+                )
                 distances[:, number] = distance - self._bodies.capsules[a].radius
                 normals[:, number] = -normal @ rotation.T
                 points[:, number, 0] = point @ rotation.T + middle
@@ -124,16 +165,33 @@ class ToolBox(StateConstraint):
     name = "tool box"
     two_sided = True
 
-    def __init__(self, model: RobotModel, lower: Array, upper: Array, frame: str | None = None) -> None:
+    def __init__(
+        self, model: RobotModel, lower: Array, upper: Array, frame: str | None = None
+    ) -> None:
         self._model = model
-        named = {item.name: (item.link, item.placement[:3, 3]) for item in model.frames if item.link != ROOT}
-        named |= {name: (i, np.zeros(3)) for i, name in enumerate(model.link_names) if name not in named}
-        last = model.frames[-1].name if model.frames and model.frames[-1].link != ROOT else model.link_names[-1]
+        named = {
+            item.name: (item.link, item.placement[:3, 3])
+            for item in model.frames
+            if item.link != ROOT
+        }
+        named |= {
+            name: (i, np.zeros(3)) for i, name in enumerate(model.link_names) if name not in named
+        }
+        last = (
+            model.frames[-1].name
+            if model.frames and model.frames[-1].link != ROOT
+            else model.link_names[-1]
+        )
         if (frame or last) not in named:
-            raise MotionError(f"{model.name} has no moving frame {frame!r}; it has {', '.join(named)}")
+            raise MotionError(
+                f"{model.name} has no moving frame {frame!r}; it has {', '.join(named)}"
+            )
         self._link, self._point = named[frame or last]
         if not np.all(upper > lower):
-            raise MotionError(f"the box of the tool must have positive extent, got {lower.tolist()} to {upper.tolist()}")
+            raise MotionError(
+                f"the box of the tool must have positive extent, got {lower.tolist()} to"
+                f" {upper.tolist()}"
+            )
         self._centre, self._half = (upper + lower) / 2, (upper - lower) / 2
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
@@ -147,7 +205,11 @@ class ToolBox(StateConstraint):
         axes, origins = _joint_axes(self._model, q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
         for k in self._model.ancestors(self._link):
-            speed = np.cross(axes[:, k], place - origins[:, k]) if self._model.joints[k].is_revolute else axes[:, k]
+            speed = (
+                np.cross(axes[:, k], place - origins[:, k])
+                if self._model.joints[k].is_revolute
+                else axes[:, k]
+            )
             gradient[:, :, k] = speed / self._half
         return gradient[..., None]
 
@@ -162,7 +224,11 @@ class ToolBox(StateConstraint):
 
 
 def watched(
-    model: RobotModel, *, collision: str | None = None, tool_box: Sequence[float] = (), tool_frame: str | None = None
+    model: RobotModel,
+    *,
+    collision: str | None = None,
+    tool_box: Sequence[float] = (),
+    tool_frame: str | None = None,
 ) -> tuple[StateConstraint, ...]:
     """Return the constraints for bodies from a `collision` source (see `surroundings`) and for a box x0, x1, y0, y1, z0, z1 of the tool [m]."""
     found: list[StateConstraint] = []
@@ -170,7 +236,9 @@ def watched(
         found.append(CollisionGuard(model, surroundings(model, collision)))
     if tool_box:
         if len(tool_box) != 6:
-            raise UsageError(f"the box of the tool has six numbers, x0, x1, y0, y1, z0, z1; got {len(tool_box)}")
+            raise UsageError(
+                f"the box of the tool has six numbers, x0, x1, y0, y1, z0, z1; got {len(tool_box)}"
+            )
         edges = np.array(tool_box, dtype=np.float64).reshape(3, 2)
         found.append(ToolBox(model, edges[:, 0], edges[:, 1], tool_frame))
     return tuple(found)
@@ -178,10 +246,23 @@ def watched(
 
 def told_constraints(constraints: Sequence[StateConstraint], q: Array) -> tuple[str, ...]:
     """Return sentences about how poses (N, n) keep a box, and about the pairs of bodies that are not watched."""
-    boxes = [constraint.smallest_room(q) for constraint in constraints if isinstance(constraint, ToolBox)]
-    pairs = [pair for constraint in constraints if isinstance(constraint, CollisionGuard) for pair in constraint.left_out]
-    told = [f"the tool stays in its box, {1000 * room:.0f} mm from the nearest side" for room in boxes]
-    return (*told, f"NOT WATCHED, for they touch in nearly every pose: {', '.join(pairs)}") if pairs else tuple(told)
+    boxes = [
+        constraint.smallest_room(q) for constraint in constraints if isinstance(constraint, ToolBox)
+    ]
+    pairs = [
+        pair
+        for constraint in constraints
+        if isinstance(constraint, CollisionGuard)
+        for pair in constraint.left_out
+    ]
+    told = [
+        f"the tool stays in its box, {1000 * room:.0f} mm from the nearest side" for room in boxes
+    ]
+    return (
+        (*told, f"NOT WATCHED, for they touch in nearly every pose: {', '.join(pairs)}")
+        if pairs
+        else tuple(told)
+    )
 
 
 def skeleton_distance(model: RobotModel, q: Array) -> float | None:
@@ -197,6 +278,10 @@ def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
     links = link_poses(model, q)
     axes, origins = np.empty((len(q), model.n_joints, 3)), np.empty((len(q), model.n_joints, 3))
     for k, joint in enumerate(model.joints):
-        frame = np.broadcast_to(joint.before, (len(q), 4, 4)) if joint.parent == ROOT else links[:, joint.parent] @ joint.before
+        frame = (
+            np.broadcast_to(joint.before, (len(q), 4, 4))
+            if joint.parent == ROOT
+            else links[:, joint.parent] @ joint.before
+        )
         axes[:, k], origins[:, k] = frame[:, :3, 2], frame[:, :3, 3]
     return axes, origins

@@ -19,14 +19,19 @@ SECTIONS = 44
 """Golden sections, after which the place on a segment is known to 1e-9 of its length."""
 
 
-def nearest_on_segments(start: Array, along: Array, other_start: Array, other_along: Array) -> tuple[Array, Array]:
+def nearest_on_segments(
+    start: Array, along: Array, other_start: Array, other_along: Array
+) -> tuple[Array, Array]:
     """Return the nearest points (N, 3) of segments `start + s along` and `other_start + t other_along`, s and t in 0 ... 1, all (N, 3).
 
     Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
     between = start - other_start
     a, e = np.einsum("si,si->s", along, along), np.einsum("si,si->s", other_along, other_along)
-    b, c, f = (np.einsum("si,si->s", *pair) for pair in ((along, other_along), (along, between), (other_along, between)))
+    b, c, f = (
+        np.einsum("si,si->s", *pair)
+        for pair in ((along, other_along), (along, between), (other_along, between))
+    )
     determinant = a * e - b * b
     skew = determinant > PARALLEL * np.maximum(a * e, PARALLEL)
     s = np.where(skew, np.clip((b * f - c * e) / np.where(skew, determinant, 1.0), 0.0, 1.0), 0.0)
@@ -43,8 +48,19 @@ def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Arra
 
     The signed distance to a convex body is convex along a line, so golden sections find its minimum.
     """
-    points, distances, normals = np.empty((len(start), 3)), np.empty(len(start)), np.zeros((len(start), 3))
-    _sections(np.ascontiguousarray(start), np.ascontiguousarray(along), np.array(half), points, distances, normals)
+    points, distances, normals = (
+        np.empty((len(start), 3)),
+        np.empty(len(start)),
+        np.zeros((len(start), 3)),
+    )
+    _sections(
+        np.ascontiguousarray(start),
+        np.ascontiguousarray(along),
+        np.array(half),
+        points,
+        distances,
+        normals,
+    )
     return points, distances, normals
 
 

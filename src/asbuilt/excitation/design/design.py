@@ -98,7 +98,11 @@ class Design:
     @property
     def family_efficiency(self) -> float | None:
         """The same against the smaller bound for motions with these harmonics; None for other families."""
-        return None if self.family_bound is None else self.family_bound.efficiency(self.mean_information)
+        return (
+            None
+            if self.family_bound is None
+            else self.family_bound.efficiency(self.mean_information)
+        )
 
     @property
     def information(self) -> Array:
@@ -160,11 +164,17 @@ def design_motion(
     asked = options or DesignOptions()
     wanted = asked.for_limits(MotionBounds.assumed(model, asked.fraction))
     found = base or find_base_parameters(model, drive)
-    information = Information.of(model, found, wanted.noise if isinstance(wanted.noise, float) else np.array(wanted.noise))
+    information = Information.of(
+        model, found, wanted.noise if isinstance(wanted.noise, float) else np.array(wanted.noise)
+    )
     focus = [position_of(found, name) for name in wanted.focus] or None
     scale = parameter_scale(information, MotionBounds.assumed(model, wanted.fraction))
     objective = Objective(
-        information, criterion_of(wanted.criterion, focus), scale, wanted.duration * wanted.information_rate, _checked_prior(prior, found)
+        information,
+        criterion_of(wanted.criterion, focus),
+        scale,
+        wanted.duration * wanted.information_rate,
+        _checked_prior(prior, found),
     )
     _loaded(information)
     whole, reserve = Deadline(wanted.time_limit), REFINEMENT_SHARE * wanted.time_limit
@@ -172,17 +182,26 @@ def design_motion(
     search = DesignSearch(model, objective, wanted, tuple(constraints), deadline)
     others = (cores or available_cores()) - 1 if wanted.starts >= MANY_STARTS else 0
     with one_blas_thread(), closing(Crew(search.search, others)) as crew:
-        bound, family_bound = design_bounds(model, information, wanted, progress) if with_bound else (None, None)
+        bound, family_bound = (
+            design_bounds(model, information, wanted, progress) if with_bound else (None, None)
+        )
         candidates = search.run(crew, progress)
         if not candidates:
             raise search.failure()
-        final = Deadline(LAST_REFINEMENT if deadline.interrupted else max(wanted.time_limit - whole.elapsed, reserve))
-        told = None if progress is None else partial(_told_refinement, progress, candidates[0].value)
+        final = Deadline(
+            LAST_REFINEMENT
+            if deadline.interrupted
+            else max(wanted.time_limit - whole.elapsed, reserve)
+        )
+        told = (
+            None if progress is None else partial(_told_refinement, progress, candidates[0].value)
+        )
         tasks = [Task(candidate.number, candidate, final) for candidate in candidates[:REFINED]]
         refined = search_all(tasks, search.search, final, crew=crew, progress=told)
     if not refined:
         raise MotionError(
-            f"{model.name}: the motions found do not hold between the nodes of the search; ask for more time, or for fewer {search.family.size_name}"
+            f"{model.name}: the motions found do not hold between the nodes of the search; ask for"
+            f" more time, or for fewer {search.family.size_name}"
         )
     best = refined[0]
     motion = search.motion(best)
@@ -221,10 +240,18 @@ def describe_design(
 ) -> Design:
     """Return what a motion is worth, evaluated at 1 kHz with exact drive columns, and its margins there."""
     limited, assumed = limited_model(model)
-    t = (np.arange(max(1, int(motion.duration * CHECK_RATE))) + 0.5) * motion.duration / max(1, int(motion.duration * CHECK_RATE))
+    t = (
+        (np.arange(max(1, int(motion.duration * CHECK_RATE))) + 0.5)
+        * motion.duration
+        / max(1, int(motion.duration * CHECK_RATE))
+    )
     states = motion.at(t)
     mean = mean_information(objective.information, *states)
-    distances = [constraint.smallest_distance(states[0]) for constraint in constraints if hasattr(constraint, "smallest_distance")]
+    distances = [
+        constraint.smallest_distance(states[0])
+        for constraint in constraints
+        if hasattr(constraint, "smallest_distance")
+    ]
     return Design(
         model=model,
         base=base,
@@ -244,12 +271,19 @@ def describe_design(
         candidates=candidates,
         solve_seconds=seconds,
         interrupted=interrupted,
-        notes=(*notes, *_told_power(model, options, states), *told_constraints(constraints, states[0])),
+        notes=(
+            *notes,
+            *_told_power(model, options, states),
+            *told_constraints(constraints, states[0]),
+        ),
     )
 
 
 def design_bounds(
-    model: RobotModel, information: Information, options: DesignOptions, progress: Callable[[SearchProgress], None] | None = None
+    model: RobotModel,
+    information: Information,
+    options: DesignOptions,
+    progress: Callable[[SearchProgress], None] | None = None,
 ) -> tuple[InformationBound, InformationBound | None]:
     """Return the bound over all states within the limits, and the one over those that a Fourier series with these harmonics can reach.
 
@@ -263,16 +297,22 @@ def design_bounds(
 
     def bound_within(limits: MotionBounds, number: int) -> InformationBound:
         if progress is not None:
-            progress(SearchProgress(begun.elapsed, begun.seconds, number, 1 + fourier, -np.inf, "bound"))
+            progress(
+                SearchProgress(begun.elapsed, begun.seconds, number, 1 + fourier, -np.inf, "bound")
+            )
         own = Deadline((begun.seconds - begun.elapsed) / (1 + fourier - number))
-        return information_bound(model, information, limits, torque=torque, seed=options.seed, cancelled=own)
+        return information_bound(
+            model, information, limits, torque=torque, seed=options.seed, cancelled=own
+        )
 
     whole = bound_within(bounds, 0)
     if not isinstance(family, Fourier):
         return whole, None
     highest = 2 * np.pi / family.shortest_wave
     velocity = np.minimum(bounds.velocity, highest * (bounds.upper - bounds.lower) / 2)
-    slower = replace(bounds, velocity=velocity, acceleration=np.minimum(bounds.acceleration, highest * velocity))
+    slower = replace(
+        bounds, velocity=velocity, acceleration=np.minimum(bounds.acceleration, highest * velocity)
+    )
     own = bound_within(slower, 1)
     return whole, own if own.upper < whole.upper else whole
 
@@ -280,7 +320,9 @@ def design_bounds(
 def _loaded(information: Information) -> None:
     """Compile what a search runs, or load it where that was done before; after an installation it takes seconds, which are no part of a design's."""
     rest = np.zeros((1, information.model.n_joints))
-    information.state_gradient(rest, rest, rest, information.rows(rest, rest, rest), np.eye(information.n_parameters))
+    information.state_gradient(
+        rest, rest, rest, information.rows(rest, rest, rest), np.eye(information.n_parameters)
+    )
     inverse_dynamics(information.model, rest, rest, rest)
     torque_derivatives(information.model, rest, rest, rest)
 
@@ -293,30 +335,47 @@ def position_of(base: BaseParameters, name: str) -> int:
     if text.isdigit() and int(text) in base.ids:
         return int(np.flatnonzero(base.ids == int(text))[0])
     raise UsageError(
-        f"{base.robot} has no base parameter {text!r}; there are: {', '.join(f'{i} {n}' for i, n in zip(base.ids, base.names, strict=True))}"
+        f"{base.robot} has no base parameter {text!r}; there are:"
+        f" {', '.join(f'{i} {n}' for i, n in zip(base.ids, base.names, strict=True))}"
     )
 
 
-def _other_duration(search: DesignSearch, options: DesignOptions, motion: Motion) -> tuple[str, ...]:
+def _other_duration(
+    search: DesignSearch, options: DesignOptions, motion: Motion
+) -> tuple[str, ...]:
     """Say where poses take another time than was asked for."""
     more, share = search.family.size_name, motion.duration / options.duration
     if abs(share - 1.0) < SAME_DURATION:
         return ()
     cure = f"more {more} fill the time" if share < 1.0 else f"fewer {more} take less"
-    return (f"as fast as the limits allow, the {more} take {motion.duration:.3g} s, not the {options.duration:g} s asked for; {cure}",)
+    return (
+        (
+            f"as fast as the limits allow, the {more} take {motion.duration:.3g} s, not the"
+            f" {options.duration:g} s asked for; {cure}"
+        ),
+    )
 
 
-def _told_power(model: RobotModel, options: DesignOptions, states: tuple[Array, Array, Array]) -> tuple[str, ...]:
+def _told_power(
+    model: RobotModel, options: DesignOptions, states: tuple[Array, Array, Array]
+) -> tuple[str, ...]:
     if not options.power:
         return ()
     limit = limit_array(options.power, model.n_joints, "power")
     used = np.zeros(model.n_joints)
     used[np.isfinite(limit)] = np.abs(PowerLimit(model, limit).values(*states)).max(axis=0)
     k = int(np.argmax(used))
-    return (f"power at most {used[k] * limit[k]:.3g} W of the {limit[k]:g} W allowed, by {model.joint_names[k]}",)
+    return (
+        (
+            f"power at most {used[k] * limit[k]:.3g} W of the {limit[k]:g} W allowed, by"
+            f" {model.joint_names[k]}"
+        ),
+    )
 
 
-def _told_refinement(progress: Callable[[SearchProgress], None], best: float, state: SearchProgress) -> None:
+def _told_refinement(
+    progress: Callable[[SearchProgress], None], best: float, state: SearchProgress
+) -> None:
     progress(replace(state, best=max(best, state.best), phase="refinement"))
 
 
@@ -326,7 +385,8 @@ def _checked_prior(prior: Array | None, base: BaseParameters) -> Array | None:
     given = np.asarray(prior, dtype=np.float64)
     if given.shape != (base.n_base, base.n_base):
         raise UsageError(
-            f"earlier information about {base.n_base} base parameters must have shape ({base.n_base}, {base.n_base}), got {given.shape}; "
-            "use the same drive terms as the earlier identification"
+            f"earlier information about {base.n_base} base parameters must have shape"
+            f" ({base.n_base}, {base.n_base}), got {given.shape}; use the same drive terms as the"
+            " earlier identification"
         )
     return given

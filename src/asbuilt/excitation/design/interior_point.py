@@ -72,7 +72,11 @@ class MotionProgram(ABC):
 
     def states(self, coefficients: Array) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations at the nodes."""
-        return self.bases[0] @ coefficients, self.bases[1] @ coefficients, self.bases[2] @ coefficients
+        return (
+            self.bases[0] @ coefficients,
+            self.bases[1] @ coefficients,
+            self.bases[2] @ coefficients,
+        )
 
     def margins(self, coefficients: Array) -> list[Array]:
         """Return the slacks of all constraints: for each order the room above and below, then those of the state constraints."""
@@ -142,7 +146,9 @@ def solve(
             break
         pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)]
         residual = -point.gradient + _through(program, point, pull)
-        mismatch = max(float(np.abs(z * s - mu).max()) for z, s in zip(duals, point.slacks, strict=True))
+        mismatch = max(
+            float(np.abs(z * s - mu).max()) for z, s in zip(duals, point.slacks, strict=True)
+        )
         error = max(float(np.abs(residual).max()) / scale, mismatch)
         since += 1
         if error < 10 * mu or since > STEPS_PER_BARRIER:
@@ -158,7 +164,9 @@ def solve(
         slope = -point.gradient + _through(program, point, steep)
         stiffness = [
             z_up / s_up + z_low / s_low
-            for (z_up, z_low), (s_up, s_low) in zip(_pairs(program, duals), _pairs(program, point.slacks, np.inf), strict=True)
+            for (z_up, z_low), (s_up, s_low) in zip(
+                _pairs(program, duals), _pairs(program, point.slacks, np.inf), strict=True
+            )
         ]
         hessian = curvature + _stiffened(program, point, stiffness)
         try:
@@ -178,7 +186,9 @@ def solve(
         shift = length * step
         duals = _next_duals(program, point, moved, duals, step, mu)
         curved_pull = [z_up - z_low for z_up, z_low in _pairs(program, duals)][len(program.bases) :]
-        change = _curved_gradient(program, moved, curved_pull) - _curved_gradient(program, point, curved_pull)
+        change = _curved_gradient(program, moved, curved_pull) - _curved_gradient(
+            program, point, curved_pull
+        )
         if fresh:
             sharp = float(shift @ change)
             if sharp > 0:
@@ -209,9 +219,13 @@ def _metric(program: MotionProgram) -> Array:
     return whole
 
 
-def _point(program: MotionProgram, coefficients: Array, slacks: list[Array], evaluation: Evaluation) -> _Point:
+def _point(
+    program: MotionProgram, coefficients: Array, slacks: list[Array], evaluation: Evaluation
+) -> _Point:
     state = program.states(coefficients)
-    gradient = sum(basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False))
+    gradient = sum(
+        basis.T @ g for basis, g in zip(program.bases[:3], evaluation.gradient(), strict=False)
+    )
     curved = [constraint.slopes(*state) for constraint in program.constraints]
     return _Point(coefficients, evaluation.value, _flat(np.asarray(gradient)), curved, slacks)
 
@@ -243,7 +257,9 @@ def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> 
     return np.vstack([flat @ half[:, j].reshape(samples * orders, -1) for j in range(n)])
 
 
-def _pairs(program: MotionProgram, each: list[Array], absent: float = 0.0) -> list[tuple[Array, Array]]:
+def _pairs(
+    program: MotionProgram, each: list[Array], absent: float = 0.0
+) -> list[tuple[Array, Array]]:
     """Return what belongs to the upper and the lower side of each group of constraints, `absent` where there is no lower side."""
     found, at = [], 0
     for _ in program.bases:
@@ -286,7 +302,9 @@ def _barrier(slacks: list[Array]) -> float:
     return sum(float(np.log(s).sum()) for s in slacks)
 
 
-def _line_search(program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float) -> tuple[_Point | None, float]:
+def _line_search(
+    program: MotionProgram, point: _Point, step: Array, slope: Array, mu: float
+) -> tuple[_Point | None, float]:
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     direction = step.reshape(n, n_basis).T
     length = 1.0
@@ -295,7 +313,9 @@ def _line_search(program: MotionProgram, point: _Point, step: Array, slope: Arra
         for s, ds in ((point.slacks[2 * k], -speed), (point.slacks[2 * k + 1], speed)):
             falling = ds < 0
             if np.any(falling):
-                length = min(length, FRACTION_TO_BOUNDARY * float((-s[falling] / ds[falling]).min()))
+                length = min(
+                    length, FRACTION_TO_BOUNDARY * float((-s[falling] / ds[falling]).min())
+                )
     reference = -point.value - mu * _barrier(point.slacks)
     fall = float(slope @ step)
     for _ in range(MOST_BACKTRACKS):
@@ -304,13 +324,17 @@ def _line_search(program: MotionProgram, point: _Point, step: Array, slope: Arra
         worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
         if worst > 1 - FRACTION_TO_BOUNDARY:
             evaluation = program.evaluate(*program.states(trial))
-            if -evaluation.value - mu * _barrier(slacks) <= reference + ARMIJO * length * fall + 1e-12 * abs(reference):
+            if -evaluation.value - mu * _barrier(
+                slacks
+            ) <= reference + ARMIJO * length * fall + 1e-12 * abs(reference):
                 return _point(program, trial, slacks, evaluation), length
         length *= 0.5
     return None, 0.0
 
 
-def _next_duals(program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float) -> list[Array]:
+def _next_duals(
+    program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
+) -> list[Array]:
     """Take the Newton step of the multipliers, as far as they stay positive, and keep them near the central path."""
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     direction = step.reshape(n, n_basis).T
@@ -328,7 +352,10 @@ def _next_duals(program: MotionProgram, old: _Point, new: _Point, duals: list[Ar
         if np.any(falling):
             length = min(length, FRACTION_TO_BOUNDARY * float((-z[falling] / dz[falling]).min()))
     spread = COMPLEMENTARITY_SPREAD
-    return [np.clip(z + length * dz, mu / s / spread, mu / s * spread) for z, dz, s in zip(duals, moves, new.slacks, strict=True)]
+    return [
+        np.clip(z + length * dz, mu / s / spread, mu / s * spread)
+        for z, dz, s in zip(duals, moves, new.slacks, strict=True)
+    ]
 
 
 def _curved_gradient(program: MotionProgram, point: _Point, pull: list[Array]) -> Array:
@@ -349,5 +376,7 @@ def _bfgs(curvature: Array, shift: Array, change: Array) -> Array:
         theta = (1 - DAMPING) * along / (along - sharp)
         change = theta * change + (1 - theta) * forward
         sharp = float(shift @ change)
-    updated: Array = curvature - np.outer(forward, forward) / along + np.outer(change, change) / sharp
+    updated: Array = (
+        curvature - np.outer(forward, forward) / along + np.outer(change, change) / sharp
+    )
     return updated

@@ -34,7 +34,11 @@ class Candidate:
     @classmethod
     def of(cls, number: int, optimum: Optimum | None) -> Candidate:
         """Return what a search ended at."""
-        return cls(number, np.zeros((0, 0)), -np.inf) if optimum is None else cls(number, optimum.coefficients, optimum.value)
+        return (
+            cls(number, np.zeros((0, 0)), -np.inf)
+            if optimum is None
+            else cls(number, optimum.coefficients, optimum.value)
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +134,11 @@ def search_all(
                     found.append(future.result())
                 if progress is not None:
                     best = max((candidate.value for candidate in found), default=-np.inf)
-                    progress(SearchProgress(deadline.elapsed, deadline.seconds, len(found), planned, best))
+                    progress(
+                        SearchProgress(
+                            deadline.elapsed, deadline.seconds, len(found), planned, best
+                        )
+                    )
         except KeyboardInterrupt:
             deadline.stop()
             deadline.interrupted = True
@@ -143,4 +151,7 @@ def search_all(
 
 def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
     """Return the candidates that found something, best first; equal ones in the order of their numbers."""
-    return sorted((candidate for candidate in candidates if np.isfinite(candidate.value)), key=lambda c: (-c.value, c.number))
+    return sorted(
+        (candidate for candidate in candidates if np.isfinite(candidate.value)),
+        key=lambda c: (-c.value, c.number),
+    )

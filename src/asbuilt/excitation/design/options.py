@@ -56,19 +56,27 @@ class DesignOptions:
 
     def __post_init__(self) -> None:
         if self.parametrisation not in PARAMETRISATIONS:
-            raise UsageError(f"unknown parametrisation {self.parametrisation!r}; available: {', '.join(PARAMETRISATIONS)}")
+            raise UsageError(
+                f"unknown parametrisation {self.parametrisation!r}; available:"
+                f" {', '.join(PARAMETRISATIONS)}"
+            )
         for name in ("duration", "information_rate", "time_limit"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
                 raise UsageError(f"{name} must be a positive number, got {value}")
         for name in ("fraction", "torque_fraction"):
             if not 0 < getattr(self, name) <= 1:
-                raise UsageError(f"{name} must lie above 0 and at most at 1, got {getattr(self, name)}")
+                raise UsageError(
+                    f"{name} must lie above 0 and at most at 1, got {getattr(self, name)}"
+                )
         for name, count in (("starts", self.starts), ("periods", self.periods)):
             if count is not None and count < 1:
                 raise UsageError(f"{name} must be at least 1, got {count}")
         if self.size is not None and self.size < 2:
-            raise UsageError(f"a design needs at least 2 harmonics, 3 way points or control points; got {self.size}")
+            raise UsageError(
+                "a design needs at least 2 harmonics, 3 way points or control points; got"
+                f" {self.size}"
+            )
 
     def for_limits(self, bounds: MotionBounds) -> DesignOptions:
         """Return the options with the harmonics and periods, control points or way points that suit a robot with these limits, where none are asked for."""
@@ -77,7 +85,11 @@ class DesignOptions:
         useful = useful_frequency(bounds)
         if self.parametrisation != "fourier":
             return replace(self, size=usual_points(self.parametrisation, self.duration, useful))
-        periods = self.periods or (max(1, round(useful * self.duration / MOST_HARMONICS)) if useful > 1.01 * LEAST_FREQUENCY else 1)
+        periods = self.periods or (
+            max(1, round(useful * self.duration / MOST_HARMONICS))
+            if useful > 1.01 * LEAST_FREQUENCY
+            else 1
+        )
         return replace(self, periods=periods, size=usual_harmonics(self.duration / periods, bounds))
 
     @property
@@ -85,8 +97,12 @@ class DesignOptions:
         """The family of motions."""
         if self.parametrisation == "fourier":
             periods = self.periods or 1
-            return Fourier(self.duration, self.size or usual_harmonics(self.duration / periods), periods)
-        return PARAMETRISATIONS[self.parametrisation](self.duration, self.size or usual_points(self.parametrisation, self.duration))
+            return Fourier(
+                self.duration, self.size or usual_harmonics(self.duration / periods), periods
+            )
+        return PARAMETRISATIONS[self.parametrisation](
+            self.duration, self.size or usual_points(self.parametrisation, self.duration)
+        )
 
 
 def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
@@ -95,7 +111,11 @@ def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
     Beyond 16 harmonics, a quarter of a hertz is all.
     """
     slow = max(LEAST_HARMONICS, round(LEAST_FREQUENCY * period))
-    return slow if bounds is None else max(slow, min(MOST_HARMONICS, round(useful_frequency(bounds) * period)))
+    return (
+        slow
+        if bounds is None
+        else max(slow, min(MOST_HARMONICS, round(useful_frequency(bounds) * period)))
+    )
 
 
 def usual_points(parametrisation: str, duration: float, useful: float = LEAST_FREQUENCY) -> int:
@@ -106,7 +126,13 @@ def usual_points(parametrisation: str, duration: float, useful: float = LEAST_FR
     """
     slow = max(LEAST_POINTS, round(POINTS_PER_WAVE * LEAST_FREQUENCY * duration) + 1)
     density = {"bspline": 1.0, "quintic": 0.5}.get(parametrisation, 0.0)
-    return max(slow, min(round(density * (MOST_POINTS - 1)), round(density * POINTS_PER_WAVE * useful * duration)) + 1)
+    return max(
+        slow,
+        min(
+            round(density * (MOST_POINTS - 1)), round(density * POINTS_PER_WAVE * useful * duration)
+        )
+        + 1,
+    )
 
 
 def useful_frequency(bounds: MotionBounds) -> float:

@@ -49,7 +49,10 @@ def predicted_precision(design: Design) -> float:
     """
     effects = torque_effects(design)
     if np.any(np.isnan(effects)):
-        raise UsageError(f"the description of {design.model.name} gives no masses, so a precision relative to its torque has no meaning")
+        raise UsageError(
+            f"the description of {design.model.name} gives no masses, so a precision relative to"
+            " its torque has no meaning"
+        )
     chosen = [position_of(design.base, name) for name in design.options.focus] or slice(None)
     return float(effects[chosen].max())
 
@@ -63,7 +66,9 @@ def torque_effects(design: Design) -> Array:
     t = design.motion.sample_times(100.0)
     state = design.motion.at(t)
     rigid = inverse_dynamics(design.model, *state)
-    torque = (rigid + drive_torque(drive, values, *state, load=rigid, shares=design.model.motor_shares)) / design.noise
+    torque = (
+        rigid + drive_torque(drive, values, *state, load=rigid, shares=design.model.motor_shares)
+    ) / design.noise
     size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
     effects: Array = design.std_errors * np.sqrt(np.diag(design.mean_information))
     return effects / size if size > 0 else np.full_like(effects, np.nan)
@@ -93,20 +98,39 @@ def design_for_precision(
         If half an hour is not enough.
     """
     if not (math.isfinite(precision) and precision > 0):
-        raise UsageError(f"the precision must be a positive fraction of the torque, such as 0.01, got {precision}")
+        raise UsageError(
+            "the precision must be a positive fraction of the torque, such as 0.01, got"
+            f" {precision}"
+        )
     trials: list[DurationTrial] = []
     duration = SHORTEST
     for _ in range(TRIALS):
         wanted = _of_duration(options, duration)
-        quick = replace(wanted, starts=min(TRIAL_STARTS, options.starts), time_limit=min(TRIAL_LIMIT, options.time_limit))
+        quick = replace(
+            wanted,
+            starts=min(TRIAL_STARTS, options.starts),
+            time_limit=min(TRIAL_LIMIT, options.time_limit),
+        )
         told = None if progress is None else partial(_told_trial, progress, wanted.duration)
-        design = design_motion(model, drive, quick, prior=prior, constraints=constraints, with_bound=False, progress=told)
+        design = design_motion(
+            model,
+            drive,
+            quick,
+            prior=prior,
+            constraints=constraints,
+            with_bound=False,
+            progress=told,
+        )
         reached = predicted_precision(design)
-        trials.append(DurationTrial(wanted.duration, design.size, design.options.periods or 1, reached))
+        trials.append(
+            DurationTrial(wanted.duration, design.size, design.options.periods or 1, reached)
+        )
         if design.interrupted:
             return design, tuple(trials)
         if reached <= precision:
-            final = design_motion(model, drive, wanted, prior=prior, constraints=constraints, progress=progress)
+            final = design_motion(
+                model, drive, wanted, prior=prior, constraints=constraints, progress=progress
+            )
             return (final if predicted_precision(final) <= precision else design), tuple(trials)
         needed = duration * (reached / precision) ** 2
         duration = max(duration + STEP, STEP * math.ceil(min(needed, 4 * duration) / STEP))
@@ -115,19 +139,28 @@ def design_for_precision(
     best = min(trials, key=lambda trial: trial.precision)
     if best is not trials[-1]:
         raise MotionError(
-            f"{model.name}: a precision of {precision:g} of the torque was not found. {best.duration:g} s with {best.size} {design.size_name} would give "
-            f"{best.precision:.3g}, but among the many of longer motions the search finds nothing better; allow it more time, or take a Fourier series, which repeats"
+            f"{model.name}: a precision of {precision:g} of the torque was not found."
+            f" {best.duration:g} s with {best.size} {design.size_name} would give"
+            f" {best.precision:.3g}, but among the many of longer motions the search finds nothing"
+            " better; allow it more time, or take a Fourier series, which repeats"
         )
     raise MotionError(
-        f"{model.name}: a precision of {precision:g} of the torque takes more than {duration:.0f} s; the last try of {trials[-1].duration:g} s gives "
-        f"{trials[-1].precision:.3g}. Allow more harmonics or more of the limits, reduce the noise, or ask for less"
+        f"{model.name}: a precision of {precision:g} of the torque takes more than {duration:.0f}"
+        f" s; the last try of {trials[-1].duration:g} s gives {trials[-1].precision:.3g}. Allow"
+        " more harmonics or more of the limits, reduce the noise, or ask for less"
     )
 
 
-def _told_trial(progress: Callable[[SearchProgress], None], duration: float, state: SearchProgress) -> None:
+def _told_trial(
+    progress: Callable[[SearchProgress], None], duration: float, state: SearchProgress
+) -> None:
     progress(replace(state, phase=f"try {duration:g} s"))
 
 
 def _of_duration(options: DesignOptions, duration: float) -> DesignOptions:
-    periods = math.ceil(duration / LONGEST_PERIOD) if options.parametrisation == "fourier" and duration > LONGEST_PERIOD else None
+    periods = (
+        math.ceil(duration / LONGEST_PERIOD)
+        if options.parametrisation == "fourier" and duration > LONGEST_PERIOD
+        else None
+    )
     return replace(options, duration=duration, periods=periods)

@@ -48,7 +48,12 @@ class Crew(Generic[Task, Result]):
     @property
     def has_room(self) -> bool:
         """Whether a process is there that has nothing to do."""
-        return self._ready is not None and self._ready.done() and self._ready.exception() is None and self._busy < self._size
+        return (
+            self._ready is not None
+            and self._ready.done()
+            and self._ready.exception() is None
+            and self._busy < self._size
+        )
 
     def submit(self, task: Task) -> Future[Result]:
         """Hand a task to a process that is free."""

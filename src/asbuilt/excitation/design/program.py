@@ -66,7 +66,9 @@ class DesignProgram(MotionProgram):
         t = (np.arange(n_nodes) + 0.5) * span / n_nodes
         orders = range(4 if np.any(np.isfinite(bounds.jerk)) else 3)
         self.bases = tuple(family.basis(t, order) for order in orders)
-        symmetric = np.stack([bounds.velocity, bounds.acceleration, bounds.jerk])[: len(self.bases) - 1]
+        symmetric = np.stack([bounds.velocity, bounds.acceleration, bounds.jerk])[
+            : len(self.bases) - 1
+        ]
         self.half = (1 - tightening) * np.vstack([(bounds.upper - bounds.lower) / 2, symmetric])
         self.centre = np.vstack([(bounds.upper + bounds.lower) / 2, np.zeros_like(symmetric)])
 
@@ -74,5 +76,9 @@ class DesignProgram(MotionProgram):
         """Return the objective of the motion."""
         information = self.objective.information
         rows = information.rows(q, qd, qdd)
-        value, sensitivity = self.objective.value_and_gradient(information.matrix(rows, len(q)) / len(q))
-        return Evaluation(value, lambda: information.state_gradient(q, qd, qdd, rows, sensitivity / len(q)))
+        value, sensitivity = self.objective.value_and_gradient(
+            information.matrix(rows, len(q)) / len(q)
+        )
+        return Evaluation(
+            value, lambda: information.state_gradient(q, qd, qdd, rows, sensitivity / len(q))
+        )

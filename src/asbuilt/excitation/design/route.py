@@ -36,14 +36,22 @@ class Roadmap:
     edges: NDArray[np.int64]
 
     @classmethod
-    def of(cls, poses: Array, bounds: MotionBounds, obstacles: Sequence[StateConstraint]) -> Roadmap:
+    def of(
+        cls, poses: Array, bounds: MotionBounds, obstacles: Sequence[StateConstraint]
+    ) -> Roadmap:
         """Return the largest part of the poses within which each can be reached from each other."""
         nodes = poses[:STATIONS]
         near = np.argsort(_distances(nodes, nodes, bounds), axis=1)[:, 1 : NEIGHBOURS + 1]
         pairs = sorted({(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row})
-        found = [pair for pair, clear in zip(pairs, ways_clear(nodes, pairs, obstacles), strict=True) if clear]
+        found = [
+            pair
+            for pair, clear in zip(pairs, ways_clear(nodes, pairs, obstacles), strict=True)
+            if clear
+        ]
         edges = np.array(found, dtype=np.int64).reshape(-1, 2)
-        parts = connected_components(_graph(edges, np.ones(len(edges)), len(nodes)), directed=False)[1]
+        parts = connected_components(
+            _graph(edges, np.ones(len(edges)), len(nodes)), directed=False
+        )[1]
         kept = parts == np.argmax(np.bincount(parts))
         number = np.cumsum(kept) - 1
         return cls(nodes[kept], number[edges[kept[edges].all(axis=1)]])
@@ -90,14 +98,20 @@ def travel_through(
             if not np.all(np.isfinite(lengths)):
                 i, j = np.argwhere(~np.isfinite(lengths))[0]
                 raise MotionError(
-                    f"no way clear of obstacles was found between the poses {np.round(poses[i], 2).tolist()} and {np.round(poses[j], 2).tolist()}; "
-                    "ask for fewer poses, give another seed, or allow more room"
+                    "no way clear of obstacles was found between the poses"
+                    f" {np.round(poses[i], 2).tolist()} and {np.round(poses[j], 2).tolist()}; ask"
+                    " for fewer poses, give another seed, or allow more room"
                 )
             way = _with_turns(short_tour(lengths), before)
     first = [node < len(poses) and node not in way[:place] for place, node in enumerate(way)]
-    motion = paced_moves(nodes[way], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1])
+    motion = paced_moves(
+        nodes[way], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
+    )
     if motion is None:
-        raise MotionError("a way between the poses asks for too much torque, however slow; allow more of the torque, or give another seed")
+        raise MotionError(
+            "a way between the poses asks for too much torque, however slow; allow more of the"
+            " torque, or give another seed"
+        )
     return Travel(nodes[way][first], motion, len(way) - len(poses))
 
 
@@ -123,8 +137,12 @@ def _untangled(order: list[int], apart: Array) -> list[int]:
         improved = False
         for i in range(len(order) - 1):
             for j in range(i + 1, len(order)):
-                before = (apart[order[i - 1], order[i]] if i else 0.0) + (apart[order[j], order[j + 1]] if j + 1 < len(order) else 0.0)
-                after = (apart[order[i - 1], order[j]] if i else 0.0) + (apart[order[i], order[j + 1]] if j + 1 < len(order) else 0.0)
+                before = (apart[order[i - 1], order[i]] if i else 0.0) + (
+                    apart[order[j], order[j + 1]] if j + 1 < len(order) else 0.0
+                )
+                after = (apart[order[i - 1], order[j]] if i else 0.0) + (
+                    apart[order[i], order[j + 1]] if j + 1 < len(order) else 0.0
+                )
                 if after < before - 1e-12:
                     order[i : j + 1] = reversed(order[i : j + 1])
                     improved = True
@@ -137,11 +155,16 @@ def _distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
     return apart
 
 
-def ways_clear(nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]) -> NDArray[np.bool_]:
+def ways_clear(
+    nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
+) -> NDArray[np.bool_]:
     """Return whether the straight way between each pair of nodes is clear."""
     counts = [2 + int(np.abs(nodes[i] - nodes[j]).max() / STRIDE) for i, j in pairs]
     places = np.vstack(
-        [nodes[i] + np.linspace(0, 1, count)[:, None] * (nodes[j] - nodes[i]) for (i, j), count in zip(pairs, counts, strict=True)]
+        [
+            nodes[i] + np.linspace(0, 1, count)[:, None] * (nodes[j] - nodes[i])
+            for (i, j), count in zip(pairs, counts, strict=True)
+        ]
     )
     over = []
     for start in range(0, len(places), AT_ONCE):
@@ -162,11 +185,20 @@ def _lengths(
     count = len(poses)
     near = np.argsort(_distances(poses, roadmap.stations, bounds), axis=1)[:, :NEIGHBOURS] + count
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]
-    edges = [pair for pair, clear in zip(pairs, ways_clear(nodes, pairs, obstacles), strict=True) if clear]
+    edges = [
+        pair
+        for pair, clear in zip(pairs, ways_clear(nodes, pairs, obstacles), strict=True)
+        if clear
+    ]
     edges += [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
     ends = np.vstack([np.array(edges, dtype=np.int64).reshape(-1, 2), roadmap.edges + count])
     weights = np.abs((nodes[ends[:, 0]] - nodes[ends[:, 1]]) / bounds.velocity).max(axis=1)
-    lengths, before = dijkstra(_graph(ends, weights, len(nodes)), directed=False, indices=np.arange(count), return_predecessors=True)
+    lengths, before = dijkstra(
+        _graph(ends, weights, len(nodes)),
+        directed=False,
+        indices=np.arange(count),
+        return_predecessors=True,
+    )
     return np.asarray(lengths[:, :count]), np.asarray(before)
 
 

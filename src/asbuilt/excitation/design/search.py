@@ -95,14 +95,28 @@ class DesignSearch:
     """Local searches from random starts, and the refinement of what they find."""
 
     def __init__(
-        self, model: RobotModel, objective: Objective, options: DesignOptions, constraints: tuple[StateConstraint, ...], deadline: Deadline
+        self,
+        model: RobotModel,
+        objective: Objective,
+        options: DesignOptions,
+        constraints: tuple[StateConstraint, ...],
+        deadline: Deadline,
     ) -> None:
         self.family = options.family
-        self._model, self._objective, self._options, self._deadline = model, objective, options, deadline
+        self._model, self._objective, self._options, self._deadline = (
+            model,
+            objective,
+            options,
+            deadline,
+        )
         self._bounds = MotionBounds.assumed(model, options.fraction)
         torque = options.torque_fraction * MotionBounds.of(model).torque
-        models = perturbed_models(model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20]))
-        watch: tuple[StateConstraint, ...] = (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
+        models = perturbed_models(
+            model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20])
+        )
+        watch: tuple[StateConstraint, ...] = (
+            (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
+        )
         if watch and isinstance(self.family, PointToPoint):
             weight = WeightLimit(models, STANDING * torque)
             poses = random_states(self._bounds, SURVEYED, np.random.default_rng(0))[0]
@@ -114,14 +128,24 @@ class DesignSearch:
         self._n_nodes = max(LEAST_NODES, round(NODES_PER_WAVE * span / self.family.shortest_wave))
         self._coarse = self._program(self._n_nodes, SEARCH_SPARE)
 
-    def _program(self, n_nodes: int, spare: tuple[float, float], family: Parametrisation | None = None) -> DesignProgram:
-        return DesignProgram(self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare)
+    def _program(
+        self, n_nodes: int, spare: tuple[float, float], family: Parametrisation | None = None
+    ) -> DesignProgram:
+        return DesignProgram(
+            self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare
+        )
 
-    def run(self, crew: Crew[Task, Candidate] | None, progress: Callable[[SearchProgress], None] | None) -> list[Candidate]:
+    def run(
+        self, crew: Crew[Task, Candidate] | None, progress: Callable[[SearchProgress], None] | None
+    ) -> list[Candidate]:
         """Return the candidates, best first, of all populations that the deadline leaves time for."""
         starts = self._options.starts
-        sizes = [POPULATION] * (starts // POPULATION) + ([starts % POPULATION] if starts % POPULATION else [])
-        lengths = [size + GENERATION * math.ceil(HOPS_PER_START * size / GENERATION) for size in sizes]
+        sizes = [POPULATION] * (starts // POPULATION) + (
+            [starts % POPULATION] if starts % POPULATION else []
+        )
+        lengths = [
+            size + GENERATION * math.ceil(HOPS_PER_START * size / GENERATION) for size in sizes
+        ]
         found: list[Candidate] = []
         first = 0
         for size, length in zip(sizes, lengths, strict=True):
@@ -147,13 +171,21 @@ class DesignSearch:
         searches of a population are numbered from `first`.
         """
         seeds = [Task(first + k) for k in range(size)]
-        found = search_all(seeds, self.search, self._deadline, crew=crew, progress=partial(told, first, -np.inf))
+        found = search_all(
+            seeds, self.search, self._deadline, crew=crew, progress=partial(told, first, -np.inf)
+        )
         idle, done = 0, size
         while found and done < length and idle < IDLE_GENERATIONS and not self._deadline():
             best = found[0].value
             parents = found[:PARENTS]
             hops = [Task(first + done + k, parents[k % len(parents)]) for k in range(GENERATION)]
-            born = search_all(hops, self.search, self._deadline, crew=crew, progress=partial(told, first + done, best))
+            born = search_all(
+                hops,
+                self.search,
+                self._deadline,
+                crew=crew,
+                progress=partial(told, first + done, best),
+            )
             found = best_first([*found, *born])
             idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
             done += GENERATION
@@ -161,10 +193,22 @@ class DesignSearch:
 
     @staticmethod
     def _told(
-        progress: Callable[[SearchProgress], None] | None, best: float, planned: int, before: int, own_best: float, state: SearchProgress
+        progress: Callable[[SearchProgress], None] | None,
+        best: float,
+        planned: int,
+        before: int,
+        own_best: float,
+        state: SearchProgress,
     ) -> None:
         if progress is not None:
-            progress(replace(state, finished=before + state.finished, planned=planned, best=max(best, own_best, state.best)))
+            progress(
+                replace(
+                    state,
+                    finished=before + state.finished,
+                    planned=planned,
+                    best=max(best, own_best, state.best),
+                )
+            )
 
     def search(self, task: Task) -> Candidate:
         """Do what a task asks for; the answer depends on nothing else."""
@@ -172,11 +216,19 @@ class DesignSearch:
             assert task.origin is not None
             return self._refined(task.origin, task.refined_until)
         rng = np.random.default_rng([self._options.seed, task.number])
-        return self._from_seed(task.number, rng) if task.origin is None else self._from_parent(task.number, rng, task.origin)
+        return (
+            self._from_seed(task.number, rng)
+            if task.origin is None
+            else self._from_parent(task.number, rng, task.origin)
+        )
 
     def _from_seed(self, number: int, rng: np.random.Generator) -> Candidate:
         start = self._start(rng)
-        optimum = None if start is None else solve(self._coarse, start, barrier=SEARCH_BARRIER, cancelled=self._deadline)
+        optimum = (
+            None
+            if start is None
+            else solve(self._coarse, start, barrier=SEARCH_BARRIER, cancelled=self._deadline)
+        )
         return Candidate.of(number, optimum)
 
     def _from_parent(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
@@ -198,8 +250,14 @@ class DesignSearch:
             family = self._retimed(family, coefficients)
             dense = self._program(2 * self._n_nodes, FINAL_SPARE, family)
             start = self._inside(dense, coefficients)
-            optimum = None if start is None else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
-            if optimum is not None and (optimum.value > value - 1.0 or isinstance(family, PointToPoint)):
+            optimum = (
+                None
+                if start is None
+                else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
+            )
+            if optimum is not None and (
+                optimum.value > value - 1.0 or isinstance(family, PointToPoint)
+            ):
                 coefficients, value = optimum.coefficients, optimum.value
         kept = self._repaired(coefficients, family)
         if kept is None:
@@ -207,7 +265,11 @@ class DesignSearch:
         if isinstance(family, PointToPoint):
             moved = self._paced(kept)
             assert moved is not None
-            return Candidate(candidate.number, kept, self._objective.value(mean_information(self._objective.information, *moved)))
+            return Candidate(
+                candidate.number,
+                kept,
+                self._objective.value(mean_information(self._objective.information, *moved)),
+            )
         return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
     def _paced(self, poses: Array) -> tuple[Array, Array, Array] | None:
@@ -221,14 +283,20 @@ class DesignSearch:
             return self.family.motion(candidate.coefficients)
         motion = paced_moves(candidate.coefficients, self._bounds, self._constraints)
         if motion is None:
-            raise MotionError(f"{self._model.name}: the designed poses ask for too much torque, however slow; allow a larger share of it")
+            raise MotionError(
+                f"{self._model.name}: the designed poses ask for too much torque, however slow;"
+                " allow a larger share of it"
+            )
         return motion
 
     def _retimed(self, family: Parametrisation, poses: Array) -> Parametrisation:
         if not isinstance(family, PointToPoint):
             return family
         way = np.abs(np.diff(poses, axis=0))
-        steps = np.max([1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)], axis=(0, 2))
+        steps = np.max(
+            [1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)],
+            axis=(0, 2),
+        )
         return family.retimed(np.maximum(steps, SHORTEST_MOVE))
 
     def failure(self) -> MotionError:
@@ -237,12 +305,14 @@ class DesignSearch:
         start = self._start(rng)
         if start is None:
             return MotionError(
-                f"{self._model.name}: no motion within the constraints was found to start from, however small; "
-                "check the torque limits, the obstacles and the box of the tool, or raise the fraction of the limits that may be used"
+                f"{self._model.name}: no motion within the constraints was found to start from,"
+                " however small; check the torque limits, the obstacles and the box of the tool,"
+                " or raise the fraction of the limits that may be used"
             )
         return MotionError(
-            f"{self._model.name}: no {self.family.key} motion with {self.family.size} {self.family.size_name} tells all "
-            f"{self._objective.information.n_parameters} base parameters; ask for more {self.family.size_name} or fewer drive terms"
+            f"{self._model.name}: no {self.family.key} motion with {self.family.size}"
+            f" {self.family.size_name} tells all {self._objective.information.n_parameters} base"
+            f" parameters; ask for more {self.family.size_name} or fewer drive terms"
         )
 
     def _start(self, rng: np.random.Generator) -> Array | None:
@@ -252,7 +322,11 @@ class DesignSearch:
             shape = self.family.random(rng, n)
             shape -= np.outer(constant, constant @ shape / (constant @ constant))
             size = np.max(
-                [np.abs(basis @ shape / half).max(axis=0) for basis, half in zip(program.bases, program.half, strict=True)], axis=0
+                [
+                    np.abs(basis @ shape / half).max(axis=0)
+                    for basis, half in zip(program.bases, program.half, strict=True)
+                ],
+                axis=0,
             )
             shape *= rng.uniform(0.3, 0.8, size=n) / size
             path = program.bases[0] @ shape

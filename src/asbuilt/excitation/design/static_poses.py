@@ -100,23 +100,34 @@ def design_static_poses(
     information = Information.of(model, base, noise)
     bounds = MotionBounds.assumed(model, fraction)
     torque = torque_fraction * MotionBounds.of(model).torque
-    loads: list[StateConstraint] = [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
+    loads: list[StateConstraint] = (
+        [TorqueLimit((model,), torque)] if np.any(np.isfinite(torque)) else []
+    )
     weight = [WeightLimit((model,), STANDING * torque)] if loads else []
     everywhere = rng.uniform(bounds.lower, bounds.upper, size=(CANDIDATES, model.n_joints))
     barriers = [*constraints, *(limit for limit in weight if limit.binds(everywhere))]
     pool = _admissible(barriers, everywhere)
     if len(pool) < 2:
-        raise MotionError(f"{model.name}: no pose within the torque limits and clear of obstacles was found among {CANDIDATES}")
+        raise MotionError(
+            f"{model.name}: no pose within the torque limits and clear of obstacles was found among"
+            f" {CANDIDATES}"
+        )
     pool = _unwound(model, bounds, pool)
     roadmap = Roadmap.of(pool, bounds, barriers) if barriers else None
     pool = pool if roadmap is None else roadmap.stations
     told = _told(information, pool)
     p = told.shape[1]
     if p == 0:
-        raise UsageError(f"gravity moves no joint of {model.name} as it is mounted, so poses at rest tell nothing")
+        raise UsageError(
+            f"gravity moves no joint of {model.name} as it is mounted, so poses at rest tell"
+            " nothing"
+        )
     least = -(-p // model.n_joints)
     if count < max(2, least):
-        raise UsageError(f"gravity tells {p} parameters of {model.name}; that takes at least {max(2, least)} poses, got {count}")
+        raise UsageError(
+            f"gravity tells {p} parameters of {model.name}; that takes at least {max(2, least)}"
+            f" poses, got {count}"
+        )
     poses = pool[_exchanged(_pose_rows(information, pool, told), count)]
     poses = _refined(information, told, bounds, [*constraints, *weight], barriers, poses)
     travel = travel_through(poses, roadmap, bounds, barriers, loads, dwell)
@@ -125,7 +136,11 @@ def design_static_poses(
     size = 1.0 / np.sqrt(np.diag(total))
     limited, _ = limited_model(model)
     visited = motion.at(motion.sample_times(CHECK_RATE))[0]
-    distances = [constraint.smallest_distance(visited) for constraint in constraints if hasattr(constraint, "smallest_distance")]
+    distances = [
+        constraint.smallest_distance(visited)
+        for constraint in constraints
+        if hasattr(constraint, "smallest_distance")
+    ]
     return StaticDesign(
         model=model,
         poses=poses,
@@ -158,7 +173,9 @@ def _pose_rows(information: Information, poses: Array, told: Array) -> Array:
     rows = information.rows(poses, rest, rest, smooth=False)
     whole = np.zeros((len(poses), information.model.n_joints, information.n_parameters))
     plan = information.plan
-    for k, (support, (first, stop)) in enumerate(zip(plan.support, plan.bounds.tolist(), strict=True)):
+    for k, (support, (first, stop)) in enumerate(
+        zip(plan.support, plan.bounds.tolist(), strict=True)
+    ):
         whole[:, k, support] = rows[first:stop, : len(poses)].T / information.noise[k]
     return np.asarray(whole @ told)
 
@@ -167,7 +184,11 @@ def _told(information: Information, poses: Array) -> Array:
     """Return an orthonormal basis (p_base, p) of the combinations of base parameters that gravity tells."""
     rows = _pose_rows(information, poses, np.eye(information.n_parameters))
     eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
-    return np.asarray(vectors[:, eigenvalues > SMALLEST_EIGENVALUE * max(float(eigenvalues[-1]), np.finfo(float).tiny)])
+    return np.asarray(
+        vectors[
+            :, eigenvalues > SMALLEST_EIGENVALUE * max(float(eigenvalues[-1]), np.finfo(float).tiny)
+        ]
+    )
 
 
 def _information(information: Information, told: Array, poses: Array) -> Array:
@@ -181,7 +202,9 @@ def _exchanged(rows: Array, count: int) -> list[int]:
     small = 1e-6 * float(np.einsum("ski,ski->", rows, rows)) / len(rows) / p * np.eye(p)
 
     def gains(matrix: Array) -> Array:
-        added = np.eye(rows.shape[1]) + rows @ np.linalg.solve(matrix, np.swapaxes(rows, 1, 2).reshape(len(rows), p, -1))
+        added = np.eye(rows.shape[1]) + rows @ np.linalg.solve(
+            matrix, np.swapaxes(rows, 1, 2).reshape(len(rows), p, -1)
+        )
         return np.asarray(np.linalg.slogdet(added)[1])
 
     chosen: list[int] = []
@@ -225,13 +248,26 @@ def _refined(
         return -value, -(slope * half).reshape(-1)
 
     start = ((poses - middle) / half).reshape(-1)
-    found = minimize(negative, start, jac=True, method="L-BFGS-B", bounds=[(-1, 1)] * start.size, options={"maxiter": REFINEMENT_STEPS})
+    found = minimize(
+        negative,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-1, 1)] * start.size,
+        options={"maxiter": REFINEMENT_STEPS},
+    )
     moved = middle + half * found.x.reshape(poses.shape)
     for k in range(len(moved)):
-        straight = bool(ways_clear(np.stack([poses[k], moved[k]]), [(0, 1)], obstacles)[0]) if obstacles else True
+        straight = (
+            bool(ways_clear(np.stack([poses[k], moved[k]]), [(0, 1)], obstacles)[0])
+            if obstacles
+            else True
+        )
         if not straight or not len(_admissible(watch, moved[k : k + 1])):
             moved[k] = poses[k]
-    better = DOptimality().value(_information(information, told, moved)) >= DOptimality().value(_information(information, told, poses))
+    better = DOptimality().value(_information(information, told, moved)) >= DOptimality().value(
+        _information(information, told, poses)
+    )
     return moved if better else poses
 
 
@@ -250,5 +286,9 @@ def _unwound(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array:
     middle = np.where(gaps[widest, joints] > BARRED, opposite, centre)
     near = pool - 2 * np.pi * np.round((pool - middle) / (2 * np.pi))
     near += 2 * np.pi * ((near < bounds.lower).astype(float) - (near > bounds.upper))
-    fits = (near > bounds.lower) & (near < bounds.upper) & [joint.is_revolute for joint in model.joints]
+    fits = (
+        (near > bounds.lower)
+        & (near < bounds.upper)
+        & [joint.is_revolute for joint in model.joints]
+    )
     return np.where(fits, near, pool)

@@ -39,45 +39,73 @@ class TorqueLimit(StateConstraint):
         self._limit = limit
         self._finite = np.flatnonzero(np.isfinite(limit))
         self._drive, self._values = described_drive(self._model)
-        self._differ = any(isinstance(getattr(term, shape.name), tuple) for term in self._drive.terms for shape in term.shapes)
+        self._differ = any(
+            isinstance(getattr(term, shape.name), tuple)
+            for term in self._drive.terms
+            for shape in term.shapes
+        )
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque over its limit, (N, models x limited joints)."""
         torque = self._rigid(q, qd, qdd)
         if self._drive:
-            torque = torque + np.stack([self._friction(q, qd, qdd, load) for load in self._loads(torque)], axis=1)
+            torque = torque + np.stack(
+                [self._friction(q, qd, qdd, load) for load in self._loads(torque)], axis=1
+            )
         return (torque / self._limit)[:, :, self._finite].reshape(len(q), -1)
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the derivatives of the values, (N, models x limited joints, n, 3); those of described friction are central differences."""
         slopes = torque_derivatives(self._model, q, qd, qdd, self._parameters)
         if self._drive:
-            through = [self._friction_slopes(q, qd, qdd, load) for load in self._loads(self._rigid(q, qd, qdd))]
+            through = [
+                self._friction_slopes(q, qd, qdd, load)
+                for load in self._loads(self._rigid(q, qd, qdd))
+            ]
             by_load = np.stack([slope[..., 3] for slope in through], axis=1)
-            slopes = slopes + np.einsum("smkj,smjxo->smkxo", by_load, slopes) + np.stack([slope[..., :3] for slope in through], axis=1)
+            slopes = (
+                slopes
+                + np.einsum("smkj,smjxo->smkxo", by_load, slopes)
+                + np.stack([slope[..., :3] for slope in through], axis=1)
+            )
         limited: Array = slopes[:, :, self._finite] / self._limit[self._finite, None, None]
         return limited.reshape(len(q), -1, *limited.shape[3:])
 
     def _loads(self, torque: Array) -> list[Array]:
         """Return the loads that make a difference to friction: one for every description, or one for all."""
-        return [torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)]
+        return [
+            torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)
+        ]
 
     def _rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque of the rigid bodies of every description, (N, models, n): one regressor for all where there are several."""
         if len(self._parameters) == 1:
             return inverse_dynamics(self._model, q, qd, qdd, threads=1)[:, None]
         rows = self._plan.evaluate(q, qd, qdd)
-        return np.stack([row.T @ self._parameters[:, support].T for row, support in zip(rows, self._plan.support, strict=True)], axis=2)
+        return np.stack(
+            [
+                row.T @ self._parameters[:, support].T
+                for row, support in zip(rows, self._plan.support, strict=True)
+            ],
+            axis=2,
+        )
 
     def _friction_slopes(self, *state: Array) -> Array:
         """Return the derivatives of friction k with respect to q, qd, qdd and load of joint j, (N, k, j, 4)."""
         n = state[0].shape[1]
         coupled = bool(self._drive.of_motor.any())
-        ways = [(way, np.tile(way, (n, 1))) for way in np.eye(n)] if coupled else [(np.ones(n), np.eye(n))]
+        ways = (
+            [(way, np.tile(way, (n, 1))) for way in np.eye(n)]
+            if coupled
+            else [(np.ones(n), np.eye(n))]
+        )
         found = np.zeros((len(state[0]), n, n, len(state)))
         for way, pattern in ways:
             for order in range(len(state) if self._drive.needs_load else 3):
-                up, down = ([x + step * way if i == order else x for i, x in enumerate(state)] for step in (STEP, -STEP))
+                up, down = (
+                    [x + step * way if i == order else x for i, x in enumerate(state)]
+                    for step in (STEP, -STEP)
+                )
                 slope = (self._friction(*up) - self._friction(*down)) / (2 * STEP)
                 found[..., order] += slope[:, :, None] * pattern
         return found
@@ -89,17 +117,28 @@ class TorqueLimit(StateConstraint):
             return self._exact_friction(q, qd, qdd, load)
         sign = np.tanh(qd / SIGN_WIDTH)
         away = np.abs(qd) + 1e-12
-        ahead, behind = self._exact_friction(q, away, qdd, load), self._exact_friction(q, -away, qdd, load)
+        ahead, behind = (
+            self._exact_friction(q, away, qdd, load),
+            self._exact_friction(q, -away, qdd, load),
+        )
         mixed: Array = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
         return mixed
 
     def _exact_friction(self, *state: Array) -> Array:
         """Return the drive torque, of all joints at once where they differ in nothing but values, (N, n)."""
         if self._differ or self._drive.of_motor.any():
-            return drive_torque(self._drive, self._values, *state[:3], load=state[3], shares=self._model.motor_shares)
+            return drive_torque(
+                self._drive,
+                self._values,
+                *state[:3],
+                load=state[3],
+                shares=self._model.motor_shares,
+            )
         q, qd, qdd, load = (np.ascontiguousarray(x).reshape(-1) for x in state)
         columns = self._drive.evaluate(q, qd, qdd, load=load).reshape(-1, *state[0].shape)
-        friction: Array = np.einsum("csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1))
+        friction: Array = np.einsum(
+            "csk,kc->sk", columns, self._values.reshape(self._model.n_joints, -1)
+        )
         return friction
 
 
@@ -143,7 +182,9 @@ class PowerLimit(StateConstraint):
         return slopes
 
 
-def perturbed_models(model: RobotModel, count: int, spread: float, rng: np.random.Generator) -> tuple[RobotModel, ...]:
+def perturbed_models(
+    model: RobotModel, count: int, spread: float, rng: np.random.Generator
+) -> tuple[RobotModel, ...]:
     """Return the model and `count` versions with masses and inertias off by `spread` (standard deviation, as a fraction), centres of mass likewise."""
     versions = [model]
     for _ in range(count):

@@ -117,7 +117,9 @@ class FocusedDOptimality(Criterion):
         return value - others, gradient
 
 
-CRITERIA: dict[str, type[Criterion]] = {kind.key: kind for kind in (DOptimality, AOptimality, EOptimality, ConditionNumber)}
+CRITERIA: dict[str, type[Criterion]] = {
+    kind.key: kind for kind in (DOptimality, AOptimality, EOptimality, ConditionNumber)
+}
 """The criteria by key; `FocusedDOptimality` is d with a focus."""
 
 

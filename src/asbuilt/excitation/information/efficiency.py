@@ -61,13 +61,19 @@ class InformationEfficiency:
     def owners(self) -> NDArray[np.intp]:
         """The joint, counted from 0, to whose link or drive each base parameter belongs (p,)."""
         columns, per = self.base.columns, self.base.drive.columns_per_joint
-        return np.where(columns < 10 * self._n_joints, columns // 10, (columns - 10 * self._n_joints) // max(per, 1))
+        return np.where(
+            columns < 10 * self._n_joints,
+            columns // 10,
+            (columns - 10 * self._n_joints) // max(per, 1),
+        )
 
     @property
     def worst(self) -> tuple[int | None, ...]:
         """Which base parameter of each joint is told worst, None for a joint without any."""
         own = [np.flatnonzero(self.owners == k) for k in range(self._n_joints)]
-        return tuple(int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own)
+        return tuple(
+            int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own
+        )
 
     @property
     def by_joint(self) -> Array:
@@ -79,13 +85,18 @@ class InformationEfficiency:
         return self.base.n_standard // (10 + self.base.drive.columns_per_joint)
 
 
-def information_efficiency(model: RobotModel, drive: DriveSet, samples: JointStates) -> InformationEfficiency:
+def information_efficiency(
+    model: RobotModel, drive: DriveSet, samples: JointStates
+) -> InformationEfficiency:
     """Return how much of the attainable information per sample the states of a recording carry, for equal noise in all joints.
 
     Limits that the description lacks are those of `MotionBounds.assumed`. Long recordings are thinned evenly. Raises UsageError without samples.
     """
     step = max(1, -(-len(samples.q) // MOST_SAMPLES))
-    q, qd, qdd = (np.ascontiguousarray(x[::step], dtype=np.float64) for x in (samples.q, samples.qd, samples.qdd))
+    q, qd, qdd = (
+        np.ascontiguousarray(x[::step], dtype=np.float64)
+        for x in (samples.q, samples.qd, samples.qdd)
+    )
     if not len(q):
         raise UsageError("there are no samples to judge")
     base, bound = _bound(model, drive)
@@ -97,7 +108,9 @@ def information_efficiency(model: RobotModel, drive: DriveSet, samples: JointSta
     own = ((vectors[:, kept] ** 2) / eigenvalues[kept]).sum(axis=1) / size**2
     told = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
     by_parameter = np.where(told, best / np.maximum(own, np.finfo(float).tiny), 0.0)
-    return InformationEfficiency(base, bound.efficiency(mean) if np.all(kept) else 0.0, by_parameter)
+    return InformationEfficiency(
+        base, bound.efficiency(mean) if np.all(kept) else 0.0, by_parameter
+    )
 
 
 @lru_cache(maxsize=8)
@@ -105,4 +118,10 @@ def _bound(model: RobotModel, drive: DriveSet) -> tuple[BaseParameters, Informat
     base = find_base_parameters(model, drive)
     limits = MotionBounds.assumed(model)
     with one_blas_thread():
-        return base, information_bound(model, Information.of(model, base), limits, torque=MotionBounds.of(model).torque, rounds=ROUNDS)
+        return base, information_bound(
+            model,
+            Information.of(model, base),
+            limits,
+            torque=MotionBounds.of(model).torque,
+            rounds=ROUNDS,
+        )

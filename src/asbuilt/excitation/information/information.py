@@ -51,15 +51,28 @@ class Information:
     def of(cls, model: RobotModel, base: BaseParameters, noise: ArrayLike = 1.0) -> Information:
         """Prepare the evaluation; raises UsageError where the noise is not positive, one number or one per joint."""
         sigma = np.asarray(noise, dtype=np.float64)
-        if sigma.shape not in ((), (1,), (model.n_joints,)) or not np.all(np.isfinite(sigma)) or not np.all(sigma > 0):
-            raise UsageError(f"the noise must be one positive number or one per joint ({model.n_joints}), got {sigma.tolist()}")
+        if (
+            sigma.shape not in ((), (1,), (model.n_joints,))
+            or not np.all(np.isfinite(sigma))
+            or not np.all(sigma > 0)
+        ):
+            raise UsageError(
+                f"the noise must be one positive number or one per joint ({model.n_joints}), got"
+                f" {sigma.tolist()}"
+            )
         shared = [term.key for term in base.drive.terms if term.of_motor]
         if shared:
             raise UsageError(
-                f"drive term {shared[0]!r} belongs to motors that move several joints; a motion cannot be designed for it, leave it out"
+                f"drive term {shared[0]!r} belongs to motors that move several joints; a motion"
+                " cannot be designed for it, leave it out"
             )
         velocity = MotionBounds.assumed(model).velocity
-        return cls(model, base, read_only(np.broadcast_to(sigma, (model.n_joints,))), read_only(SIGN_WIDTH * velocity))
+        return cls(
+            model,
+            base,
+            read_only(np.broadcast_to(sigma, (model.n_joints,))),
+            read_only(SIGN_WIDTH * velocity),
+        )
 
     @cached_property
     def plan(self) -> RegressorPlan:
@@ -86,7 +99,9 @@ class Information:
     def matrix(self, rows: Array, n_samples: int) -> Array:
         """Return M (p, p) from what `rows` returned."""
         total = np.zeros((self.n_parameters, self.n_parameters))
-        for support, (first, stop), sigma in zip(self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True):
+        for support, (first, stop), sigma in zip(
+            self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True
+        ):
             w = rows[first:stop, :n_samples] / sigma
             total[np.ix_(support, support)] += w @ w.T
         return total
@@ -108,8 +123,12 @@ class Information:
         """
         count = len(q)
         weights = np.zeros_like(rows)
-        for support, (first, stop), sigma in zip(self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True):
-            weights[first:stop, :count] = (2.0 / sigma**2) * (sensitivity[np.ix_(support, support)] @ rows[first:stop, :count])
+        for support, (first, stop), sigma in zip(
+            self.plan.support, self.plan.bounds.tolist(), self.noise, strict=True
+        ):
+            weights[first:stop, :count] = (2.0 / sigma**2) * (
+                sensitivity[np.ix_(support, support)] @ rows[first:stop, :count]
+            )
         drive = self.base.drive
         slopes = (np.zeros_like(q), np.zeros_like(q), np.zeros_like(q))
         if drive:
@@ -118,7 +137,10 @@ class Information:
                 given[chosen, :, k] = weights[places, :count]
             state = self._state(q, qd, qdd)
             for order in self._drive_arguments:
-                up, down = ([x + step if i == order else x for i, x in enumerate(state)] for step in (STEP, -STEP))
+                up, down = (
+                    [x + step if i == order else x for i, x in enumerate(state)]
+                    for step in (STEP, -STEP)
+                )
                 slope = self._drive_columns(up) - self._drive_columns(down)
                 through = np.einsum("csk,csk->sk", given, slope) / (2 * STEP)
                 if order < 3:
@@ -138,7 +160,9 @@ class Information:
     def _drive_places(self) -> tuple[tuple[Indices, Indices], ...]:
         """For each joint the chosen among its drive columns, and their rows in the layout of `plan`."""
         n, per, found = self.model.n_joints, self.base.drive.columns_per_joint, []
-        for k, (support, (first, _)) in enumerate(zip(self.plan.support, self.plan.bounds.tolist(), strict=True)):
+        for k, (support, (first, _)) in enumerate(
+            zip(self.plan.support, self.plan.bounds.tolist(), strict=True)
+        ):
             own = self.plan.columns[support] - (10 * n + k * per)
             found.append((own[own >= 0], first + np.flatnonzero(own >= 0)))
         return tuple(found)
@@ -149,7 +173,9 @@ class Information:
         jumps = self._jumps
         if np.any(jumps):
             speed = np.abs(state[1]) + SMALLEST_SPEED
-            ahead, behind = (self._exact_drive_columns([state[0], v, *state[2:]])[jumps] for v in (speed, -speed))
+            ahead, behind = (
+                self._exact_drive_columns([state[0], v, *state[2:]])[jumps] for v in (speed, -speed)
+            )
             sign = np.tanh(state[1] / self.width)
             columns[jumps] = 0.5 * ((1 + sign) * ahead + (1 - sign) * behind)
         return columns
@@ -158,17 +184,25 @@ class Information:
         drive, samples, n = self.base.drive, len(state[0]), self.model.n_joints
         if not self._differ:
             flat = [np.ascontiguousarray(x).reshape(-1) for x in state]
-            return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(-1, samples, n)
+            return drive.evaluate(*flat[:3], load=flat[3] if len(flat) > 3 else None).reshape(
+                -1, samples, n
+            )
         columns = np.empty((drive.columns_per_joint, samples, n))
         for k in range(n):
             own = [np.ascontiguousarray(x[:, k]) for x in state]
-            columns[:, :, k] = drive.evaluate(*own[:3], load=own[3] if len(own) > 3 else None, joint=k)
+            columns[:, :, k] = drive.evaluate(
+                *own[:3], load=own[3] if len(own) > 3 else None, joint=k
+            )
         return columns
 
     @cached_property
     def _differ(self) -> bool:
         """Whether a term has a shape of its own for each joint."""
-        return any(isinstance(getattr(term, shape.name), tuple) for term in self.base.drive.terms for shape in term.shapes)
+        return any(
+            isinstance(getattr(term, shape.name), tuple)
+            for term in self.base.drive.terms
+            for shape in term.shapes
+        )
 
     def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:
         load = [inverse_dynamics(self.model, q, qd, qdd)] if self.base.drive.needs_load else []
@@ -180,7 +214,10 @@ class Information:
         n = self.model.n_joints
         still = np.tile(np.linspace(-1.0, 1.0, 7)[:, None], (1, n))
         ahead, behind = (
-            self._exact_drive_columns([still, np.full((7, n), v), *[still] * (1 + self.base.drive.needs_load)]) for v in (1e-9, -1e-9)
+            self._exact_drive_columns(
+                [still, np.full((7, n), v), *[still] * (1 + self.base.drive.needs_load)]
+            )
+            for v in (1e-9, -1e-9)
         )
         return np.asarray(np.any(np.abs(ahead - behind) > LEAST_JUMP, axis=(1, 2)))
 
@@ -188,16 +225,30 @@ class Information:
     def _drive_arguments(self) -> tuple[int, ...]:
         """Which of q, qd, qdd and load the drive columns depend on."""
         rng = np.random.default_rng(0)
-        state = [rng.uniform(0.1, 1.0, (5, self.model.n_joints)) for _ in range(3 + self.base.drive.needs_load)]
+        state = [
+            rng.uniform(0.1, 1.0, (5, self.model.n_joints))
+            for _ in range(3 + self.base.drive.needs_load)
+        ]
         reference = self._drive_columns(state)
-        moved = [[x + 0.05 if i == order else x for i, x in enumerate(state)] for order in range(len(state))]
-        return tuple(order for order, other in enumerate(moved) if np.any(self._drive_columns(other) != reference))
+        moved = [
+            [x + 0.05 if i == order else x for i, x in enumerate(state)]
+            for order in range(len(state))
+        ]
+        return tuple(
+            order
+            for order, other in enumerate(moved)
+            if np.any(self._drive_columns(other) != reference)
+        )
 
 
-def mean_information(information: Information, q: Array, qd: Array, qdd: Array, *, at_once: int = 2048) -> Array:
+def mean_information(
+    information: Information, q: Array, qd: Array, qdd: Array, *, at_once: int = 2048
+) -> Array:
     """Return the information per sample of many states, with exact drive columns, (p, p)."""
     total = np.zeros((information.n_parameters, information.n_parameters))
     for start in range(0, len(q), at_once):
         part = slice(start, start + at_once)
-        total += information.matrix(information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part]))
+        total += information.matrix(
+            information.rows(q[part], qd[part], qdd[part], smooth=False), len(q[part])
+        )
     return total / len(q)

@@ -77,7 +77,9 @@ def information_bound(
     where that ends it.
     """
     rng = np.random.default_rng([seed, 7])
-    limit = None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
+    limit = (
+        None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
+    )
     pool = _admissible(limit, random_states(bounds, POOL, rng, extreme=0.7))
     weights = np.full(len(pool[0]), 1.0 / len(pool[0]))
     p, seen = information.n_parameters, len(pool[0])
@@ -94,7 +96,11 @@ def information_bound(
         heavy = _chosen(pool, np.argsort(-weights)[:REFINED])
         climbed = _climbed(information, inverse, bounds, limit, _joined(top, heavy))
         worth_climbed = variance(information, inverse, climbed)
-        highest = max(float(worth.max(initial=0.0)), float(worth_climbed.max()), float(variance(information, inverse, pool).max()))
+        highest = max(
+            float(worth.max(initial=0.0)),
+            float(worth_climbed.max()),
+            float(variance(information, inverse, pool).max()),
+        )
         upper = log_det + p * max(0.0, float(np.log(highest / p)))
         best_upper = min(best_upper, upper)
         if np.log(highest / p) < GAP or cancelled():
@@ -103,7 +109,9 @@ def information_bound(
         pool = _joined(pool, new)
         weights = np.concatenate([0.9 * weights, np.full(len(new[0]), 0.1 / len(new[0]))])
     log_det = DOptimality().value(mean)
-    return InformationBound(mean, log_det, max(best_upper, log_det), seen, pool, weights[: len(pool[0])])
+    return InformationBound(
+        mean, log_det, max(best_upper, log_det), seen, pool, weights[: len(pool[0])]
+    )
 
 
 def variance(information: Information, inverse: Array, states: States) -> Array:
@@ -111,7 +119,9 @@ def variance(information: Information, inverse: Array, states: States) -> Array:
     count = len(states[0])
     rows = information.rows(*states, smooth=False)
     total = np.zeros(count)
-    for support, (first, stop), sigma in zip(information.plan.support, information.plan.bounds.tolist(), information.noise, strict=True):
+    for support, (first, stop), sigma in zip(
+        information.plan.support, information.plan.bounds.tolist(), information.noise, strict=True
+    ):
         w = rows[first:stop, :count]
         total += np.einsum("is,is->s", w, inverse[np.ix_(support, support)] @ w) / sigma**2
     return total
@@ -123,7 +133,12 @@ def _weighted(information: Information, pool: States, weights: Array) -> tuple[A
     rows = information.rows(*pool, smooth=False)
     parts = [
         (support, rows[first:stop, :count] / sigma)
-        for support, (first, stop), sigma in zip(information.plan.support, information.plan.bounds.tolist(), information.noise, strict=True)
+        for support, (first, stop), sigma in zip(
+            information.plan.support,
+            information.plan.bounds.tolist(),
+            information.noise,
+            strict=True,
+        )
     ]
     mean = np.zeros((p, p))
     for _ in range(WEIGHT_STEPS):
@@ -143,7 +158,13 @@ def _weighted(information: Information, pool: States, weights: Array) -> tuple[A
     return weights, mean
 
 
-def _climbed(information: Information, inverse: Array, bounds: MotionBounds, limit: TorqueLimit | None, states: States) -> States:
+def _climbed(
+    information: Information,
+    inverse: Array,
+    bounds: MotionBounds,
+    limit: TorqueLimit | None,
+    states: States,
+) -> States:
     """Return states of larger d, reached by steps along its gradient within the limits; a step that does not pay is halved."""
     centre = (bounds.upper + bounds.lower) / 2
     halves = ((bounds.upper - bounds.lower) / 2, bounds.velocity, bounds.acceleration)
@@ -157,7 +178,9 @@ def _climbed(information: Information, inverse: Array, bounds: MotionBounds, lim
         steps = [slope * half for slope, half in zip(slopes, halves, strict=True)]
         size = np.sqrt(sum((step**2).sum(axis=1, keepdims=True) for step in steps)) + 1e-300
         moved = [
-            middle + np.clip((x - middle) / half + length * np.sqrt(step.shape[1]) * step / size, -1, 1) * half
+            middle
+            + np.clip((x - middle) / half + length * np.sqrt(step.shape[1]) * step / size, -1, 1)
+            * half
             for x, step, middle, half in zip(current, steps, middles, halves, strict=True)
         ]
         trial = (moved[0], moved[1], moved[2])
@@ -165,7 +188,9 @@ def _climbed(information: Information, inverse: Array, bounds: MotionBounds, lim
         pays = better > worth
         if limit is not None:
             pays &= np.abs(limit.values(*trial)).max(axis=1) <= 1
-        current = tuple(np.where(pays[:, None], new, old) for new, old in zip(trial, current, strict=True))  # type: ignore[assignment]
+        current = tuple(
+            np.where(pays[:, None], new, old) for new, old in zip(trial, current, strict=True)
+        )  # type: ignore[assignment]
         worth = np.where(pays, better, worth)
         length = np.where(pays[:, None], np.minimum(1.3 * length, 2.0), 0.4 * length)
     return current

@@ -61,13 +61,19 @@ class BSplineMotion(BasisMotion):
 
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
         """Return the derivative of this order of each basis function at the times `t` (N,), shape (N, m)."""
-        return np.asarray(self._functions(np.atleast_1d(np.asarray(t, dtype=np.float64)), nu=order), dtype=np.float64)
+        return np.asarray(
+            self._functions(np.atleast_1d(np.asarray(t, dtype=np.float64)), nu=order),
+            dtype=np.float64,
+        )
 
     @cached_property
     def pieces(self) -> PiecewisePolynomial:
         """The same motion as polynomials between the knots."""
         breaks = np.unique(self._functions.t)
-        rows = [self.basis(breaks[:-1], k) @ self.coefficients / factorial(k) for k in range(DEGREE, -1, -1)]
+        rows = [
+            self.basis(breaks[:-1], k) @ self.coefficients / factorial(k)
+            for k in range(DEGREE, -1, -1)
+        ]
         return PiecewisePolynomial(breaks, np.stack(rows))
 
     def extremes(self, order: int) -> tuple[Array, Array]:

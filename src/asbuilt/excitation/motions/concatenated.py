@@ -75,13 +75,16 @@ class Concatenated(Motion):
     def extremes(self, order: int) -> tuple[Array, Array]:
         """Return the smallest and the largest value of a derivative over the whole motion, two (n,)."""
         found = [motion.extremes(order) for motion in self.motions]
-        return np.min([low for low, _ in found], axis=0), np.max([high for _, high in found], axis=0)
+        return np.min([low for low, _ in found], axis=0), np.max(
+            [high for _, high in found], axis=0
+        )
 
 
 def _check_join(k: int, earlier: Motion, later: Motion, dwell: float) -> None:
     if earlier.n_joints != later.n_joints:
         raise MotionError(
-            f"motion {k + 1} moves {earlier.n_joints} joints, motion {k + 2} moves {later.n_joints}; they cannot follow each other"
+            f"motion {k + 1} moves {earlier.n_joints} joints, motion {k + 2} moves"
+            f" {later.n_joints}; they cannot follow each other"
         )
     for order in (0, 1):
         before, after = earlier.derivative(earlier.duration, order), later.derivative(0.0, order)
@@ -89,8 +92,11 @@ def _check_join(k: int, earlier: Motion, later: Motion, dwell: float) -> None:
         j = int(np.argmax(jump))
         if jump[j] > JOIN_TOLERANCE:
             raise MotionError(
-                f"motion {k + 1} ends with {QUANTITIES[order]} {before[j]:g} of joint {j + 1}, motion {k + 2} starts with {after[j]:g}; "
-                "put a QuinticMotion.between the two"
+                f"motion {k + 1} ends with {QUANTITIES[order]} {before[j]:g} of joint {j + 1},"
+                f" motion {k + 2} starts with {after[j]:g}; put a QuinticMotion.between the two"
             )
         if order == 1 and dwell > 0 and np.max(np.abs(before)) > JOIN_TOLERANCE:
-            raise MotionError(f"motion {k + 1} is still moving when a dwell of {dwell:g} s starts; end it at rest or set the dwell to 0")
+            raise MotionError(
+                f"motion {k + 1} is still moving when a dwell of {dwell:g} s starts; end it at rest"
+                " or set the dwell to 0"
+            )

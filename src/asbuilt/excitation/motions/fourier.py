@@ -42,11 +42,16 @@ class FourierMotion(BasisMotion):
     def __init__(self, coefficients: ArrayLike, period: float, periods: int = 1) -> None:
         rows = way_point_array(coefficients, "Fourier coefficients", least=3)
         if rows.shape[0] % 2 == 0:
-            raise MotionError(f"L harmonics have 2 L - 1 rows of coefficients (pose, L - 1 sines, L - 1 cosines), got {rows.shape[0]} rows")
+            raise MotionError(
+                "L harmonics have 2 L - 1 rows of coefficients (pose, L - 1 sines, L - 1 cosines),"
+                f" got {rows.shape[0]} rows"
+            )
         if not (np.isfinite(period) and period > 0):
             raise MotionError(f"the period must be a positive number of seconds, got {period}")
         if periods != int(periods) or periods < 1:
-            raise MotionError(f"a motion runs through a whole number of periods, at least 1; got {periods}")
+            raise MotionError(
+                f"a motion runs through a whole number of periods, at least 1; got {periods}"
+            )
         self.coefficients = read_only(rows)
         self.period = float(period)
         self.periods = int(periods)
@@ -69,12 +74,17 @@ class FourierMotion(BasisMotion):
     @property
     def series(self) -> tuple[Array, Array, Array]:
         """Return `q0` (n,), `a` and `b` (L, n) of the series in the form of Swevers et al. (1997)."""
-        sines, cosines = self.coefficients[1 : self.n_harmonics], self.coefficients[self.n_harmonics :]
+        sines, cosines = (
+            self.coefficients[1 : self.n_harmonics],
+            self.coefficients[self.n_harmonics :],
+        )
         w = self.fundamental
         orders = np.arange(2, self.n_harmonics + 1)[:, None]
         a = w * np.vstack([-sines.sum(axis=0), sines])
         b = w * np.vstack([-cosines.sum(axis=0), cosines / orders])
-        q0 = self.coefficients[0] + (b / (w * np.arange(1, self.n_harmonics + 1)[:, None])).sum(axis=0)
+        q0 = self.coefficients[0] + (b / (w * np.arange(1, self.n_harmonics + 1)[:, None])).sum(
+            axis=0
+        )
         return q0, a, b
 
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
@@ -106,12 +116,17 @@ class FourierMotion(BasisMotion):
 def fourier_basis(t: ArrayLike, period: float, n_harmonics: int, order: int = 0) -> Array:
     """Return the derivative of this order of the functions of `FourierMotion` at the times `t` (N,), shape (N, 2 n_harmonics - 1)."""
     if n_harmonics < 2:
-        raise MotionError(f"a series at rest at both ends needs at least 2 harmonics, got {n_harmonics}")
+        raise MotionError(
+            f"a series at rest at both ends needs at least 2 harmonics, got {n_harmonics}"
+        )
     w = 2 * np.pi / period
     harmonics = np.arange(1, n_harmonics + 1)
     # The wave is z_l = exp(i l w t); its derivatives are (i l w)^order z_l, and sine and cosine its two parts.
     first = np.exp(1j * w * (np.atleast_1d(np.asarray(t, dtype=np.float64)) % period))
-    waves = np.cumprod(np.broadcast_to(first[:, None], (first.size, n_harmonics)), axis=1) * (1j * harmonics * w) ** order
+    waves = (
+        np.cumprod(np.broadcast_to(first[:, None], (first.size, n_harmonics)), axis=1)
+        * (1j * harmonics * w) ** order
+    )
     sines = waves.imag / harmonics
     cosines = ((1.0 if order == 0 else 0.0) - waves.real) / harmonics**2
     constant = np.full((first.size, 1), 1.0 if order == 0 else 0.0)

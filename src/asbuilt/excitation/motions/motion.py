@@ -47,7 +47,8 @@ class Trajectory:
         for name in ("q", "qd", "qdd"):
             if getattr(self, name).shape != shape:
                 raise MotionError(
-                    f"{name} of a trajectory must have shape {shape} to go with {self.t.size} times, got {getattr(self, name).shape}"
+                    f"{name} of a trajectory must have shape {shape} to go with {self.t.size}"
+                    f" times, got {getattr(self, name).shape}"
                 )
 
     @property
@@ -97,7 +98,10 @@ class Motion(ABC):
         slack = TIME_TOLERANCE * self.duration
         inside = (flat >= -slack) & (flat <= self.duration + slack)
         if not np.all(inside):
-            raise MotionError(f"t = {flat[~inside][0]:g} s is outside the motion, which lasts from 0 to {self.duration:g} s")
+            raise MotionError(
+                f"t = {flat[~inside][0]:g} s is outside the motion, which lasts from 0 to"
+                f" {self.duration:g} s"
+            )
         values = self._evaluate(np.clip(flat, 0.0, self.duration), order)
         return values[0] if times.ndim == 0 else values
 
@@ -122,8 +126,15 @@ class Motion(ABC):
     def sample_times(self, rate: float) -> Array:
         """Return the times `0, 1/rate, 2/rate, ...` up to the end; the end itself is among them if it is a multiple of the period."""
         if not (np.isfinite(rate) and rate > 0):
-            raise MotionError(f"the rate must be a positive number of samples per second, got {rate}")
-        return np.arange(int(np.floor(self.duration * rate * (1 + TIME_TOLERANCE) + TIME_TOLERANCE)) + 1) / rate
+            raise MotionError(
+                f"the rate must be a positive number of samples per second, got {rate}"
+            )
+        return (
+            np.arange(
+                int(np.floor(self.duration * rate * (1 + TIME_TOLERANCE) + TIME_TOLERANCE)) + 1
+            )
+            / rate
+        )
 
     def sample(self, rate: float) -> Trajectory:
         """Return the motion at `rate` samples per second."""
@@ -135,7 +146,9 @@ class Motion(ABC):
 
         Found on a grid of at least 1 kHz and 2000 points here; motions that know better are exact.
         """
-        values = self.derivative(np.linspace(0.0, self.duration, max(2001, int(self.duration * 1000) + 1)), order)
+        values = self.derivative(
+            np.linspace(0.0, self.duration, max(2001, int(self.duration * 1000) + 1)), order
+        )
         return values.min(axis=0), values.max(axis=0)
 
     def peaks(self, order: int) -> Array:
@@ -222,10 +235,16 @@ def way_point_array(points: ArrayLike, what: str = "way points", least: int = 2)
     """Return `points` as a finite (m, n) array of at least `least` rows, or raise MotionError."""
     array = np.array(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[0] < least or array.shape[1] == 0:
-        raise MotionError(f"{what} must be an array of at least {least} rows, one column per joint; got shape {array.shape}")
+        raise MotionError(
+            f"{what} must be an array of at least {least} rows, one column per joint; got shape"
+            f" {array.shape}"
+        )
     bad = np.argwhere(~np.isfinite(array))
     if bad.size:
-        raise MotionError(f"{what}: row {bad[0, 0] + 1}, joint {bad[0, 1] + 1} is {array[tuple(bad[0])]}, not a finite number")
+        raise MotionError(
+            f"{what}: row {bad[0, 0] + 1}, joint {bad[0, 1] + 1} is {array[tuple(bad[0])]}, not a"
+            " finite number"
+        )
     return array
 
 
@@ -233,7 +252,10 @@ def limit_array(limit: ArrayLike, n_joints: int, quantity: str) -> Array:
     """Return a limit as (n_joints,) positive numbers (infinite allowed), or raise MotionError."""
     array = np.asarray(limit, dtype=np.float64)
     if array.ndim > 1 or (array.ndim == 1 and array.size not in (1, n_joints)):
-        raise MotionError(f"the {quantity} limit must be one number or one per joint ({n_joints}), got shape {array.shape}")
+        raise MotionError(
+            f"the {quantity} limit must be one number or one per joint ({n_joints}), got shape"
+            f" {array.shape}"
+        )
     array = np.broadcast_to(array, (n_joints,)).copy()
     if not np.all(array > 0):
         j = int(np.argmin(np.where(np.isnan(array), -np.inf, array)))

@@ -34,10 +34,19 @@ class SampledMotion(QuinticMotion):
     joint_names: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, t: ArrayLike, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, joint_names: Sequence[str] = ()) -> SampledMotion:
+    def of(
+        cls,
+        t: ArrayLike,
+        q: ArrayLike,
+        qd: ArrayLike,
+        qdd: ArrayLike,
+        joint_names: Sequence[str] = (),
+    ) -> SampledMotion:
         """Build from times (N,), shifted to start at 0, and samples (N, n)."""
         motion = cls.through(q, t, qd, qdd)
-        motion.joint_names = tuple(joint_names) or tuple(f"joint_{j}" for j in range(1, motion.n_joints + 1))
+        motion.joint_names = tuple(joint_names) or tuple(
+            f"joint_{j}" for j in range(1, motion.n_joints + 1)
+        )
         return motion
 
 
@@ -61,7 +70,10 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         raise MotionError(f"cannot read the motion {source}: {error}") from error
     names = tuple(column.removeprefix("q_") for column in table.columns if column.startswith("q_"))
     if "t" not in table.columns or not names:
-        raise MotionError(f"{source} is not a motion: it needs a column t and columns q_<joint>; it has {', '.join(table.columns[:12])}")
+        raise MotionError(
+            f"{source} is not a motion: it needs a column t and columns q_<joint>; it has"
+            f" {', '.join(table.columns[:12])}"
+        )
     if not table.height:
         raise MotionError(f"{source} is not a motion: it has a header but no data")
     if model is not None:
@@ -69,19 +81,28 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         unknown = [name for name in names if name not in model.joint_names]
         if missing or unknown:
             raise MotionError(
-                f"{source} does not fit {model.name}: missing joints {', '.join(missing) or 'none'}, unknown joints {', '.join(unknown) or 'none'}; "
-                f"the robot has {', '.join(model.joint_names)}"
+                f"{source} does not fit {model.name}: missing joints"
+                f" {', '.join(missing) or 'none'}, unknown joints {', '.join(unknown) or 'none'};"
+                f" the robot has {', '.join(model.joint_names)}"
             )
         names = model.joint_names
-    given = [prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)]
+    given = [
+        prefix for prefix in PREFIXES if any(column.startswith(prefix) for column in table.columns)
+    ]
     t = _numbers(table, ["t"], source)[:, 0]
     if t.size < 2 or not np.all(np.diff(t) > 0):
         row = int(np.argmin(np.diff(t) > 0)) + 3 if t.size > 1 else 2
-        raise MotionError(f"{source}: times must rise from line to line and there must be two; they do not at line {row}")
+        raise MotionError(
+            f"{source}: times must rise from line to line and there must be two; they do not at"
+            f" line {row}"
+        )
     q, *rates = (_numbers(table, [prefix + name for name in names], source) for prefix in given)
     if len(rates) < 2:
         if t.size < 6:
-            raise MotionError(f"{source} has {t.size} positions without qd_ and qdd_ columns; give these or at least 6 positions")
+            raise MotionError(
+                f"{source} has {t.size} positions without qd_ and qdd_ columns; give these or at"
+                " least 6 positions"
+            )
         spline = SplineMotion.through(q, t, ends="natural")
         rates = [spline.derivative(t - t[0], order) for order in (1, 2)]
     return SampledMotion.of(t, q, rates[0], rates[1], names)
@@ -90,7 +111,11 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
 def times_to_end(motion: Motion, rate: float) -> Array:
     """Return the times 0, 1/rate, ... and the end of the motion, which is left out if it comes within a hundredth of a period or 1 us after these."""
     t = motion.sample_times(rate)
-    return np.append(t, motion.duration) if motion.duration - t[-1] > max(SMALLEST_STEP / rate, 1e-6) else t
+    return (
+        np.append(t, motion.duration)
+        if motion.duration - t[-1] > max(SMALLEST_STEP / rate, 1e-6)
+        else t
+    )
 
 
 def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array:
@@ -99,11 +124,16 @@ def _numbers(table: pl.DataFrame, columns: Sequence[str], source: Path) -> Array
             raise MotionError(f"{source} has no column {column}; it has {', '.join(table.columns)}")
         if not table[column].dtype.is_numeric():
             text = next((k for k, cell in enumerate(table[column]) if not _is_number(cell)), 0)
-            raise MotionError(f"{source}: line {text + 2}, column {column} holds {table[column][text]!r}, not a number")
+            raise MotionError(
+                f"{source}: line {text + 2}, column {column} holds {table[column][text]!r}, not a"
+                " number"
+            )
     values = table.select(pl.col(column).cast(pl.Float64) for column in columns).to_numpy()
     bad = np.argwhere(~np.isfinite(values))
     if bad.size:
-        raise MotionError(f"{source}: line {bad[0, 0] + 2}, column {columns[bad[0, 1]]} is empty or not finite")
+        raise MotionError(
+            f"{source}: line {bad[0, 0] + 2}, column {columns[bad[0, 1]]} is empty or not finite"
+        )
     return np.asarray(values, dtype=np.float64)
 
 

@@ -21,7 +21,10 @@ SLOWING, SLOWEST = 0.93, 0.1
 
 
 def paced_moves(
-    poses: Array, bounds: MotionBounds, constraints: Sequence[StateConstraint], dwell: ArrayLike = 0.0
+    poses: Array,
+    bounds: MotionBounds,
+    constraints: Sequence[StateConstraint],
+    dwell: ArrayLike = 0.0,
 ) -> PointToPointMotion | None:
     """Return the motion through `poses` (m, n) on which each move is as fast as the bounds and the constraints allow; None where one cannot be made.
 
@@ -32,7 +35,9 @@ def paced_moves(
         if np.abs(poses[k + 1] - poses[k]).max() <= STANDSTILL:
             continue
         while not _holds(_motion(poses[k : k + 2], bounds, pace=pace[k]), constraints):
-            if pace[k] == 1.0 and not _holds(_motion(poses[k : k + 2], bounds), constraints, at_rest=True):
+            if pace[k] == 1.0 and not _holds(
+                _motion(poses[k : k + 2], bounds), constraints, at_rest=True
+            ):
                 return None
             pace[k] *= SLOWING
             if pace[k] < SLOWEST:
@@ -46,7 +51,9 @@ def paced_moves(
     return whole
 
 
-def violated(constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array) -> NDArray[np.bool_]:
+def violated(
+    constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: Array
+) -> NDArray[np.bool_]:
     """Return at which states (N,) a constraint does not hold."""
     over = np.zeros(len(q), dtype=bool)
     for constraint in constraints:
@@ -55,11 +62,19 @@ def violated(constraints: Sequence[StateConstraint], q: Array, qd: Array, qdd: A
     return over
 
 
-def _motion(poses: Array, bounds: MotionBounds, dwell: ArrayLike = 0.0, pace: ArrayLike = 1.0) -> PointToPointMotion:
-    return PointToPointMotion.within(poses, velocity=bounds.velocity, acceleration=bounds.acceleration, dwell=dwell, pace=pace)
+def _motion(
+    poses: Array, bounds: MotionBounds, dwell: ArrayLike = 0.0, pace: ArrayLike = 1.0
+) -> PointToPointMotion:
+    return PointToPointMotion.within(
+        poses, velocity=bounds.velocity, acceleration=bounds.acceleration, dwell=dwell, pace=pace
+    )
 
 
-def _holds(motion: PointToPointMotion, constraints: Sequence[StateConstraint], *, at_rest: bool = False) -> bool:
+def _holds(
+    motion: PointToPointMotion, constraints: Sequence[StateConstraint], *, at_rest: bool = False
+) -> bool:
     q, qd, qdd = motion.at(motion.sample_times(CHECK_RATE))
     rest = np.zeros_like(q)
-    return not np.any(violated(constraints, q, rest, rest) if at_rest else violated(constraints, q, qd, qdd))
+    return not np.any(
+        violated(constraints, q, rest, rest) if at_rest else violated(constraints, q, qd, qdd)
+    )

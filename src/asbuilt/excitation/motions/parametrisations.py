@@ -167,7 +167,11 @@ class PointToPoint(Parametrisation):
         top, hard = 1.5, 4.5
         speeding, slowing = s < 1 / 3, s > 2 / 3
         if order == 0:
-            part = np.where(speeding, hard * s**2 / 2, np.where(slowing, 1 - hard * (1 - s) ** 2 / 2, 0.25 + top * (s - 1 / 3)))
+            part = np.where(
+                speeding,
+                hard * s**2 / 2,
+                np.where(slowing, 1 - hard * (1 - s) ** 2 / 2, 0.25 + top * (s - 1 / 3)),
+            )
         elif order == 1:
             part = np.where(speeding, hard * s, np.where(slowing, hard * (1 - s), top)) / length
         elif order == 2:
@@ -211,5 +215,7 @@ class PointToPoint(Parametrisation):
         return np.ones(self.size)
 
 
-PARAMETRISATIONS: dict[str, type[Parametrisation]] = {kind.key: kind for kind in (Fourier, BSpline, Quintic, PointToPoint)}
+PARAMETRISATIONS: dict[str, type[Parametrisation]] = {
+    kind.key: kind for kind in (Fourier, BSpline, Quintic, PointToPoint)
+}
 """The linear families by key."""

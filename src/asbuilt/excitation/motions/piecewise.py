@@ -30,15 +30,25 @@ class PiecewisePolynomial(Motion):
     def __init__(self, breaks: ArrayLike, coefficients: ArrayLike) -> None:
         self.breaks = read_only(breaks)
         self.coefficients = read_only(coefficients)
-        if self.breaks.ndim != 1 or self.breaks.size < 2 or self.breaks[0] != 0.0 or not np.all(np.diff(self.breaks) > 0):
-            raise MotionError(f"the breaks of a motion must rise from 0, got {np.array2string(self.breaks, threshold=8)}")
+        if (
+            self.breaks.ndim != 1
+            or self.breaks.size < 2
+            or self.breaks[0] != 0.0
+            or not np.all(np.diff(self.breaks) > 0)
+        ):
+            raise MotionError(
+                "the breaks of a motion must rise from 0, got"
+                f" {np.array2string(self.breaks, threshold=8)}"
+            )
         if self.coefficients.ndim != 3 or self.coefficients.shape[1] != self.breaks.size - 1:
             raise MotionError(
-                f"{self.breaks.size - 1} polynomial pieces need coefficients of shape (degree + 1, {self.breaks.size - 1}, n_joints), "
-                f"got {self.coefficients.shape}"
+                f"{self.breaks.size - 1} polynomial pieces need coefficients of shape (degree + 1,"
+                f" {self.breaks.size - 1}, n_joints), got {self.coefficients.shape}"
             )
         if not np.all(np.isfinite(self.coefficients)):
-            raise MotionError("a polynomial coefficient is not finite; check way points and durations")
+            raise MotionError(
+                "a polynomial coefficient is not finite; check way points and durations"
+            )
 
     @property
     def duration(self) -> float:
@@ -78,11 +88,15 @@ class PiecewisePolynomial(Motion):
             return low, high
         slope = curve.derivative()
         for j in range(self.n_joints):
-            roots = np.asarray(PPoly(slope.c[:, :, j], self.breaks).roots(discontinuity=False, extrapolate=False))
+            roots = np.asarray(
+                PPoly(slope.c[:, :, j], self.breaks).roots(discontinuity=False, extrapolate=False)
+            )
             roots = roots[np.isfinite(roots)]
             if roots.size == 0:
                 continue
-            piece = np.clip(np.searchsorted(self.breaks, roots, side="right") - 1, 0, self.breaks.size - 2)
+            piece = np.clip(
+                np.searchsorted(self.breaks, roots, side="right") - 1, 0, self.breaks.size - 2
+            )
             values = np.zeros(roots.size)
             for row in c[:, :, j]:
                 values = values * (roots - self.breaks[piece]) + row[piece]

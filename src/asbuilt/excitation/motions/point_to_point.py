@@ -19,7 +19,13 @@ class PointToPointMotion(PiecewisePolynomial):
 
     @classmethod
     def within(
-        cls, poses: ArrayLike, *, velocity: ArrayLike, acceleration: ArrayLike, dwell: ArrayLike = 0.0, pace: ArrayLike = 1.0
+        cls,
+        poses: ArrayLike,
+        *,
+        velocity: ArrayLike,
+        acceleration: ArrayLike,
+        dwell: ArrayLike = 0.0,
+        pace: ArrayLike = 1.0,
     ) -> Self:
         """Visit `poses` (m, n) in order, as fast as `velocity` and `acceleration` (one number or one per joint) allow, resting `dwell` at each.
 
@@ -42,15 +48,23 @@ class PointToPointMotion(PiecewisePolynomial):
         """
         q = way_point_array(poses, "poses")
         n = q.shape[1]
-        v_max, a_max = limit_array(velocity, n, "velocity"), limit_array(acceleration, n, "acceleration")
+        v_max, a_max = (
+            limit_array(velocity, n, "velocity"),
+            limit_array(acceleration, n, "acceleration"),
+        )
         if not np.all(np.isfinite(a_max)):
-            raise MotionError(f"point-to-point motion needs a finite acceleration limit for every joint, got {a_max.tolist()}")
+            raise MotionError(
+                "point-to-point motion needs a finite acceleration limit for every joint, got"
+                f" {a_max.tolist()}"
+            )
         dwells = np.broadcast_to(np.asarray(dwell, dtype=np.float64), (q.shape[0] - 2,))
         if np.any(dwells < 0) or not np.all(np.isfinite(dwells)):
             raise MotionError(f"dwell times must be finite and not negative, got {dwells.tolist()}")
         paces = np.broadcast_to(np.asarray(pace, dtype=np.float64), (q.shape[0] - 1,))
         if not np.all((paces > 0) & (paces <= 1)):
-            raise MotionError(f"the pace of a move must lie above 0 and at most at 1, got {paces.tolist()}")
+            raise MotionError(
+                f"the pace of a move must lie above 0 and at most at 1, got {paces.tolist()}"
+            )
         steps: list[float] = []
         pieces: list[np.ndarray] = []
         for k in range(q.shape[0] - 1):

@@ -52,13 +52,21 @@ class QuinticMotion(PiecewisePolynomial):
         """
         poses = way_point_array([np.atleast_1d(start), np.atleast_1d(end)], "start and end")
         n = poses.shape[1]
-        velocities = np.stack([np.broadcast_to(start_velocity, (n,)), np.broadcast_to(end_velocity, (n,))])
-        accelerations = np.stack([np.broadcast_to(start_acceleration, (n,)), np.broadcast_to(end_acceleration, (n,))])
+        velocities = np.stack(
+            [np.broadcast_to(start_velocity, (n,)), np.broadcast_to(end_velocity, (n,))]
+        )
+        accelerations = np.stack(
+            [np.broadcast_to(start_acceleration, (n,)), np.broadcast_to(end_acceleration, (n,))]
+        )
         return cls.through(poses, [0.0, duration], velocities, accelerations)
 
     @classmethod
     def through(
-        cls, poses: ArrayLike, times: ArrayLike, velocities: ArrayLike | None = None, accelerations: ArrayLike | None = None
+        cls,
+        poses: ArrayLike,
+        times: ArrayLike,
+        velocities: ArrayLike | None = None,
+        accelerations: ArrayLike | None = None,
     ) -> Self:
         """Pass `poses` (m, n) at `times` (m,), which start at 0, with the given velocities and accelerations (m, n); zero where not given.
 
@@ -70,16 +78,32 @@ class QuinticMotion(PiecewisePolynomial):
         q = way_point_array(poses, "poses")
         t = np.asarray(times, dtype=np.float64)
         if t.shape != (q.shape[0],) or not np.all(np.diff(t) > 0):
-            raise MotionError(f"{q.shape[0]} poses need as many rising times, got {np.array2string(t, threshold=8)}")
+            raise MotionError(
+                f"{q.shape[0]} poses need as many rising times, got"
+                f" {np.array2string(t, threshold=8)}"
+            )
         v = np.zeros_like(q) if velocities is None else way_point_array(velocities, "velocities")
-        a = np.zeros_like(q) if accelerations is None else way_point_array(accelerations, "accelerations")
+        a = (
+            np.zeros_like(q)
+            if accelerations is None
+            else way_point_array(accelerations, "accelerations")
+        )
         if v.shape != q.shape or a.shape != q.shape:
-            raise MotionError(f"velocities and accelerations must have the shape of the poses, {q.shape}; got {v.shape} and {a.shape}")
+            raise MotionError(
+                f"velocities and accelerations must have the shape of the poses, {q.shape}; got"
+                f" {v.shape} and {a.shape}"
+            )
         return cls(t - t[0], _hermite(np.diff(t)[:, None], q, v, a))
 
     @classmethod
     def within(
-        cls, poses: ArrayLike, *, velocity: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike = np.inf, dwell: float = 0.0
+        cls,
+        poses: ArrayLike,
+        *,
+        velocity: ArrayLike,
+        acceleration: ArrayLike,
+        jerk: ArrayLike = np.inf,
+        dwell: float = 0.0,
     ) -> Self:
         """Stop at each of `poses` (m, n) for `dwell` seconds and move between them as fast as the limits (one number or one per joint) allow.
 
@@ -88,17 +112,26 @@ class QuinticMotion(PiecewisePolynomial):
         """
         q = way_point_array(poses, "poses")
         n = q.shape[1]
-        v, a, j = (limit_array(x, n, name) for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk")))
+        v, a, j = (
+            limit_array(x, n, name)
+            for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
+        )
         if not (np.isfinite(dwell) and dwell >= 0):
             raise MotionError(f"the dwell must be finite and not negative, got {dwell} s")
         if not np.all(np.isfinite(np.min([v, a, j], axis=0))):
             raise MotionError(
-                "a joint without a finite velocity, acceleration or jerk limit has no fastest motion; give one for every joint"
+                "a joint without a finite velocity, acceleration or jerk limit has no fastest"
+                " motion; give one for every joint"
             )
         distance = np.abs(np.diff(q, axis=0))
         distance[distance <= STANDSTILL] = 0.0
         steps = np.max(
-            [PEAK_VELOCITY * distance / v, np.sqrt(PEAK_ACCELERATION * distance / a), np.cbrt(PEAK_JERK * distance / j)], axis=(0, 2)
+            [
+                PEAK_VELOCITY * distance / v,
+                np.sqrt(PEAK_ACCELERATION * distance / a),
+                np.cbrt(PEAK_JERK * distance / j),
+            ],
+            axis=(0, 2),
         )
         times, stops = [0.0], [q[0]]
         for k, step in enumerate(steps):

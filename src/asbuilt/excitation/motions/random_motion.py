@@ -24,7 +24,13 @@ ATTEMPTS = 40
 
 
 def random_fourier(
-    model: RobotModel, rng: Seed = None, *, duration: float = 20.0, n_harmonics: int = 5, periods: int = 1, fraction: float = 0.9
+    model: RobotModel,
+    rng: Seed = None,
+    *,
+    duration: float = 20.0,
+    n_harmonics: int = 5,
+    periods: int = 1,
+    fraction: float = 0.9,
 ) -> FourierMotion:
     """Return a random Fourier motion scaled until each joint uses up `fraction` of its position, velocity or acceleration limit.
 
@@ -37,14 +43,21 @@ def random_fourier(
         If the robot cannot hold its weight within the torque limits even at small amplitudes.
     """
     if n_harmonics < 2 or periods < 1:
-        raise MotionError(f"a Fourier motion needs at least 2 harmonics and 1 period, got {n_harmonics} and {periods}")
+        raise MotionError(
+            f"a Fourier motion needs at least 2 harmonics and 1 period, got {n_harmonics} and"
+            f" {periods}"
+        )
     generator = np.random.default_rng(rng)
     bounds = MotionBounds.assumed(model, fraction)
     rows = generator.normal(size=(2 * n_harmonics - 1, model.n_joints))
     rows[0] = 0.0
     shape = FourierMotion(rows, duration / periods, periods)
     low, high = shape.extremes(0)
-    scales = [(bounds.upper - bounds.lower) / (high - low), bounds.velocity / shape.peaks(1), bounds.acceleration / shape.peaks(2)]
+    scales = [
+        (bounds.upper - bounds.lower) / (high - low),
+        bounds.velocity / shape.peaks(1),
+        bounds.acceleration / shape.peaks(2),
+    ]
     scale = np.min([*scales, bounds.jerk / shape.peaks(3)], axis=0)
     place = generator.uniform(size=model.n_joints)
 
@@ -64,7 +77,12 @@ def random_fourier(
 
 
 def random_point_to_point(
-    model: RobotModel, rng: Seed = None, n_poses: int = 20, *, dwell: float = 0.25, fraction: float = 0.9
+    model: RobotModel,
+    rng: Seed = None,
+    n_poses: int = 20,
+    *,
+    dwell: float = 0.25,
+    fraction: float = 0.9,
 ) -> PointToPointMotion:
     """Return a point-to-point motion through `n_poses` random poses, within `fraction` of the limits.
 
@@ -79,7 +97,10 @@ def random_point_to_point(
     size = 1.0
     for _ in range(ATTEMPTS):
         motion = PointToPointMotion.within(
-            poses, velocity=np.sqrt(size) * bounds.velocity, acceleration=size * bounds.acceleration, dwell=dwell
+            poses,
+            velocity=np.sqrt(size) * bounds.velocity,
+            acceleration=size * bounds.acceleration,
+            dwell=dwell,
         )
         if _holds_torque(model, motion, fraction):
             return motion
@@ -99,6 +120,6 @@ def _holds_torque(model: RobotModel, motion: Motion, fraction: float) -> bool:
 def _too_heavy(model: RobotModel) -> MotionError:
     limits = ", ".join(f"{limit:g}" for limit in MotionBounds.of(model).torque)
     return MotionError(
-        f"{model.name}: no random motion within the torque limits ({limits}) was found, however slow; "
-        "check torque limits, masses and gravity, or raise `fraction`"
+        f"{model.name}: no random motion within the torque limits ({limits}) was found, however"
+        " slow; check torque limits, masses and gravity, or raise `fraction`"
     )

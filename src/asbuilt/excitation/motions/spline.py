@@ -39,7 +39,9 @@ class SplineMotion(PiecewisePolynomial):
     parametrisation = "spline"
 
     @classmethod
-    def through(cls, way_points: ArrayLike, times: ArrayLike, *, degree: int = 5, ends: Ends = "rest") -> Self:
+    def through(
+        cls, way_points: ArrayLike, times: ArrayLike, *, degree: int = 5, ends: Ends = "rest"
+    ) -> Self:
         """Pass `way_points` (m, n) at `times` (m,), which start at 0, with a spline of degree 3 or 5.
 
         `ends` says what vanishes at both ends: velocity and acceleration ("rest"), velocity ("clamped", degree 3 only), or the derivatives
@@ -60,21 +62,32 @@ class SplineMotion(PiecewisePolynomial):
         q = way_point_array(way_points)
         t = np.asarray(times, dtype=np.float64)
         if t.shape != (q.shape[0],) or not np.all(np.diff(t) > 0) or not np.all(np.isfinite(t)):
-            raise MotionError(f"{q.shape[0]} way points need as many rising times, got {np.array2string(t, threshold=8)}")
+            raise MotionError(
+                f"{q.shape[0]} way points need as many rising times, got"
+                f" {np.array2string(t, threshold=8)}"
+            )
         vanishing = _END_DERIVATIVES.get((degree, ends))
         if vanishing is None:
             known = ", ".join(f"degree {d} {e!r}" for d, e in _END_DERIVATIVES)
-            raise MotionError(f"there is no spline of degree {degree} with ends {ends!r}; choose from {known}")
+            raise MotionError(
+                f"there is no spline of degree {degree} with ends {ends!r}; choose from {known}"
+            )
         if degree == 5 and ends == "natural" and t.size < 3:
-            raise MotionError("a natural quintic spline needs at least 3 way points; give more, or ends='rest'")
+            raise MotionError(
+                "a natural quintic spline needs at least 3 way points; give more, or ends='rest'"
+            )
         knots = t - t[0]
         if degree == 3 and ends == "rest":
-            knots = np.insert(knots, [1, knots.size - 1], [knots[1] / 2, (knots[-2] + knots[-1]) / 2])
+            knots = np.insert(
+                knots, [1, knots.size - 1], [knots[1] / 2, (knots[-2] + knots[-1]) / 2]
+            )
             knots = np.unique(knots) if t.size > 2 else np.linspace(0.0, knots[-1], 4)
         padded = np.concatenate([np.zeros(degree), knots, np.full(degree, knots[-1])])
         zeros: Any = [(order, np.zeros(q.shape[1])) for order in vanishing]
         curve = make_interp_spline(t - t[0], q, k=degree, t=padded, bc_type=(zeros, zeros))
-        return cls(knots, np.stack([curve(knots[:-1], nu=k) / factorial(k) for k in range(degree, -1, -1)]))
+        return cls(
+            knots, np.stack([curve(knots[:-1], nu=k) / factorial(k) for k in range(degree, -1, -1)])
+        )
 
     @classmethod
     def within(
@@ -95,13 +108,19 @@ class SplineMotion(PiecewisePolynomial):
         """
         q = way_point_array(way_points)
         n = q.shape[1]
-        limits = [limit_array(x, n, name) for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))]
+        limits = [
+            limit_array(x, n, name)
+            for x, name in ((velocity, "velocity"), (acceleration, "acceleration"), (jerk, "jerk"))
+        ]
         if not np.all(np.isfinite(np.min(limits, axis=0))):
             raise MotionError(
-                "a joint without a finite velocity, acceleration or jerk limit has no fastest spline; give one for every joint"
+                "a joint without a finite velocity, acceleration or jerk limit has no fastest"
+                " spline; give one for every joint"
             )
         d = np.abs(np.diff(q, axis=0))
-        steps = np.max([np.power(d / limit, 1 / k) for k, limit in enumerate(limits, start=1)], axis=(0, 2))
+        steps = np.max(
+            [np.power(d / limit, 1 / k) for k, limit in enumerate(limits, start=1)], axis=(0, 2)
+        )
         if not np.any(steps > 0):
             raise MotionError("the way points are all the same; nothing moves")
         steps = np.maximum(steps, 1e-2 * steps.max())
@@ -113,11 +132,20 @@ class SplineMotion(PiecewisePolynomial):
             return _stretches(cls.through(q, times(logs), degree=degree, ends=ends), limits)
 
         def smooth_duration(logs: Array) -> float:
-            return float(np.log(np.exp(logs).sum()) + np.log(np.sum(stretches(logs) ** SHARPNESS)) / SHARPNESS)
+            return float(
+                np.log(np.exp(logs).sum())
+                + np.log(np.sum(stretches(logs) ** SHARPNESS)) / SHARPNESS
+            )
 
         start = np.log(steps)
         bounds = list(zip(start - np.log(4), start + np.log(4), strict=True))
-        found = minimize(smooth_duration, start, method="L-BFGS-B", bounds=bounds, options={"maxiter": ITERATIONS}).x
+        found = minimize(
+            smooth_duration,
+            start,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": ITERATIONS},
+        ).x
         scaled = [times(logs) * stretches(logs).max() for logs in (start, found)]
         return cls.through(q, min(scaled, key=lambda t: float(t[-1])), degree=degree, ends=ends)
 

@@ -10,7 +10,9 @@ from asbuilt.experiment.logs.roles import words_of
 _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}
 
 
-def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: str, robot: str) -> tuple[list[int], tuple[str, ...]]:
+def match_joints(
+    labels: Sequence[str], joint_names: Sequence[str], *, source: str, robot: str
+) -> tuple[list[int], tuple[str, ...]]:
     """Return, for each joint of the robot, the position of its label, and notes on what was assumed.
 
     Names are equal when their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name space; joints that the robot does not have
@@ -34,7 +36,14 @@ def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: s
         order = [keys.index(key) if keys.count(key) == 1 else -1 for key in wanted]
         if min(order) >= 0 and len(set(order)) == len(order):
             return order, _left_out(labels, order, source)
-        ends = [[k for k, key in enumerate(keys) if key and (key[-len(want) :] == want or want[-len(key) :] == key)] for want in wanted]
+        ends = [
+            [
+                k
+                for k, key in enumerate(keys)
+                if key and (key[-len(want) :] == want or want[-len(key) :] == key)
+            ]
+            for want in wanted
+        ]
         if all(len(end) == 1 for end in ends) and len({end[0] for end in ends}) == len(joint_names):
             order = [end[0] for end in ends]
             return order, _left_out(labels, order, source)
@@ -46,7 +55,9 @@ def match_joints(labels: Sequence[str], joint_names: Sequence[str], *, source: s
         for label, joint in zip(counted, places, strict=True):
             order[joint] = label
         pairs = ", ".join(f"{labels[order[k]]} -> {joint_names[k]}" for k in range(len(order)))
-        return order, (f"joint names of the log and of {robot} differ; they were matched by number: {pairs}",)
+        return order, (
+            f"joint names of the log and of {robot} differ; they were matched by number: {pairs}",
+        )
     raise RecordingError(_misfit(labels, joint_names, source, robot))
 
 
@@ -67,15 +78,19 @@ def _misfit(labels: Sequence[str], joint_names: Sequence[str], source: str, robo
     else:
         problem = f"the joint names of {source} do not fit {robot}"
     return (
-        f"{problem}. Joints of the log: {', '.join(labels)}. Joints of {robot}: {', '.join(joint_names)}. "
-        "Choose the right robot, or say in a recording sheet which column is which: joints = [...] with the robot's names in column order."
+        f"{problem}. Joints of the log: {', '.join(labels)}. Joints of {robot}:"
+        f" {', '.join(joint_names)}. Choose the right robot, or say in a recording sheet which"
+        " column is which: joints = [...] with the robot's names in column order."
     )
 
 
 def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:
     """Return the order that sorts labels by their number, if the numbers run on from 0 or 1 without a gap."""
     numbers = numbers_in(labels)
-    if numbers is None or sorted(numbers) not in (list(range(len(labels))), list(range(1, len(labels) + 1))):
+    if numbers is None or sorted(numbers) not in (
+        list(range(len(labels))),
+        list(range(1, len(labels) + 1)),
+    ):
         return None
     return sorted(range(len(labels)), key=lambda k: numbers[k])
 
@@ -94,4 +109,8 @@ def _significant_words(name: str) -> tuple[str, ...]:
 
 def _left_out(labels: Sequence[str], order: list[int], source: str) -> tuple[str, ...]:
     rest = [label for k, label in enumerate(labels) if k not in order]
-    return (f"joints of {source} that the robot does not have were left out: {', '.join(rest)}",) if rest else ()
+    return (
+        (f"joints of {source} that the robot does not have were left out: {', '.join(rest)}",)
+        if rest
+        else ()
+    )

@@ -73,11 +73,16 @@ def find_layout(
     torque, torque_source = _torque_group(groups)
     notes: list[str] = []
     if position is None or torque is None:
-        absent = " and ".join(what for what, group in (("joint positions", position), ("joint torques", torque)) if group is None)
+        absent = " and ".join(
+            what
+            for what, group in (("joint positions", position), ("joint torques", torque))
+            if group is None
+        )
         listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
         raise RecordingError(
-            f"{source} has no columns for {absent}. Its columns are: {listing}. Usual names are q_1, position_1, <joint>_pos and tau_1, effort_1, "
-            '<joint>_torque; name others in a recording sheet beside the log: [columns] position = ["..."], torque = ["..."].'
+            f"{source} has no columns for {absent}. Its columns are: {listing}. Usual names are"
+            " q_1, position_1, <joint>_pos and tau_1, effort_1, <joint>_torque; name others in a"
+            ' recording sheet beside the log: [columns] position = ["..."], torque = ["..."].'
         )
     chosen = _chosen(groups, position, torque)
     labels = _sorted_labels(source, "position", position, sheet)
@@ -90,11 +95,16 @@ def find_layout(
         except RecordingError:
             if quantity in _QUANTITIES:
                 raise
-            notes.append(f"the {len(group.names)} columns of {quantity} do not match the {len(labels)} joints and were left out")
+            notes.append(
+                f"the {len(group.names)} columns of {quantity} do not match the {len(labels)}"
+                " joints and were left out"
+            )
     joint_names = tuple(labels)
     if model is not None:
         joint_names, order, matched = _order_for(model, source, labels, position, sheet)
-        ordered = {quantity: tuple(columns[k] for k in order) for quantity, columns in ordered.items()}
+        ordered = {
+            quantity: tuple(columns[k] for k in order) for quantity, columns in ordered.items()
+        }
         notes.extend(matched)
     scales = _scales(chosen, sheet, notes)
     time, time_scale = _time_column(source, names, groups, sheet)
@@ -103,7 +113,9 @@ def find_layout(
     return Layout(time, ordered, scales, joint_names, torque_source, tuple(notes))
 
 
-def _chosen(groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group) -> dict[str, _Group]:
+def _chosen(
+    groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group
+) -> dict[str, _Group]:
     """Return the groups by the names of their quantities; what is beside position, velocity, acceleration and torque is extra."""
     chosen = {"position": position, "torque": torque}
     for (quantity, kind), group in groups.items():
@@ -116,7 +128,9 @@ def _chosen(groups: Mapping[tuple[str, str], _Group], position: _Group, torque: 
     return chosen
 
 
-def _own_columns(names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet) -> dict[str, tuple[str, str]]:
+def _own_columns(
+    names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet
+) -> dict[str, tuple[str, str]]:
     """Return the columns that are plainly a quantity's letters and the name of a joint of the robot, for quantities that have one for every joint.
 
     No joint's name can then be mistaken for a word, as in `q_tau` of a joint called tau.
@@ -131,7 +145,9 @@ def _own_columns(names: Sequence[str], model: RobotModel | None, sheet: Recordin
     }
 
 
-def _group(names: Sequence[str], known: Mapping[str, tuple[str, str]]) -> dict[tuple[str, str], _Group]:
+def _group(
+    names: Sequence[str], known: Mapping[str, tuple[str, str]]
+) -> dict[tuple[str, str], _Group]:
     groups: dict[tuple[str, str], _Group] = {}
     for name in names:
         if name in known:
@@ -150,22 +166,37 @@ def _group(names: Sequence[str], known: Mapping[str, tuple[str, str]]) -> dict[t
 def _column(source: str, names: Sequence[str], what: str, column: ColumnName) -> str:
     if isinstance(column, int):
         if not 1 <= column <= len(names):
-            raise RecordingError(f"{source}: the sheet gives column {column} for {what}, but columns run from 1 to {len(names)}")
+            raise RecordingError(
+                f"{source}: the sheet gives column {column} for {what}, but columns run from 1 to"
+                f" {len(names)}"
+            )
         return names[column - 1]
     if column in names:
         return column
     listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
-    raise RecordingError(f"{source}: the sheet gives column {column!r} for {what}, which the log does not have; it has {listing}")
+    raise RecordingError(
+        f"{source}: the sheet gives column {column!r} for {what}, which the log does not have; it"
+        f" has {listing}"
+    )
 
 
-def _listed(source: str, names: Sequence[str], what: str, columns: Sequence[ColumnName], sheet: RecordingSheet) -> _Group:
+def _listed(
+    source: str,
+    names: Sequence[str],
+    what: str,
+    columns: Sequence[ColumnName],
+    sheet: RecordingSheet,
+) -> _Group:
     found = [_column(source, names, what, column) for column in columns]
     repeated = [name for name in found if found.count(name) > 1]
     if repeated:
         raise RecordingError(f"{source}: the sheet gives column {repeated[0]!r} twice for {what}")
     labels = sheet.joints or ["" for _ in found]
     if len(labels) != len(found):
-        raise RecordingError(f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for {what}")
+        raise RecordingError(
+            f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
+            f" {what}"
+        )
     quantity = what if what in _QUANTITIES else "torque"
     return _Group(found, [Role(quantity, label, k) for k, label in enumerate(labels, start=1)])  # type: ignore[arg-type]
 
@@ -187,14 +218,18 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
     """Sort a group by joint number where it only counts, and return its joint labels; where some columns name a joint, numbers are the names of the rest."""
     _refuse_repeats(source, quantity, group)
     if sheet.joints is None and any(role.joint for role in group.roles):
-        group.roles = [role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}") for role in group.roles]
+        group.roles = [
+            role if role.joint or role.index is None else replace(role, joint=f"joint_{role.index}")
+            for role in group.roles
+        ]
     if all(role.joint for role in group.roles):
         return [role.joint for role in group.roles]
     _sort_by_number(source, quantity, group)
     if sheet.joints is not None:
         if len(sheet.joints) != len(group.names):
             raise RecordingError(
-                f"{source}: the sheet names {len(sheet.joints)} joints but the log has {len(group.names)} {quantity} columns"
+                f"{source}: the sheet names {len(sheet.joints)} joints but the log has"
+                f" {len(group.names)} {quantity} columns"
             )
         return list(sheet.joints)
     return [f"joint_{k}" for k in range(1, len(group.names) + 1)]
@@ -206,14 +241,18 @@ def _refuse_repeats(source: str, quantity: str, group: _Group) -> None:
         place = (role.joint, None) if role.joint else ("", role.index)
         if place in places:
             raise RecordingError(
-                f"{source}: columns {places[place]!r} and {name!r} both look like the {quantity} of the same joint; "
-                f"say in a recording sheet which one counts: [columns] {quantity} = [...]"
+                f"{source}: columns {places[place]!r} and {name!r} both look like the {quantity} of"
+                f" the same joint; say in a recording sheet which one counts: [columns] {quantity}"
+                " = [...]"
             )
         places[place] = name
 
 
 def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
-    order = sorted(range(len(group.names)), key=lambda k: (group.roles[k].index is not None, group.roles[k].index or 0))
+    order = sorted(
+        range(len(group.names)),
+        key=lambda k: (group.roles[k].index is not None, group.roles[k].index or 0),
+    )
     group.names = [group.names[k] for k in order]
     group.roles = [group.roles[k] for k in order]
     indices = [role.index for role in group.roles if role.index is not None]
@@ -222,28 +261,35 @@ def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
         missing = sorted(set(range(start, indices[-1] + 1)) - set(indices))
         if missing:
             raise RecordingError(
-                f"{source}: the {quantity} column of joint number {missing[0]} is missing; there are {', '.join(group.names)}. "
-                f"Add it, or say which columns to use in a recording sheet: [columns] {quantity} = [...]"
+                f"{source}: the {quantity} column of joint number {missing[0]} is missing; there"
+                f" are {', '.join(group.names)}. Add it, or say which columns to use in a recording"
+                f" sheet: [columns] {quantity} = [...]"
             )
 
 
-def _aligned(source: str, quantity: str, group: _Group, labels: Sequence[str], sheet: RecordingSheet) -> tuple[str, ...]:
+def _aligned(
+    source: str, quantity: str, group: _Group, labels: Sequence[str], sheet: RecordingSheet
+) -> tuple[str, ...]:
     """Return the columns of a group in the order of the position columns."""
     own = _sorted_labels(source, quantity, group, sheet)
     named = all(role.joint for role in group.roles)
     if len(own) != len(labels):
         raise RecordingError(
-            f"{source}: {len(labels)} position columns but {len(own)} {quantity} columns ({', '.join(group.names)}); each joint needs one of each. "
-            "Say in a recording sheet which columns to use."
+            f"{source}: {len(labels)} position columns but {len(own)} {quantity} columns"
+            f" ({', '.join(group.names)}); each joint needs one of each. Say in a recording sheet"
+            " which columns to use."
         )
     if not named or list(own) == list(labels):
         return tuple(group.names)
     if set(own) == set(labels):
         return tuple(group.names[own.index(label)] for label in labels)
     if all(label.startswith("joint_") for label in labels) and numbers_in(own) is not None:
-        return tuple(name for _, name in sorted(zip(numbers_in(own) or [], group.names, strict=True)))
+        return tuple(
+            name for _, name in sorted(zip(numbers_in(own) or [], group.names, strict=True))
+        )
     raise RecordingError(
-        f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the position columns ({', '.join(labels)})"
+        f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the"
+        f" position columns ({', '.join(labels)})"
     )
 
 
@@ -256,13 +302,17 @@ def _order_for(
         return model.joint_names, order, notes
     if len(labels) != model.n_joints:
         raise RecordingError(
-            f"{source} has {len(labels)} position columns ({position.names[0]} ... {position.names[-1]}) but {model.name} has {model.n_joints} joints "
-            f"({', '.join(model.joint_names)}). Choose the right robot, or say in a recording sheet which columns belong to which joint."
+            f"{source} has {len(labels)} position columns ({position.names[0]} ..."
+            f" {position.names[-1]}) but {model.name} has {model.n_joints} joints"
+            f" ({', '.join(model.joint_names)}). Choose the right robot, or say in a recording"
+            " sheet which columns belong to which joint."
         )
     return model.joint_names, list(range(len(labels))), ()
 
 
-def _scales(chosen: Mapping[str, _Group], sheet: RecordingSheet, notes: list[str]) -> dict[str, float]:
+def _scales(
+    chosen: Mapping[str, _Group], sheet: RecordingSheet, notes: list[str]
+) -> dict[str, float]:
     scales: dict[str, float] = {}
     for quantity, group in chosen.items():
         unit = getattr(sheet.units, quantity, None)
@@ -275,7 +325,10 @@ def _scales(chosen: Mapping[str, _Group], sheet: RecordingSheet, notes: list[str
 
 
 def _time_column(
-    source: str, names: Sequence[str], groups: Mapping[tuple[str, str], _Group], sheet: RecordingSheet
+    source: str,
+    names: Sequence[str],
+    groups: Mapping[tuple[str, str], _Group],
+    sheet: RecordingSheet,
 ) -> tuple[str | None, float]:
     unit = unit_scale(sheet.units.time) if sheet.units.time else None
     if sheet.columns.time is not None:

@@ -86,7 +86,8 @@ class RecordingStream:
             bounds += [filled + stop for _, stop in samples.segments]
         if first is None:
             raise RecordingError(
-                f"{self.path}: nothing is left after filtering; raise the cutoff, record longer, or check that the robot moves"
+                f"{self.path}: nothing is left after filtering; raise the cutoff, record longer, or"
+                " check that the robot moves"
             )
         return Samples(
             **{name: held[: bounds[-1]] for name, held in columns.items()},
@@ -99,7 +100,10 @@ class RecordingStream:
             origin=first.origin,
             provenance=(
                 *first.provenance,
-                f"read in stretches of {self.chunk_samples} samples; checked and its filters chosen on the first {HEAD}",
+                (
+                    f"read in stretches of {self.chunk_samples} samples; checked and its filters"
+                    f" chosen on the first {HEAD}"
+                ),
             ),
         )
 
@@ -127,10 +131,16 @@ def is_long(path: Path) -> bool:
     return path.stat().st_size > LONG
 
 
-def open_recordings(paths: Sequence[PathLike], **options: Unpack[ReadingOptions]) -> list[Recording | RecordingStream]:
+def open_recordings(
+    paths: Sequence[PathLike], **options: Unpack[ReadingOptions]
+) -> list[Recording | RecordingStream]:
     """Read recordings as `read_recordings` does, but leave those too long to be held as streams."""
     groups = grouped_files([Path(path) for path in paths])
     return [
-        RecordingStream(group[0], options) if len(group) == 1 and is_long(group[0]) else read_recording(group, **options)
+        (
+            RecordingStream(group[0], options)
+            if len(group) == 1 and is_long(group[0])
+            else read_recording(group, **options)
+        )
         for group in groups
     ]

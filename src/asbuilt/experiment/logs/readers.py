@@ -84,21 +84,33 @@ def read_recording(
     if len(listed) == 1 and not table.known:
         _refuse_lone_role_file(listed[0], table)
     try:
-        layout = find_layout(table.source, tuple(table.columns), model=model, sheet=described, known=table.known)
+        layout = find_layout(
+            table.source, tuple(table.columns), model=model, sheet=described, known=table.known
+        )
     except RecordingError as problem:
-        unread = (f"columns that hold no numbers: {', '.join(table.text_columns)}",) if table.text_columns else ()
+        unread = (
+            (f"columns that hold no numbers: {', '.join(table.text_columns)}",)
+            if table.text_columns
+            else ()
+        )
         raise RecordingError(". ".join([str(problem).rstrip("."), *table.notes, *unread])) from None
     recording = build_recording(table, layout, rate=rate if rate is not None else described.rate)
     recording = replace(recording, notes=(*sheet_notes, *table.notes, *recording.notes))
-    return apply_sheet(recording, described, flip_torque=flip_torque, gain=gain, torque_source=torque_source)
+    return apply_sheet(
+        recording, described, flip_torque=flip_torque, gain=gain, torque_source=torque_source
+    )
 
 
-def read_recordings(paths: Sequence[PathLike], **options: Unpack[ReadingOptions]) -> list[Recording]:
+def read_recordings(
+    paths: Sequence[PathLike], **options: Unpack[ReadingOptions]
+) -> list[Recording]:
     """Read several recordings; files whose names differ in the quantity alone (`run_positions.csv`, `run_efforts.csv`) are one recording.
 
     Options are those of `read_recording` and hold for all.
     """
-    return [read_recording(group, **options) for group in grouped_files([Path(path) for path in paths])]
+    return [
+        read_recording(group, **options) for group in grouped_files([Path(path) for path in paths])
+    ]
 
 
 def check_readable(path: Path) -> None:
@@ -111,7 +123,9 @@ def check_readable(path: Path) -> None:
         elif not path.exists():
             raise RecordingError(f"recording {path} does not exist")
     except OSError as error:
-        raise RecordingError(f"recording {path} cannot be read: {error.strerror or error}") from None
+        raise RecordingError(
+            f"recording {path} cannot be read: {error.strerror or error}"
+        ) from None
 
 
 def read_table(path: Path, sheet: RecordingSheet) -> Table:
@@ -126,11 +140,15 @@ def read_table(path: Path, sheet: RecordingSheet) -> Table:
     if path.is_dir() or suffix in {".db3", ".mcap"}:
         return read_ros_bag(path, topic=sheet.topic)
     if not path.is_file():
-        raise RecordingError(f"{path} is not a recording: it is no regular file; save what it yields as one")
+        raise RecordingError(
+            f"{path} is not a recording: it is no regular file; save what it yields as one"
+        )
     if path.stat().st_size == 0:
         raise RecordingError(f"{path} is not a recording: it is empty")
     if suffix in TEXT_SUFFIXES:
-        return read_delimited(path, header=sheet.header, separator="" if sheet.separator == " " else sheet.separator)
+        return read_delimited(
+            path, header=sheet.header, separator="" if sheet.separator == " " else sheet.separator
+        )
     if suffix == ".parquet":
         return read_parquet(path)
     if suffix == ".npz":
@@ -140,10 +158,15 @@ def read_table(path: Path, sheet: RecordingSheet) -> Table:
     if suffix in {".h5", ".hdf5"}:
         return read_hdf5(path)
     cure = PACKED.get(suffix, "")
-    raise RecordingError(f"{path} is not a recording that can be read{cure}: known are {', '.join(SUFFIXES)} and the folder of a ROS 2 bag")
+    raise RecordingError(
+        f"{path} is not a recording that can be read{cure}: known are {', '.join(SUFFIXES)} and the"
+        " folder of a ROS 2 bag"
+    )
 
 
-def find_sheet(log: Path, sheet: PathLike | RecordingSheet | None) -> tuple[RecordingSheet, tuple[str, ...]]:
+def find_sheet(
+    log: Path, sheet: PathLike | RecordingSheet | None
+) -> tuple[RecordingSheet, tuple[str, ...]]:
     """Return the sheet that is given, is the log itself, or lies beside it; else an empty one."""
     if isinstance(sheet, RecordingSheet):
         return sheet, ()
@@ -153,7 +176,14 @@ def find_sheet(log: Path, sheet: PathLike | RecordingSheet | None) -> tuple[Reco
     return _with_paths(read_sheet(path), path.parent), (f"recording sheet {path.name} was used",)
 
 
-def build_recording(table: Table, layout: Layout, *, rate: float | None, first_sample: int = 0, origin: float | None = None) -> Recording:
+def build_recording(
+    table: Table,
+    layout: Layout,
+    *,
+    rate: float | None,
+    first_sample: int = 0,
+    origin: float | None = None,
+) -> Recording:
     """Put a table's columns in joint order and SI units, and make the clock: the time column, or `rate` [Hz] from `first_sample` on.
 
     Times later than 1e6 s (a calendar's) count from `origin`, the first of them where None.
@@ -168,15 +198,21 @@ def build_recording(table: Table, layout: Layout, *, rate: float | None, first_s
             t = t - start
             notes.append(f"times count from {start:.6f} s")
         if rate is not None:
-            notes.append(f"the rate of {rate:g} Hz was not used: the log has the time column {layout.time!r}")
+            notes.append(
+                f"the rate of {rate:g} Hz was not used: the log has the time column {layout.time!r}"
+            )
     elif rate is None:
         raise RecordingError(
-            f"{table.source} has no time column and no rate is given; give it with --rate HZ, or as rate = HZ in a recording sheet. "
-            f"Its columns are {', '.join(list(table.columns)[:30])}"
+            f"{table.source} has no time column and no rate is given; give it with --rate HZ, or as"
+            " rate = HZ in a recording sheet. Its columns are"
+            f" {', '.join(list(table.columns)[:30])}"
         )
     else:
         t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
-    arrays = {quantity: _stack(table.columns, names, layout.scales) for quantity, names in layout.quantities.items()}
+    arrays = {
+        quantity: _stack(table.columns, names, layout.scales)
+        for quantity, names in layout.quantities.items()
+    }
     return Recording(
         t=t,
         q=arrays.pop("position"),
@@ -206,7 +242,10 @@ def apply_sheet(
     if sheet.sign is not None:
         signs = np.atleast_1d(np.asarray(sheet.sign, dtype=np.float64))
         if signs.size not in (1, recording.n_joints):
-            raise RecordingError(f"{recording.source}: the sheet gives {signs.size} signs for {recording.n_joints} joints")
+            raise RecordingError(
+                f"{recording.source}: the sheet gives {signs.size} signs for {recording.n_joints}"
+                " joints"
+            )
         if np.all(signs < 0):
             recording = recording.flipped()
         elif np.any(signs < 0):
@@ -220,7 +259,14 @@ def apply_sheet(
         inside = sheet.in_windows(recording.t, float(recording.t[0]))
         kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
         recording = replace(
-            kept, notes=(*kept.notes, f"{kept.n_samples} of {recording.n_samples} samples lie in the time windows of the sheet")
+            kept,
+            notes=(
+                *kept.notes,
+                (
+                    f"{kept.n_samples} of {recording.n_samples} samples lie in the time windows of"
+                    " the sheet"
+                ),
+            ),
         )
     return recording
 
@@ -232,17 +278,24 @@ def clock_origin(t: Array) -> float:
 
 
 def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
-    files = {quantity: Path(name) for quantity, name in sheet.files.model_dump().items() if name is not None}
+    files = {
+        quantity: Path(name)
+        for quantity, name in sheet.files.model_dump().items()
+        if name is not None
+    }
     if files:
         missing = [str(path) for path in files.values() if not path.exists()]
         if missing:
             raise RecordingError(f"the recording sheet names {missing[0]}, which does not exist")
-        return merge_role_files({quantity: read_table(path, sheet) for quantity, path in files.items()})
+        return merge_role_files(
+            {quantity: read_table(path, sheet) for quantity, path in files.items()}
+        )
     groups = grouped_files(paths)
     if len(groups) > 1:
         listing = "; ".join(", ".join(path.name for path in group) for group in groups)
         raise RecordingError(
-            f"{len(paths)} files are {len(groups)} recordings, not one: {listing}. Read them with read_recordings, one recording each"
+            f"{len(paths)} files are {len(groups)} recordings, not one: {listing}. Read them with"
+            " read_recordings, one recording each"
         )
     if len(paths) == 1:
         return read_table(paths[0], sheet)
@@ -255,7 +308,9 @@ def grouped_files(paths: list[Path]) -> list[list[Path]]:
         check_readable(path)
     groups: list[list[Path]] = []
     for group in role_groups(paths):
-        whole = len(group) > 1 and any(path.is_file() and _is_whole(read_table(path, RecordingSheet())) for path in group)
+        whole = len(group) > 1 and any(
+            path.is_file() and _is_whole(read_table(path, RecordingSheet())) for path in group
+        )
         groups.extend([[path] for path in group] if whole else [group])
     return groups
 
@@ -276,16 +331,22 @@ def _refuse_lone_role_file(path: Path, table: Table) -> None:
     ]
     beside = f": {', '.join(others)} lie beside it" if others else ""
     raise RecordingError(
-        f"{path} seems to hold the {quantity} alone; give the files of all quantities together{beside}, or list them in a recording sheet under [files]"
+        f"{path} seems to hold the {quantity} alone; give the files of all quantities"
+        f" together{beside}, or list them in a recording sheet under [files]"
     )
 
 
 def _with_paths(sheet: RecordingSheet, folder: Path) -> RecordingSheet:
-    files = {quantity: None if name is None else str(folder / name) for quantity, name in sheet.files.model_dump().items()}
+    files = {
+        quantity: None if name is None else str(folder / name)
+        for quantity, name in sheet.files.model_dump().items()
+    }
     return sheet.model_copy(update={"files": sheet.files.model_copy(update=files)})
 
 
-def _stack(columns: Mapping[str, Array], names: tuple[str, ...], scales: Mapping[str, float]) -> Array:
+def _stack(
+    columns: Mapping[str, Array], names: tuple[str, ...], scales: Mapping[str, float]
+) -> Array:
     out = np.empty((columns[names[0]].size, len(names)))
     for k, name in enumerate(names):
         factor = scales.get(name, 1.0)
@@ -299,6 +360,8 @@ def _stack(columns: Mapping[str, Array], names: tuple[str, ...], scales: Mapping
 def _headless_message(table: Table, path: Path, model: RobotModel | None) -> str:
     sheet = suggest_sheet(table.columns, None if model is None else model.n_joints)
     return (
-        f"{path} has {len(table.columns)} columns without names. Say what they are in a recording sheet {path.stem}.toml beside it, or with --sheet FILE. "
-        f"From the values it may read (column numbers from 1; check it, and add gains = [...] and torque_source if the torques are currents):\n\n{sheet}\n"
+        f"{path} has {len(table.columns)} columns without names. Say what they are in a recording"
+        f" sheet {path.stem}.toml beside it, or with --sheet FILE. From the values it may read"
+        " (column numbers from 1; check it, and add gains = [...] and torque_source if the torques"
+        f" are currents):\n\n{sheet}\n"
     )

@@ -46,7 +46,8 @@ def merge_role_files(tables: Mapping[str, Table]) -> Table:
         quantity = key if key in _QUANTITIES else quantity_of_file(Path(key).stem)[0]
         if quantity is None:
             raise RecordingError(
-                f"the name {key!r} does not tell which quantity the file holds; list the files in a recording sheet under [files]"
+                f"the name {key!r} does not tell which quantity the file holds; list the files in a"
+                " recording sheet under [files]"
             )
         parts[quantity] = table
     clocks = {quantity: _clock_column(table) for quantity, table in parts.items()}
@@ -62,9 +63,17 @@ def merge_role_files(tables: Mapping[str, Table]) -> Table:
                 continue
             key = f"{quantity}/{name}"
             columns[key] = values[rows[quantity]]
-            known[key] = (quantity, name if role is None or role.quantity == "time" else role.joint or name)
+            known[key] = (
+                quantity,
+                name if role is None or role.quantity == "time" else role.joint or name,
+            )
     source = ", ".join(table.source for table in parts.values())
-    return Table(source=source, columns=columns, known=known, notes=(*(note for table in parts.values() for note in table.notes), *notes))
+    return Table(
+        source=source,
+        columns=columns,
+        known=known,
+        notes=(*(note for table in parts.values() for note in table.notes), *notes),
+    )
 
 
 def _clock_column(table: Table) -> str | None:
@@ -79,25 +88,36 @@ def _common_rows(
     parts: Mapping[str, Table], clocks: Mapping[str, str | None]
 ) -> tuple[dict[str, NDArray[np.intp] | slice], tuple[str, ...]]:
     lengths = {table.source: table.n_samples for table in parts.values()}
-    times = [parts[quantity].columns[clock] for quantity, clock in clocks.items() if clock is not None]
+    times = [
+        parts[quantity].columns[clock] for quantity, clock in clocks.items() if clock is not None
+    ]
     same = len(set(lengths.values())) == 1
     if same and all(np.array_equal(t, times[0], equal_nan=True) for t in times):
         return dict.fromkeys(parts, slice(None)), ()
     if len(times) < len(parts):
         listing = ", ".join(f"{name}: {length}" for name, length in lengths.items())
-        raise RecordingError(f"files of one recording have different lengths and not all have time stamps to join them by ({listing})")
+        raise RecordingError(
+            "files of one recording have different lengths and not all have time stamps to join"
+            f" them by ({listing})"
+        )
     common = times[0]
     for t in times[1:]:
         common = np.intersect1d(common, t)
     shortest = min(lengths.values())
     if common.size < 0.5 * shortest:
         raise RecordingError(
-            f"files of one recording do not share a clock: {common.size} of {shortest} time stamps are equal ({', '.join(lengths)}); "
-            "resample them to one clock, or log all quantities together"
+            f"files of one recording do not share a clock: {common.size} of {shortest} time stamps"
+            f" are equal ({', '.join(lengths)}); resample them to one clock, or log all quantities"
+            " together"
         )
     rows: dict[str, NDArray[np.intp] | slice] = {}
     for quantity, clock in clocks.items():
         assert clock is not None
         _, index, _ = np.intersect1d(parts[quantity].columns[clock], common, return_indices=True)
         rows[quantity] = index.astype(np.intp)
-    return rows, (f"{common.size} of {max(lengths.values())} samples have the same time stamp in all files and were kept",)
+    return rows, (
+        (
+            f"{common.size} of {max(lengths.values())} samples have the same time stamp in all"
+            " files and were kept"
+        ),
+    )

@@ -10,13 +10,36 @@ from typing import Literal
 Quantity = Literal["time", "position", "velocity", "acceleration", "torque", "current"]
 
 _WORDS: dict[str, Quantity] = {
-    **dict.fromkeys(("time", "times", "timestamp", "timestamps", "stamp", "stamps", "clock"), "time"),
-    **dict.fromkeys(("position", "positions", "pos", "angle", "angles", "theta", "qpos"), "position"),
     **dict.fromkeys(
-        ("velocity", "velocities", "vel", "vels", "speed", "speeds", "qvel", "omega", "qdot", "thetadot", "dtheta"), "velocity"
+        ("time", "times", "timestamp", "timestamps", "stamp", "stamps", "clock"), "time"
     ),
-    **dict.fromkeys(("acceleration", "accelerations", "accel", "acc", "qacc", "qddot", "thetaddot", "ddtheta"), "acceleration"),
-    **dict.fromkeys(("torque", "torques", "effort", "efforts", "tau", "taus", "moment", "moments", "trq"), "torque"),
+    **dict.fromkeys(
+        ("position", "positions", "pos", "angle", "angles", "theta", "qpos"), "position"
+    ),
+    **dict.fromkeys(
+        (
+            "velocity",
+            "velocities",
+            "vel",
+            "vels",
+            "speed",
+            "speeds",
+            "qvel",
+            "omega",
+            "qdot",
+            "thetadot",
+            "dtheta",
+        ),
+        "velocity",
+    ),
+    **dict.fromkeys(
+        ("acceleration", "accelerations", "accel", "acc", "qacc", "qddot", "thetaddot", "ddtheta"),
+        "acceleration",
+    ),
+    **dict.fromkeys(
+        ("torque", "torques", "effort", "efforts", "tau", "taus", "moment", "moments", "trq"),
+        "torque",
+    ),
     **dict.fromkeys(("current", "currents", "amps", "ampere", "amperes"), "current"),
 }
 _LETTERS: dict[str, Quantity] = {
@@ -99,7 +122,9 @@ _UNITS: dict[str, float] = {
     "nm": 1.0, "n m": 1.0, "n*m": 1.0, "n.m": 1.0, "mnm": 1e-3, "mn m": 1e-3, "knm": 1e3, "kn m": 1e3, "ncm": 1e-2, "n cm": 1e-2,
     "a": 1.0, "ma": 1e-3,
 }  # fmt: skip
-_UNIT_SUFFIX = re.compile(r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma)(?:_?(?:p|per)?_?s\d?)?(?=[_ .]?\d*$)")
+_UNIT_SUFFIX = re.compile(
+    r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma)(?:_?(?:p|per)?_?s\d?)?(?=[_ .]?\d*$)"
+)
 _TOKEN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 
@@ -154,8 +179,24 @@ def recognise(name: str) -> Role | None:
     rest = [k for k in range(len(words)) if k not in used]
     scale = unit_scale(unit) if unit else None
     left = {words[k] for k in rest}
-    kind = "external" if left & _EXTERNAL else "motor" if left & _MOTOR and quantity == "torque" else "sensor" if left & _SENSOR else ""
-    if quantity == "torque" and len(rest) > 0 and words[rest[0]] == "j" and used and rest[0] == used[-1] + 1:
+    kind = (
+        "external"
+        if left & _EXTERNAL
+        else (
+            "motor"
+            if left & _MOTOR and quantity == "torque"
+            else "sensor"
+            if left & _SENSOR
+            else ""
+        )
+    )
+    if (
+        quantity == "torque"
+        and len(rest) > 0
+        and words[rest[0]] == "j"
+        and used
+        and rest[0] == used[-1] + 1
+    ):
         rest = rest[1:]
     rest = [k for k in rest if words[k] not in _EXTERNAL | _MOTOR | _SENSOR]
     numbers = [k for k in rest if words[k].isdigit()]
@@ -166,16 +207,38 @@ def recognise(name: str) -> Role | None:
     if named or len(numbers) > 1:
         first, last = rest[0], rest[-1]
         while (
-            words[first] in {"actual", "measured", "meas", "msr", "filtered", "filt", "raw", "header", "log", "data", "states", "state"}
+            words[first]
+            in {
+                "actual",
+                "measured",
+                "meas",
+                "msr",
+                "filtered",
+                "filt",
+                "raw",
+                "header",
+                "log",
+                "data",
+                "states",
+                "state",
+            }
             and first < last
         ):
             first += 1
         contiguous = not any(k in used for k in range(first, last + 1))
-        joint = bare[spans[first][1] : spans[last][2]] if contiguous else "_".join(bare[spans[k][1] : spans[k][2]] for k in rest)
+        joint = (
+            bare[spans[first][1] : spans[last][2]]
+            if contiguous
+            else "_".join(bare[spans[k][1] : spans[k][2]] for k in rest)
+        )
         for prefix in ("joint_states/", "joint_states_", "joint_state_"):
             joint = joint.removeprefix(prefix)
     elif "joint" in left and numbers and not unit and rest == list(range(rest[0], rest[-1] + 1)):
-        joint = bare[spans[rest[0]][1] : spans[rest[-1]][2]] if words[rest[0]] == "joint" and words[rest[-1]].isdigit() else ""
+        joint = (
+            bare[spans[rest[0]][1] : spans[rest[-1]][2]]
+            if words[rest[0]] == "joint" and words[rest[-1]].isdigit()
+            else ""
+        )
     return Role(quantity, joint, index, kind, 1.0 if scale is None else scale, unit)
 
 
@@ -218,13 +281,20 @@ def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
         letters = [
             i
             for i, word in enumerate(words)
-            if word in {"q"} and _WORDS[words[k]] in {"position"} and abs(i - k) == 1 and not _follows_number(words, i)
+            if word in {"q"}
+            and _WORDS[words[k]] in {"position"}
+            and abs(i - k) == 1
+            and not _follows_number(words, i)
         ]
         return _WORDS[words[k]], sorted([k, *letters])
     if "sec" in words and "stamp" in words:
         return "time", [words.index("stamp")]
     for k, word in enumerate(words):
-        if word in _LETTERS and (word not in {"t", "i"} or len(words) == 1 or (k + 1 < len(words) and words[k + 1].isdigit())):
+        if word in _LETTERS and (
+            word not in {"t", "i"}
+            or len(words) == 1
+            or (k + 1 < len(words) and words[k + 1].isdigit())
+        ):
             return _LETTERS[word], [k]
     return None, []
 

@@ -68,7 +68,8 @@ class SheetUnits(_Part):
         for name, unit in self.model_dump().items():
             if unit is not None and unit_scale(unit) is None:
                 raise ValueError(
-                    f"units.{name}: {unit!r} is not known; write s, ms, us, ns | rad, deg, mrad, m, mm (per s, s^2) | N m, mN m, kN m, N | A, mA"
+                    f"units.{name}: {unit!r} is not known; write s, ms, us, ns | rad, deg, mrad, m,"
+                    " mm (per s, s^2) | N m, mN m, kN m, N | A, mA"
                 )
         return self
 
@@ -82,7 +83,9 @@ class SheetWindow(_Part):
     @model_validator(mode="after")
     def _forward(self) -> SheetWindow:
         if not self.stop > self.start:
-            raise ValueError(f"windows: stop {self.stop:g} s does not come after start {self.start:g} s")
+            raise ValueError(
+                f"windows: stop {self.stop:g} s does not come after start {self.start:g} s"
+            )
         return self
 
 
@@ -129,10 +132,20 @@ class RecordingSheet(_Part):
 
     @model_validator(mode="after")
     def _signs(self) -> RecordingSheet:
-        signs = self.sign if isinstance(self.sign, list) else [] if self.sign is None else [self.sign]
+        signs = (
+            self.sign if isinstance(self.sign, list) else [] if self.sign is None else [self.sign]
+        )
         if any(sign not in (1, -1) for sign in signs):
-            raise ValueError(f"sign: {self.sign} is given; each sign is 1 or -1 (other factors are gains)")
-        gains = self.gains if isinstance(self.gains, list) else [] if self.gains is None else [self.gains]
+            raise ValueError(
+                f"sign: {self.sign} is given; each sign is 1 or -1 (other factors are gains)"
+            )
+        gains = (
+            self.gains
+            if isinstance(self.gains, list)
+            else []
+            if self.gains is None
+            else [self.gains]
+        )
         if any(gain == 0 or not math.isfinite(gain) for gain in gains):
             raise ValueError(f"gains: {self.gains} is given; each must be finite and not zero")
         return self
@@ -181,23 +194,38 @@ def _explain(path: Path, error: ValidationError) -> str:
     unknown: dict[tuple[int | str, ...], list[str]] = {}
     for item in error.errors():
         field = ".".join(
-            str(part) for part in item["loc"] if not (isinstance(part, str) and ("[" in part or part in {"int", "str", "float"}))
+            str(part)
+            for part in item["loc"]
+            if not (isinstance(part, str) and ("[" in part or part in {"int", "str", "float"}))
         )
         if item["type"] == "extra_forbidden":
             unknown.setdefault(item["loc"][:-1], []).append(field)
         elif item["type"] == "value_error":
             problems.append(item["msg"].removeprefix("Value error, "))
         else:
-            problems.append(f"field {field!r} is {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}")
+            problems.append(
+                f"field {field!r} is {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}"
+            )
     if ROBOT_FIELDS & set(unknown.get((), ())):
-        return f"{path} is a robot description, not a recording and no recording sheet; the robot comes first, then the logs"
+        return (
+            f"{path} is a robot description, not a recording and no recording sheet; the robot"
+            " comes first, then the logs"
+        )
     for place, fields in unknown.items():
         are = "fields {} are" if len(fields) > 1 else "field {} is"
-        problems.append(f"{are.format(', '.join(map(repr, fields)))} not known here; known are {', '.join(_fields_at(place))}")
+        problems.append(
+            f"{are.format(', '.join(map(repr, fields)))} not known here; known are"
+            f" {', '.join(_fields_at(place))}"
+        )
     return f"recording sheet {path}: {'; '.join(dict.fromkeys(problems))}"
 
 
 def _fields_at(location: tuple[int | str, ...]) -> list[str]:
-    models: dict[str, type[BaseModel]] = {"columns": SheetColumns, "units": SheetUnits, "windows": SheetWindow, "files": SheetFiles}
+    models: dict[str, type[BaseModel]] = {
+        "columns": SheetColumns,
+        "units": SheetUnits,
+        "windows": SheetWindow,
+        "files": SheetFiles,
+    }
     model = models.get(str(location[0]), RecordingSheet) if location else RecordingSheet
     return list(model.model_fields)

@@ -35,7 +35,9 @@ from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import Recording
 
 
-def stream_recording(path: PathLike, *, chunk_samples: int = 200_000, **options: Unpack[ReadingOptions]) -> Iterator[Recording]:
+def stream_recording(
+    path: PathLike, *, chunk_samples: int = 200_000, **options: Unpack[ReadingOptions]
+) -> Iterator[Recording]:
     """Read a recording in consecutive stretches of `chunk_samples`, the last of which may be shorter.
 
     Parquet is read in slices and delimited text lazily, so memory depends on the stretch, not on the length; other formats are read whole first.
@@ -52,15 +54,31 @@ def stream_recording(path: PathLike, *, chunk_samples: int = 200_000, **options:
     check_readable(path)
     described, notes = find_sheet(path, options.get("sheet"))
     suffix = path.suffix.lower()
-    blank = described.separator == " " or (suffix in TEXT_SUFFIXES and find_dialect(path).separator == "")
-    if described.files.position is not None or blank or (suffix != ".parquet" and suffix not in TEXT_SUFFIXES):
+    blank = described.separator == " " or (
+        suffix in TEXT_SUFFIXES and find_dialect(path).separator == ""
+    )
+    if (
+        described.files.position is not None
+        or blank
+        or (suffix != ".parquet" and suffix not in TEXT_SUFFIXES)
+    ):
         whole = read_recording(path, **(options | {"sheet": described}))
-        yield from (whole.taken(slice(begin, begin + chunk_samples)) for begin in range(0, whole.n_samples, chunk_samples))
+        yield from (
+            whole.taken(slice(begin, begin + chunk_samples))
+            for begin in range(0, whole.n_samples, chunk_samples)
+        )
         return
     source = str(path)
-    layout = find_layout(source, _column_names(path, described), model=options.get("model"), sheet=described)
+    layout = find_layout(
+        source, _column_names(path, described), model=options.get("model"), sheet=described
+    )
     layout = replace(
-        layout, quantities={k: v for k, v in layout.quantities.items() if k in {"position", "velocity", "acceleration", "torque"}}
+        layout,
+        quantities={
+            k: v
+            for k, v in layout.quantities.items()
+            if k in {"position", "velocity", "acceleration", "torque"}
+        },
     )
     rate = options.get("rate")
     if rate is None:
@@ -69,7 +87,9 @@ def stream_recording(path: PathLike, *, chunk_samples: int = 200_000, **options:
     origin: float | None = None
     start = 0.0
     for first, frame in _frames(path, described, layout.columns, chunk_samples):
-        table = Table(source=source, columns={name: _numbers(frame[name]) for name in layout.columns})
+        table = Table(
+            source=source, columns={name: _numbers(frame[name]) for name in layout.columns}
+        )
         if origin is None and layout.time is not None:
             t = table.columns[layout.time] * layout.scales[layout.time]
             origin = clock_origin(t)
@@ -96,12 +116,15 @@ def _column_names(path: Path, sheet: RecordingSheet) -> tuple[str, ...]:
     dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
     if dialect.headless and sheet.columns.position is None:
         raise RecordingError(
-            f"{path} has {len(dialect.names)} columns without names; say what they are in a recording sheet: [columns] position = ..."
+            f"{path} has {len(dialect.names)} columns without names; say what they are in a"
+            " recording sheet: [columns] position = ..."
         )
     return tuple(name for name in dialect.names if name not in dialect.text_columns)
 
 
-def _frames(path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples: int) -> Iterator[tuple[int, pl.DataFrame]]:
+def _frames(
+    path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples: int
+) -> Iterator[tuple[int, pl.DataFrame]]:
     """Yield the index of the first row, and the frame of the needed columns."""
     if path.suffix.lower() == ".parquet":
         scanned = scan_parquet(path)[0]
@@ -112,9 +135,9 @@ def _frames(path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples
     dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
     done = 0
     try:
-        for frame in without_blank_lines(scan_delimited(path, dialect).select(columns)).collect_batches(
-            chunk_size=chunk_samples, maintain_order=True
-        ):
+        for frame in without_blank_lines(
+            scan_delimited(path, dialect).select(columns)
+        ).collect_batches(chunk_size=chunk_samples, maintain_order=True):
             yield done, frame
             done += frame.height
     except pl.exceptions.PolarsError as error:

@@ -22,14 +22,20 @@ def suggest_sheet(columns: Mapping[str, Array], n_joints: int | None) -> str:
     if n_joints is None or n_joints == 0 or n_rest < 2 * n_joints:
         return 'header = false\n[columns]\ntime = 1\nposition = "2-7"\ntorque = "8-13"'
     t = values[0] if has_time else np.arange(values[0].size, dtype=np.float64)
-    groups = [np.column_stack(values[has_time + k * n_joints : has_time + (k + 1) * n_joints]) for k in range(n_rest // n_joints)]
+    groups = [
+        np.column_stack(values[has_time + k * n_joints : has_time + (k + 1) * n_joints])
+        for k in range(n_rest // n_joints)
+    ]
     lines = ["header = false"] if has_time else ["header = false", "rate = 100  # Hz"]
     lines.append("[columns]")
     if has_time:
         lines.append("time = 1")
     position, velocity = _position_and_velocity(t, groups)
     rest = [k for k in range(len(groups)) if k not in (position, velocity)]
-    span = {k: f'"{has_time + k * n_joints + 1}-{has_time + (k + 1) * n_joints}"' for k in range(len(groups))}
+    span = {
+        k: f'"{has_time + k * n_joints + 1}-{has_time + (k + 1) * n_joints}"'
+        for k in range(len(groups))
+    }
     lines.append(f"position = {span[position]}")
     if velocity is not None:
         lines.append(f"velocity = {span[velocity]}")
@@ -71,8 +77,20 @@ def _derivative_match(t: Array, q: Array, qd: Array) -> float:
 
 def _joints_by_derivative(values: list[Array], t: Array | None) -> int | None:
     """Return the number of joints that makes the second group the derivative of the first."""
-    clock = t if t is not None else np.arange(values[0].size, dtype=np.float64) if values else np.zeros(0)
+    clock = (
+        t
+        if t is not None
+        else np.arange(values[0].size, dtype=np.float64)
+        if values
+        else np.zeros(0)
+    )
     for n in range(2, len(values) // 2 + 1):
-        if len(values) % n == 0 and _derivative_match(clock, np.column_stack(values[:n]), np.column_stack(values[n : 2 * n])) > 0.8:
+        if (
+            len(values) % n == 0
+            and _derivative_match(
+                clock, np.column_stack(values[:n]), np.column_stack(values[n : 2 * n])
+            )
+            > 0.8
+        ):
             return n
     return None

@@ -62,9 +62,14 @@ class RecordingCheck:
     def as_text(self) -> str:
         """Write the findings down, one paragraph each, under a line that says what was checked."""
         head = (
-            f"{self.source} on {self.robot}: {self.n_samples} samples x {self.n_joints} joints, {self.duration:.4g} s at {self.rate:.4g} Hz"
+            f"{self.source} on {self.robot}: {self.n_samples} samples x {self.n_joints} joints,"
+            f" {self.duration:.4g} s at {self.rate:.4g} Hz"
         )
-        verdict = f"{len(self.errors)} errors, {len(self.warnings)} warnings" if self.errors or self.warnings else "nothing wrong was found"
+        verdict = (
+            f"{len(self.errors)} errors, {len(self.warnings)} warnings"
+            if self.errors or self.warnings
+            else "nothing wrong was found"
+        )
         return "\n".join([head, verdict, *(str(finding) for finding in self.findings)])
 
     def raise_errors(self, *, but: Collection[str] = ()) -> None:
@@ -77,7 +82,11 @@ class RecordingCheck:
         """
         errors = [finding for finding in self.errors if finding.code not in but]
         if errors:
-            raise RecordingError("\n".join(f"{self.source}: {finding.message}. {finding.cure}." for finding in errors))
+            raise RecordingError(
+                "\n".join(
+                    f"{self.source}: {finding.message}. {finding.cure}." for finding in errors
+                )
+            )
 
 
 def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:
@@ -94,7 +103,9 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     stretches = recording if isinstance(recording, RecordingStream) else (recording,)
     known = survey(model, stretches)
     findings = list(clock_findings(known))
-    if not any(finding.severity == "error" and finding.code.startswith("clock") for finding in findings):
+    if not any(
+        finding.severity == "error" and finding.code.startswith("clock") for finding in findings
+    ):
         findings += _findings_in_time(model, stretches, known)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
@@ -108,13 +119,20 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     )
 
 
-def refuse_spoilt(model: RobotModel, recordings: Iterable[Recording | RecordingStream], *, but: Collection[str] = TOO_LITTLE) -> None:
+def refuse_spoilt(
+    model: RobotModel,
+    recordings: Iterable[Recording | RecordingStream],
+    *,
+    but: Collection[str] = TOO_LITTLE,
+) -> None:
     """Raise the errors of the first recording that has some, those of the codes `but` apart; a stream is judged by its first stretch."""
     for recording in recordings:
         check_recording(model, head_of(recording)).raise_errors(but=but)
 
 
-def _findings_in_time(model: RobotModel, stretches: Iterable[Recording], known: Survey) -> Iterator[Finding]:
+def _findings_in_time(
+    model: RobotModel, stretches: Iterable[Recording], known: Survey
+) -> Iterator[Finding]:
     """Look at motion, torque and excitation, which means nothing before the clock is right."""
     pieces = EvenPieces.of(known.t, known.usable)
     closer = look_closer(model, stretches, known, () if pieces is None else pieces.rows)
@@ -122,6 +140,8 @@ def _findings_in_time(model: RobotModel, stretches: Iterable[Recording], known: 
     degrees = in_degrees(model, known, motion) is not None
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion)
-    yield from torque_findings(model, known, closer, motion, np.where(revolute & degrees, DEGREE, 1.0))
+    yield from torque_findings(
+        model, known, closer, motion, np.where(revolute & degrees, DEGREE, 1.0)
+    )
     if not degrees:
         yield from excitation_findings(model, known, motion)

@@ -33,8 +33,10 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "clock-backward",
             "error",
-            f"time runs back {backward.size} times, first from {t[k]:.6g} s to {t[k + 1]:.6g} s at sample {k + 2}",
-            "Several logs may have been joined, or the clock was set while recording; split the file there and give the parts as separate recordings",
+            f"time runs back {backward.size} times, first from {t[k]:.6g} s to {t[k + 1]:.6g} s at"
+            f" sample {k + 2}",
+            "Several logs may have been joined, or the clock was set while recording; split the"
+            " file there and give the parts as separate recordings",
             time=float(t[k]),
         )
     repeated = np.flatnonzero(steps == 0)
@@ -43,7 +45,8 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "clock-repeated",
             "error" if repeated.size > 0.01 * t.size else "warning",
-            f"{repeated.size} of {t.size} samples have the time stamp of the sample before, first {t[k]:.6g} s at sample {k + 2}",
+            f"{repeated.size} of {t.size} samples have the time stamp of the sample before, first"
+            f" {t[k]:.6g} s at sample {k + 2}",
             "Remove the duplicates, or log time with more digits",
             time=float(t[k]),
         )
@@ -58,7 +61,8 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "clock-gap",
             "warning",
-            f"{gaps.size} gaps in the clock, the longest {steps[longest]:.4g} s after {t[longest]:.6g} s where samples come every {step:.4g} s",
+            f"{gaps.size} gaps in the clock, the longest {steps[longest]:.4g} s after"
+            f" {t[longest]:.6g} s where samples come every {step:.4g} s",
             "The recording is split there; find out why the logger lost samples if there are many",
             time=float(t[gaps[0]]),
         )
@@ -69,7 +73,8 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "clock-irregular",
             "info",
-            f"the clock is uneven: steps from {1e3 * low:.3g} ms to {1e3 * high:.3g} ms, median {1e3 * step:.3g} ms",
+            f"the clock is uneven: steps from {1e3 * low:.3g} ms to {1e3 * high:.3g} ms, median"
+            f" {1e3 * step:.3g} ms",
             "The recording is resampled to an even clock; no action is needed",
         )
     yield from _stale(recording)
@@ -82,7 +87,8 @@ def _not_finite(recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "not-finite",
             "error",
-            f"{bad_times.size} of {recording.n_samples} time stamps are no numbers, first at sample {bad_times[0] + 1}",
+            f"{bad_times.size} of {recording.n_samples} time stamps are no numbers, first at sample"
+            f" {bad_times[0] + 1}",
             "Repair or remove these rows",
         )
     alike: dict[bytes, list[Missing]] = {}
@@ -90,16 +96,23 @@ def _not_finite(recording: Survey) -> Iterator[Finding]:
         alike.setdefault(column.rows.tobytes(), []).append(column)
     for columns in alike.values():
         rows, value = columns[0].rows, columns[0].first
-        kind = "missing (NaN)" if np.isnan(value) else "infinite" if np.isinf(value) else f"{value:.3g}, which no robot logs,"
+        kind = (
+            "missing (NaN)"
+            if np.isnan(value)
+            else "infinite"
+            if np.isinf(value)
+            else f"{value:.3g}, which no robot logs,"
+        )
         told = [
-            f"the {what} of {joined([recording.joint_names[column.joint] for column in columns if column.quantity == what])}"
+            f"the {what} of"
+            f" {joined([recording.joint_names[column.joint] for column in columns if column.quantity == what])}"
             for what in dict.fromkeys(column.quantity for column in columns)
         ]
         yield Finding(
             "not-finite",
             "error",
-            f"{rows.size} of {recording.n_samples} values of {' and '.join(told)} are no usable numbers, the first {kind} at sample {rows[0] + 1}, "
-            f"t = {recording.t[rows[0]]:.6g} s",
+            f"{rows.size} of {recording.n_samples} values of {' and '.join(told)} are no usable"
+            f" numbers, the first {kind} at sample {rows[0] + 1}, t = {recording.t[rows[0]]:.6g} s",
             "Repair or remove these rows, or leave them out with time windows in a recording sheet",
             joint=recording.joint_names[columns[0].joint],
             time=float(recording.t[rows[0]]),
@@ -112,10 +125,14 @@ def _wrong_unit(step: float) -> Iterator[Finding]:
         yield Finding(
             "clock-unit",
             "error",
-            f"samples come every {step:.3g} s, {1.0 / step:.3g} a second: the time stamps are not in the unit their name or the sheet says",
+            f"samples come every {step:.3g} s, {1.0 / step:.3g} a second: the time stamps are not"
+            " in the unit their name or the sheet says",
             'Write the unit in a recording sheet: units = { time = "s" }',
         )
-    unit = next((unit for unit, factor in _CLOCK_UNITS.items() if 20.0 <= 1.0 / (step * factor) <= 20e3), None)
+    unit = next(
+        (unit for unit, factor in _CLOCK_UNITS.items() if 20.0 <= 1.0 / (step * factor) <= 20e3),
+        None,
+    )
     if 1.0 / step < _SLOWEST and unit is not None:
         yield Finding(
             "clock-unit",
@@ -139,7 +156,9 @@ def _stale(recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "stale-samples",
             "warning",
-            f"{100 * repeats:.0f} % of the samples repeat the one before in every joint: the log runs at {recording.rate:.4g} Hz but values are fresh "
-            f"about every {times:.3g} samples ({recording.rate / times:.3g} Hz)",
-            f"Log at the controller's rate, or keep the low-pass cutoff well below {recording.rate / times / 2:.3g} Hz",
+            f"{100 * repeats:.0f} % of the samples repeat the one before in every joint: the log"
+            f" runs at {recording.rate:.4g} Hz but values are fresh about every {times:.3g} samples"
+            f" ({recording.rate / times:.3g} Hz)",
+            "Log at the controller's rate, or keep the low-pass cutoff well below"
+            f" {recording.rate / times / 2:.3g} Hz",
         )

@@ -87,7 +87,13 @@ def survey(model: RobotModel, stretches: Iterable[Recording]) -> Survey:
     n = model.n_joints
     lower, upper = _position_limits(model)
     full = FULL_TORQUE * np.array([joint.limits.torque for joint in model.joints])
-    reach, effort, likeness, beyond, loud = Extremes.none(n), Extremes.none(n), Likeness.none(n), Furthest.none(n), Furthest.none(n)
+    reach, effort, likeness, beyond, loud = (
+        Extremes.none(n),
+        Extremes.none(n),
+        Likeness.none(n),
+        Furthest.none(n),
+        Furthest.none(n),
+    )
     times, flags, missing = [], [], list[Missing]()
     first = last = None
     begin = 0
@@ -99,13 +105,21 @@ def survey(model: RobotModel, stretches: Iterable[Recording]) -> Survey:
         first = first or stretch
         q, tau = stretch.q, stretch.tau
         heard = np.isfinite(stretch.t) & np.all(np.isfinite(tau), axis=1)
-        usable = heard & np.all(np.isfinite(q), axis=1) & (stretch.qd is None or np.all(np.isfinite(stretch.qd), axis=1))
+        usable = (
+            heard
+            & np.all(np.isfinite(q), axis=1)
+            & (stretch.qd is None or np.all(np.isfinite(stretch.qd), axis=1))
+        )
         times.append(np.array(stretch.t))
         flags.append(np.stack([fresh, heard, usable]))
         rows = np.arange(begin, begin + stretch.n_samples)
         outside = np.maximum(lower - q, q - upper)
         size = np.abs(tau[fresh])
-        reach, effort, likeness = reach.with_more(q), effort.with_more(tau[fresh]), likeness.with_more(q)
+        reach, effort, likeness = (
+            reach.with_more(q),
+            effort.with_more(tau[fresh]),
+            likeness.with_more(q),
+        )
         beyond = beyond.with_more(outside, outside > LIMIT_MARGIN, q, rows)
         loud = loud.with_more(size, size >= full, tau[fresh], rows[fresh])
         begin += stretch.n_samples
@@ -136,10 +150,14 @@ def as_modelled(model: RobotModel, recording: Recording) -> Recording:
     """Return the recording with its joints in the order of the model; raises RecordingError where they are not those of the model."""
     if recording.n_joints != model.n_joints:
         raise RecordingError(
-            f"{recording.source} has {recording.n_joints} joints ({', '.join(recording.joint_names)}) but {model.name} has {model.n_joints} "
-            f"({', '.join(model.joint_names)}); choose the right robot, or read the recording with model = ..."
+            f"{recording.source} has {recording.n_joints} joints"
+            f" ({', '.join(recording.joint_names)}) but {model.name} has {model.n_joints}"
+            f" ({', '.join(model.joint_names)}); choose the right robot, or read the recording with"
+            " model = ..."
         )
-    if recording.joint_names != model.joint_names and set(recording.joint_names) == set(model.joint_names):
+    if recording.joint_names != model.joint_names and set(recording.joint_names) == set(
+        model.joint_names
+    ):
         return recording.reordered(model.joint_names)
     return recording
 
@@ -150,7 +168,10 @@ def believable(recording: Recording) -> Recording:
     def cleaned(what: str, values: Array) -> Array:
         return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
 
-    if not any(np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what] for what, values in _quantities(recording)):
+    if not any(
+        np.nanmax(np.abs(values), initial=0.0) > CREDIBLE[what]
+        for what, values in _quantities(recording)
+    ):
         return recording
     return replace(
         recording,
@@ -178,8 +199,12 @@ def _position_limits(model: RobotModel) -> tuple[Array, Array]:
 
 def _fresh(stretch: Recording, before: Recording | None) -> NDArray[np.bool_]:
     """Say which samples differ from the one before, the first from the last of the stretch before."""
-    changed = np.any(np.diff(stretch.q, axis=0) != 0, axis=1) | np.any(np.diff(stretch.tau, axis=0) != 0, axis=1)
-    first = before is None or bool(np.any(stretch.q[0] != before.q[-1]) or np.any(stretch.tau[0] != before.tau[-1]))
+    changed = np.any(np.diff(stretch.q, axis=0) != 0, axis=1) | np.any(
+        np.diff(stretch.tau, axis=0) != 0, axis=1
+    )
+    first = before is None or bool(
+        np.any(stretch.q[0] != before.q[-1]) or np.any(stretch.tau[0] != before.tau[-1])
+    )
     return np.concatenate([[first], changed])
 
 

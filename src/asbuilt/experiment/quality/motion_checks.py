@@ -30,15 +30,28 @@ def in_degrees(model: RobotModel, recording: Survey, motion: SmoothedMotion | No
     turning = np.array([joint.is_revolute for joint in model.joints])
     if not turning.any():
         return None
-    furthest = np.where(recording.reach.count > 0, np.maximum(np.abs(recording.reach.low), np.abs(recording.reach.high)), np.nan)
+    furthest = np.where(
+        recording.reach.count > 0,
+        np.maximum(np.abs(recording.reach.low), np.abs(recording.reach.high)),
+        np.nan,
+    )
     reach = furthest[turning]
-    bounds = np.array([max(abs(j.limits.lower), abs(j.limits.upper)) for j in model.joints])[turning]
+    bounds = np.array([max(abs(j.limits.lower), abs(j.limits.upper)) for j in model.joints])[
+        turning
+    ]
     bounds = np.where(np.isfinite(bounds), bounds, 2 * np.pi)
     over = reach / bounds
     name = np.array(model.joint_names)[turning]
-    if np.max(over) > 2 and np.sum(over > 1.2) >= max(1, turning.sum() // 3) and np.all(over * DEGREE < 1.1):
+    if (
+        np.max(over) > 2
+        and np.sum(over > 1.2) >= max(1, turning.sum() // 3)
+        and np.all(over * DEGREE < 1.1)
+    ):
         k = int(np.argmax(over))
-        return f"{name[k]} reaches {reach[k]:.4g}, {over[k]:.3g} times its limit of {bounds[k]:.4g} rad, and as degrees every joint keeps its limits"
+        return (
+            f"{name[k]} reaches {reach[k]:.4g}, {over[k]:.3g} times its limit of {bounds[k]:.4g}"
+            " rad, and as degrees every joint keeps its limits"
+        )
     if motion is not None:
         speed = np.percentile(np.abs(motion.qd[:, turning]), 99.5, axis=0)
         fastest = np.array([j.limits.velocity for j in model.joints])[turning]
@@ -46,11 +59,16 @@ def in_degrees(model: RobotModel, recording: Survey, motion: SmoothedMotion | No
         ratio = speed / fastest
         if np.max(ratio) > 3 and np.median(ratio) > 1.5 and np.all(ratio * DEGREE < 1.5):
             k = int(np.argmax(ratio))
-            return f"{name[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times its limit of {fastest[k]:.4g} rad/s"
+            return (
+                f"{name[k]} turns at {speed[k]:.4g} per second, {ratio[k]:.3g} times its limit of"
+                f" {fastest[k]:.4g} rad/s"
+            )
     return None
 
 
-def motion_findings(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> Iterator[Finding]:
+def motion_findings(
+    model: RobotModel, recording: Survey, motion: SmoothedMotion | None
+) -> Iterator[Finding]:
     """Look for degrees, positions outside limits, joints that stand or move alike, and velocities that are not the derivative of the positions."""
     degrees = in_degrees(model, recording, motion)
     if degrees is not None:
@@ -58,7 +76,8 @@ def motion_findings(model: RobotModel, recording: Survey, motion: SmoothedMotion
             "degrees",
             "error",
             f"the positions look like degrees: {degrees}",
-            'Convert them, or write units = { position = "deg" } in a recording sheet beside the log',
+            'Convert them, or write units = { position = "deg" } in a recording sheet beside'
+            " the log",
         )
     else:
         yield from _limits(model, recording)
@@ -78,8 +97,9 @@ def _limits(model: RobotModel, recording: Survey) -> Iterator[Finding]:
         yield Finding(
             "position-limit",
             "warning",
-            f"{joint.name} is outside its limits [{joint.limits.lower:.4g}, {joint.limits.upper:.4g}] {unit} in {count} of {recording.n_samples} samples, "
-            f"furthest {value:.4g} {unit} at {recording.t[worst]:.4g} s",
+            f"{joint.name} is outside its limits [{joint.limits.lower:.4g},"
+            f" {joint.limits.upper:.4g}] {unit} in {count} of {recording.n_samples} samples,"
+            f" furthest {value:.4g} {unit} at {recording.t[worst]:.4g} s",
             "Check the units and the joint's zero position in the log against the model",
             joint=joint.name,
             time=float(recording.t[worst]),
@@ -90,7 +110,11 @@ def _still(model: RobotModel, recording: Survey, scale: float) -> Iterator[Findi
     standing: list[tuple[str, float, str]] = []
     for k, joint in enumerate(model.joints):
         factor = scale if joint.is_revolute else 1.0
-        reach = float(recording.reach.high[k] * factor - recording.reach.low[k] * factor) if recording.reach.count[k] else 0.0
+        reach = (
+            float(recording.reach.high[k] * factor - recording.reach.low[k] * factor)
+            if recording.reach.count[k]
+            else 0.0
+        )
         if reach < (_STILL_ANGLE if joint.is_revolute else _STILL_LENGTH):
             standing.append((joint.name, reach, "rad" if joint.is_revolute else "m"))
     if len(standing) == model.n_joints:
@@ -99,7 +123,8 @@ def _still(model: RobotModel, recording: Survey, scale: float) -> Iterator[Findi
             "nothing-moves",
             "error",
             f"no joint moves: {name} moves most, {reach:.3g} {unit} in all",
-            "Record the robot while it moves (asbuilt excite designs a motion), and check that the position columns are the measured ones",
+            "Record the robot while it moves (asbuilt excite designs a motion), and check that the"
+            " position columns are the measured ones",
         )
         return
     for name, reach, unit in standing:
@@ -107,7 +132,8 @@ def _still(model: RobotModel, recording: Survey, scale: float) -> Iterator[Findi
             "joint-still",
             "warning",
             f"{name} hardly moves: {reach:.3g} {unit} in all",
-            "Its friction and part of its inertia cannot be found from this recording; move every joint over a good part of its range",
+            "Its friction and part of its inertia cannot be found from this recording; move every"
+            " joint over a good part of its range",
             joint=name,
         )
 
@@ -127,8 +153,10 @@ def _alike(recording: Survey) -> Iterator[Finding]:
     yield Finding(
         "joints-alike",
         "warning" if everyone else "info",
-        f"{'all' if everyone else len(group)} joints move in step: {joined(names)} (correlation of positions at least {least:.4f})",
-        "Their inertias are hard to tell apart; record a motion in which every joint has its own course (asbuilt excite)",
+        f"{'all' if everyone else len(group)} joints move in step: {joined(names)} (correlation of"
+        f" positions at least {least:.4f})",
+        "Their inertias are hard to tell apart; record a motion in which every joint has its own"
+        " course (asbuilt excite)",
     )
 
 
@@ -142,7 +170,8 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
             yield Finding(
                 "velocity-zero",
                 "warning",
-                f"the logged velocities are 0 in all {recording.n_samples} samples while the joints move",
+                f"the logged velocities are 0 in all {recording.n_samples} samples while the joints"
+                " move",
                 "They are not used; leave the columns out",
             )
         return
@@ -165,32 +194,48 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
         return
     gain = np.sum(logged * slope, axis=0)[moving] / energy[moving]
     middle = float(np.median(gain))
-    known = {1 / DEGREE: "degrees per second", DEGREE: "radians per second while positions are degrees"}
+    known = {
+        1 / DEGREE: "degrees per second",
+        DEGREE: "radians per second while positions are degrees",
+    }
     unit = next((text for factor, text in known.items() if abs(middle / factor - 1) < 0.2), None)
     if unit is not None:
         yield Finding(
             "velocity-units",
             "error",
-            f"the logged velocities are {middle:.4g} times the derivative of the positions: they look like {unit}",
+            f"the logged velocities are {middle:.4g} times the derivative of the positions: they"
+            f" look like {unit}",
             'Write the unit in a recording sheet: units = { velocity = "deg/s" }',
         )
         return
     for k, factor in zip(moving, gain, strict=True):
         match = float(np.corrcoef(logged[:, k], slope[:, k])[0, 1])
         if match < -0.8:
-            message = f"the logged velocity of {names[k]} has the opposite sign of the derivative of its position (correlation {match:.3f})"
+            message = (
+                f"the logged velocity of {names[k]} has the opposite sign of the derivative of its"
+                f" position (correlation {match:.3f})"
+            )
         elif not 0.7 < factor < 1.4 or match < 0.7:
-            message = f"the logged velocity of {names[k]} is {factor:.3g} times the derivative of its position"
+            message = (
+                f"the logged velocity of {names[k]} is {factor:.3g} times the derivative of its"
+                " position"
+            )
         else:
             continue
         yield Finding(
-            "velocity-mismatch", "warning", message, "Leave the velocity columns out, so that positions are differentiated", joint=names[k]
+            "velocity-mismatch",
+            "warning",
+            message,
+            "Leave the velocity columns out, so that positions are differentiated",
+            joint=names[k],
         )
     yield from _lag(recording, motion, logged, [int(k) for k in moving])
     yield from _ends(recording, motion, logged, [int(k) for k in moving])
 
 
-def _lag(recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
+def _lag(
+    recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]
+) -> Iterator[Finding]:
     """Find the shift that matches logged velocities best with the derivative of the positions, to a fraction of a sample by a parabola."""
     lags = np.array([_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
     if not np.all(np.isfinite(lags)):
@@ -204,9 +249,11 @@ def _lag(recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[
         yield Finding(
             "velocity-lag",
             "info",
-            f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms "
-            f"(samples come every {1e3 * step:.3g} ms), most in {recording.joint_names[worst]}",
-            "They were filtered or differenced one-sidedly; leave the velocity columns out, so that positions are differentiated",
+            f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative"
+            f" of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms (samples come every"
+            f" {1e3 * step:.3g} ms), most in {recording.joint_names[worst]}",
+            "They were filtered or differenced one-sidedly; leave the velocity columns out, so that"
+            " positions are differentiated",
             joint=recording.joint_names[worst],
         )
 
@@ -217,7 +264,12 @@ def _best_shift(late: Array, early: Array) -> float:
     if most < 1:
         return float("nan")
     inner = slice(most, late.size - most)
-    likeness = np.array([np.corrcoef(late[inner], early[most - d : early.size - most - d])[0, 1] for d in range(-most, most + 1)])
+    likeness = np.array(
+        [
+            np.corrcoef(late[inner], early[most - d : early.size - most - d])[0, 1]
+            for d in range(-most, most + 1)
+        ]
+    )
     k = int(np.argmax(likeness))
     if not 0 < k < likeness.size - 1 or likeness[k] < 0.9:
         return float("nan")
@@ -225,7 +277,9 @@ def _best_shift(late: Array, early: Array) -> float:
     return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
 
 
-def _ends(recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]) -> Iterator[Finding]:
+def _ends(
+    recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]
+) -> Iterator[Finding]:
     """Find ends where velocity and position part, as the transient of a filter makes them."""
     width = int(_END * motion.rate)
     if width < 1 or motion.n_samples < 10 * width:
@@ -242,8 +296,9 @@ def _ends(recording: Survey, motion: SmoothedMotion, logged: Array, moving: list
             yield Finding(
                 "end-transient",
                 "warning",
-                f"in the {name} {_END:g} s logged velocities and positions do not belong together: they part by {worst[k]:.3g} rad/s in "
-                f"{recording.joint_names[k]}, against {inner[k]:.2g} rad/s elsewhere, as at the end of a filtered signal",
+                f"in the {name} {_END:g} s logged velocities and positions do not belong together:"
+                f" they part by {worst[k]:.3g} rad/s in {recording.joint_names[k]}, against"
+                f" {inner[k]:.2g} rad/s elsewhere, as at the end of a filtered signal",
                 f"Cut the {name} half second off in a recording sheet: [[windows]] {window}",
                 joint=recording.joint_names[k],
                 time=float(recording.t[0] if name == "first" else recording.t[-1] - _END),

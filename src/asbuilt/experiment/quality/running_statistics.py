@@ -48,9 +48,16 @@ class Furthest:
     @classmethod
     def none(cls, n: int) -> Furthest:
         """Return what is known before the first sample."""
-        return cls(np.zeros(n, dtype=np.int64), np.full(n, -np.inf), np.full(n, np.nan), np.zeros(n, dtype=np.int64))
+        return cls(
+            np.zeros(n, dtype=np.int64),
+            np.full(n, -np.inf),
+            np.full(n, np.nan),
+            np.zeros(n, dtype=np.int64),
+        )
 
-    def with_more(self, amount: Array, too_far: NDArray[np.bool_], value: Array, rows: Indices) -> Furthest:
+    def with_more(
+        self, amount: Array, too_far: NDArray[np.bool_], value: Array, rows: Indices
+    ) -> Furthest:
         """Take in further samples: amounts, which of them are too far, values (N, n) and rows (N,); amounts may be NaN."""
         if not len(rows):
             return self
@@ -80,7 +87,9 @@ class Likeness:
     @classmethod
     def none(cls, n: int) -> Likeness:
         """Return what is known before the first sample."""
-        return cls(0, np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n), np.zeros(n), np.zeros((n, n)))
+        return cls(
+            0, np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n), np.zeros(n), np.zeros((n, n))
+        )
 
     def with_more(self, q: Array) -> Likeness:
         """Take in further positions (N, n)."""

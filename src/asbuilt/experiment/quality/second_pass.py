@@ -49,7 +49,9 @@ class CloserLook:
     plateaus: tuple[tuple[Plateau, ...], ...]
 
 
-def look_closer(model: RobotModel, stretches: Iterable[Recording], known: Survey, rows: Sequence[Indices]) -> CloserLook:
+def look_closer(
+    model: RobotModel, stretches: Iterable[Recording], known: Survey, rows: Sequence[Indices]
+) -> CloserLook:
     """Go through the stretches again for pieces of consecutive `rows`, and for torques that stay at their extremes.
 
     The torques of a recording that is held are all of them, those of one in several stretches those of the pieces.
@@ -62,7 +64,10 @@ def look_closer(model: RobotModel, stretches: Iterable[Recording], known: Survey
         stretch = believable(as_modelled(model, logged))
         stop = begin + stretch.n_samples
         fresh = stretch.tau[known.fresh[begin:stop]]
-        plateaus = [tuple(each.with_more(fresh[:, k], place) for each in both) for k, both in enumerate(plateaus)]
+        plateaus = [
+            tuple(each.with_more(fresh[:, k], place) for each in both)
+            for k, both in enumerate(plateaus)
+        ]
         for wanted, part in zip(rows, parts, strict=True):
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
@@ -71,7 +76,9 @@ def look_closer(model: RobotModel, stretches: Iterable[Recording], known: Survey
             torques.append(stretch.tau[known.heard])
         begin, place = stop, place + len(fresh)
     pieces = tuple(_joined(part) for part in parts)
-    return CloserLook(pieces, tuple(torques) or tuple(piece.tau for piece in pieces), tuple(plateaus))
+    return CloserLook(
+        pieces, tuple(torques) or tuple(piece.tau for piece in pieces), tuple(plateaus)
+    )
 
 
 def _plateaus(known: Survey, joint: int) -> tuple[Plateau, ...]:
@@ -93,7 +100,9 @@ def _copied(stretch: Recording, rows: Indices) -> Recording:
 
 
 def _joined(parts: Sequence[Recording]) -> Recording:
-    t, q, tau = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau"))
+    t, q, tau = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "q", "tau")
+    )
     logged = [part.qd for part in parts if part.qd is not None]
     qd = np.concatenate(logged) if len(logged) == len(parts) else None
     return replace(parts[0], t=t, q=q, tau=tau, qd=qd)

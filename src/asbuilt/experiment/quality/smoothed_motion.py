@@ -69,11 +69,21 @@ class EvenPieces:
         step = float(np.median(steps))
         window = max(5, int(_WINDOW / step) | 1)
         breaks = np.flatnonzero(steps > GAP_STEPS * step) + 1
-        bounds = [(a, b) for a, b in zip([0, *breaks], [*breaks, t.size], strict=True) if b - a > 2 * window]
-        pieces = [(a, min(a + _STRETCH_SAMPLES, b)) for start, b in bounds for a in range(start, b, _STRETCH_SAMPLES)]
+        bounds = [
+            (a, b)
+            for a, b in zip([0, *breaks], [*breaks, t.size], strict=True)
+            if b - a > 2 * window
+        ]
+        pieces = [
+            (a, min(a + _STRETCH_SAMPLES, b))
+            for start, b in bounds
+            for a in range(start, b, _STRETCH_SAMPLES)
+        ]
         pieces = [(a, b) for a, b in pieces if b - a > 2 * window]
         if len(pieces) > _MOST_STRETCHES:
-            pieces = [pieces[k] for k in np.linspace(0, len(pieces) - 1, _MOST_STRETCHES).astype(int)]
+            pieces = [
+                pieces[k] for k in np.linspace(0, len(pieces) - 1, _MOST_STRETCHES).astype(int)
+            ]
         return cls(tuple(rows[a:b] for a, b in pieces), step, window) if pieces else None
 
 
@@ -86,12 +96,29 @@ def smoothed_motion(pieces: EvenPieces, logged: Sequence[Recording]) -> Smoothed
         columns = [part.q, part.tau] + ([part.qd] if part.qd is not None else [])
         even = np.arange(part.t[0], part.t[-1], pieces.step)
         q, tau, *rest = [_resampled(even, part.t, values) for values in columns]
-        derivatives = [savgol_filter(q, pieces.window, 3, deriv=k, delta=pieces.step, axis=0)[inner] for k in range(3)]
-        smooth.append([*derivatives, *(savgol_filter(values, pieces.window, 3, axis=0)[inner] for values in (tau, *rest))])
+        derivatives = [
+            savgol_filter(q, pieces.window, 3, deriv=k, delta=pieces.step, axis=0)[inner]
+            for k in range(3)
+        ]
+        smooth.append(
+            [
+                *derivatives,
+                *(
+                    savgol_filter(values, pieces.window, 3, axis=0)[inner]
+                    for values in (tau, *rest)
+                ),
+            ]
+        )
         numbers.append(np.full(smooth[-1][0].shape[0], number, dtype=np.int64))
     joined = [np.concatenate(parts) for parts in zip(*smooth, strict=True)]
     return SmoothedMotion(
-        joined[0], joined[1], joined[2], joined[3], joined[4] if len(joined) > 4 else None, np.concatenate(numbers), 1.0 / pieces.step
+        joined[0],
+        joined[1],
+        joined[2],
+        joined[3],
+        joined[4] if len(joined) > 4 else None,
+        np.concatenate(numbers),
+        1.0 / pieces.step,
     )
 
 

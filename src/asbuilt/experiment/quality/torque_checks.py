@@ -37,7 +37,11 @@ _SHORTEST = 256
 
 
 def torque_findings(
-    model: RobotModel, recording: Survey, closer: CloserLook, motion: SmoothedMotion | None, position_scale: Array
+    model: RobotModel,
+    recording: Survey,
+    closer: CloserLook,
+    motion: SmoothedMotion | None,
+    position_scale: Array,
 ) -> Iterator[Finding]:
     """Hold the measured torques against the model's rigid-body torques; gravity decides most, its size is known to some tens of percent from CAD.
 
@@ -52,7 +56,8 @@ def torque_findings(
         yield Finding(
             "no-inertia",
             "info",
-            f"{model.name} has no inertial parameters, or none that act in this motion; the torques' sign, scale and order were not checked",
+            f"{model.name} has no inertial parameters, or none that act in this motion; the"
+            " torques' sign, scale and order were not checked",
             "Use a description with masses to have them checked",
         )
         return
@@ -61,7 +66,8 @@ def torque_findings(
         yield Finding(
             "no-torque",
             "error",
-            f"the torques do not change at all: the first joint's is {recording.first_torque:.4g} in {recording.n_samples} samples",
+            f"the torques do not change at all: the first joint's is {recording.first_torque:.4g}"
+            f" in {recording.n_samples} samples",
             "Log the measured joint torques or motor currents",
         )
         return
@@ -83,14 +89,20 @@ def _exchanges(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Iterator[F
     told = []
     for k in moved:
         torque, motion = names[best.torque_of[k]], names[best.motion_of[k]]
-        what = f"position and torque logged for {torque}" if torque == motion else f"the position of {motion} and the torque of {torque}"
+        what = (
+            f"position and torque logged for {torque}"
+            if torque == motion
+            else f"the position of {motion} and the torque of {torque}"
+        )
         told.append(f"{names[k]} fits {what}")
     before, after = (float(np.mean(np.abs(f.correlation[moved]))) for f in (fit, best))
     yield Finding(
         "joints-swapped",
         "error",
-        f"joints look swapped: {joined(told)} (mean correlation with the model's torque {after:.3f} instead of {before:.3f})",
-        "Check the order of the columns; name them in a recording sheet: [columns] position = [...], torque = [...]",
+        f"joints look swapped: {joined(told)} (mean correlation with the model's torque {after:.3f}"
+        f" instead of {before:.3f})",
+        "Check the order of the columns; name them in a recording sheet: [columns] position ="
+        " [...], torque = [...]",
         joint=names[moved[0]],
     )
 
@@ -102,14 +114,18 @@ def _exchanges_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Findin
         yield Finding(
             "joints-swapped",
             "error",
-            f"the torques of {one} and {other} look swapped: whatever the masses and friction, {100 * exchange.as_logged:.2g} % of their variance is left unexplained as logged and "
-            f"{100 * exchange.exchanged:.2g} % once exchanged",
-            "Check the order of the torque columns; name them in a recording sheet: [columns] torque = [...]",
+            f"the torques of {one} and {other} look swapped: whatever the masses and friction,"
+            f" {100 * exchange.as_logged:.2g} % of their variance is left unexplained as logged and"
+            f" {100 * exchange.exchanged:.2g} % once exchanged",
+            "Check the order of the torque columns; name them in a recording sheet: [columns]"
+            " torque = [...]",
             joint=one,
         )
 
 
-def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio: float) -> Iterator[Finding]:
+def _sign_and_scale(
+    model: RobotModel, recording: Survey, fit: TorqueFit, ratio: float
+) -> Iterator[Finding]:
     names = model.joint_names
     correlation, gain, predicted = fit.correlation, fit.gain * ratio, fit.predicted
     loud = predicted > _SPEAKING_SHARE * np.max(predicted)
@@ -121,31 +137,44 @@ def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio:
         yield Finding(
             "torque-unlike-model",
             "warning",
-            f"no joint's torque follows the model's (correlation {correlation[k]:.2f} in {names[k]}, which should vary by {predicted[k]:.3g} N m)",
-            "Check robot, columns and units; if the robot hangs or stands on a wall, set gravity in its description",
+            f"no joint's torque follows the model's (correlation {correlation[k]:.2f} in"
+            f" {names[k]}, which should vary by {predicted[k]:.3g} N m)",
+            "Check robot, columns and units; if the robot hangs or stands on a wall, set gravity in"
+            " its description",
         )
         return
     evidence = joined(
-        [f"{names[k]} gain {gain[k]:.3g}, correlation {correlation[k]:.3f}" for k in sorted(speaking, key=lambda k: -predicted[k])[:3]]
+        [
+            f"{names[k]} gain {gain[k]:.3g}, correlation {correlation[k]:.3f}"
+            for k in sorted(speaking, key=lambda k: -predicted[k])[:3]
+        ]
     )
     negative = [k for k in speaking if correlation[k] < 0]
     if len(negative) * 2 > len(speaking):
         yield Finding(
             "torque-flipped",
             "error",
-            f"the torque sign looks flipped: the measured torque falls where the model's rises ({evidence})",
-            "The log gives the load's torque, not the drive's: use --flip-torque, or sign = -1 in a recording sheet",
+            "the torque sign looks flipped: the measured torque falls where the model's rises"
+            f" ({evidence})",
+            "The log gives the load's torque, not the drive's: use --flip-torque, or sign = -1 in a"
+            " recording sheet",
         )
     sign = -1.0 if len(negative) * 2 > len(speaking) else 1.0
     scale = float(np.median([abs(gain[k]) for k in speaking]))
     for k in range(model.n_joints):
-        against = sign * correlation[k] < -_CLEAR if k in speaking else loud[k] and sign * correlation[k] < -0.95
+        against = (
+            sign * correlation[k] < -_CLEAR
+            if k in speaking
+            else loud[k] and sign * correlation[k] < -0.95
+        )
         if against and 0.2 < abs(gain[k]) / scale < 5:
             yield Finding(
                 "joint-torque-flipped",
                 "error",
-                f"the torque of {names[k]} alone has the opposite sign of the model's (gain {gain[k]:.3g}, correlation {correlation[k]:.3f})",
-                f"Turn it in a recording sheet: sign = [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
+                f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
+                f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
+                "Turn it in a recording sheet: sign ="
+                f" [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
                 joint=names[k],
             )
     silent = ~np.isin(np.arange(model.n_joints), speaking)
@@ -154,9 +183,11 @@ def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio:
         yield Finding(
             "joint-torque-flipped",
             "warning",
-            f"the torque of {names[k]} acts against its motion (correlation with the direction of motion {friction[k]:.2f}), as friction "
-            "does not; its sign may be the opposite of the other joints'",
-            f"Turn it in a recording sheet: sign = [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
+            f"the torque of {names[k]} acts against its motion (correlation with the direction of"
+            f" motion {friction[k]:.2f}), as friction does not; its sign may be the opposite of the"
+            " other joints'",
+            "Turn it in a recording sheet: sign ="
+            f" [{', '.join('-1' if i == k else '1' for i in range(model.n_joints))}]",
             joint=names[k],
         )
     if not _PLAUSIBLE[0] < scale < _PLAUSIBLE[1]:
@@ -167,7 +198,8 @@ def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio:
         yield Finding(
             "joint-torque-scale",
             "warning",
-            f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's while the others are about {scale:.3g} times theirs",
+            f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's while the others are"
+            f" about {scale:.3g} times theirs",
             "Check its gain and unit: --gain g1,g2,... or gains = [...] in a recording sheet",
             joint=names[k],
         )
@@ -175,12 +207,21 @@ def _sign_and_scale(model: RobotModel, recording: Survey, fit: TorqueFit, ratio:
 
 def _scale_finding(model: RobotModel, recording: Survey, scale: float, evidence: str) -> Finding:
     if 300 < scale < 3000:
-        guess, cure = "they look like mN m", 'Write units = { torque = "mN m" } in a recording sheet'
+        guess, cure = (
+            "they look like mN m",
+            'Write units = { torque = "mN m" } in a recording sheet',
+        )
     elif scale < 0.3 and (scale > 0.005 or recording.torque_source == "current"):
         guess = "they look like motor currents without gains"
-        cure = "Give the gains in N m/A, one per joint: --gain g1,g2,... or gains = [...] in a recording sheet, and --torque-source current"
+        cure = (
+            "Give the gains in N m/A, one per joint: --gain g1,g2,... or gains = [...] in a"
+            " recording sheet, and --torque-source current"
+        )
     else:
-        guess, cure = "their unit or the robot is another", "Give the factor to N m: --gain G, or units in a recording sheet"
+        guess, cure = (
+            "their unit or the robot is another",
+            "Give the factor to N m: --gain G, or units in a recording sheet",
+        )
     return Finding(
         "torque-scale",
         "error",
@@ -201,19 +242,27 @@ def _saturation(model: RobotModel, recording: Survey, closer: CloserLook) -> Ite
                 yield Finding(
                     "saturation",
                     "warning",
-                    f"the torque of {joint.name} stays at {plateau.extreme:.5g} N m in {flat} of {fresh.size} samples, up to {longest} in a row: it is cut off there",
-                    "Leave these stretches out with time windows in a recording sheet, or record a gentler motion",
+                    f"the torque of {joint.name} stays at {plateau.extreme:.5g} N m in {flat} of"
+                    f" {fresh.size} samples, up to {longest} in a row: it is cut off there",
+                    "Leave these stretches out with time windows in a recording sheet, or record a"
+                    " gentler motion",
                     joint=joint.name,
                     time=float(recording.t[fresh[start]]),
                 )
         limit, over = joint.limits.torque, int(recording.loud.count[k])
-        if not closer.plateaus[k] or recording.torque_source == "current" or not np.isfinite(limit) or limit <= 0:
+        if (
+            not closer.plateaus[k]
+            or recording.torque_source == "current"
+            or not np.isfinite(limit)
+            or limit <= 0
+        ):
             continue
         if 3 <= over < 0.5 * fresh.size:
             yield Finding(
                 "torque-limit",
                 "warning",
-                f"the torque of {joint.name} reaches {recording.loud.value[k]:.4g} N m in {over} of {fresh.size} samples; its limit is {limit:.4g} N m",
+                f"the torque of {joint.name} reaches {recording.loud.value[k]:.4g} N m in {over} of"
+                f" {fresh.size} samples; its limit is {limit:.4g} N m",
                 "Record a gentler motion if the drive saturates, or check the torque's unit",
                 joint=joint.name,
                 time=float(recording.t[recording.loud.row[k]]),
@@ -235,7 +284,9 @@ def _filtered(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     shortest = min((len(tau) for tau in torques if len(tau) >= _SHORTEST), default=0)
     if not shortest or not np.isfinite(rate):
         return
-    spectra = [_spectrum(tau, rate, min(1024, shortest)) for tau in torques if len(tau) >= _SHORTEST]
+    spectra = [
+        _spectrum(tau, rate, min(1024, shortest)) for tau in torques if len(tau) >= _SHORTEST
+    ]
     frequency, power = spectra[0][0], np.mean([power for _, power in spectra], axis=0)
     peak = power.max(axis=0)
     if not np.any(peak > 0):
@@ -249,9 +300,11 @@ def _filtered(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     yield Finding(
         "already-filtered",
         "info",
-        f"the torques hold nothing above about {frequency[last]:.2g} Hz (power at high frequency is {np.median(floor):.0e} of the peak's): "
-        "they were low-pass filtered before, or simulated without noise",
-        "Filtering again adds little; where positions and torques were filtered differently, the errors of the parameters are too small",
+        f"the torques hold nothing above about {frequency[last]:.2g} Hz (power at high frequency is"
+        f" {np.median(floor):.0e} of the peak's): they were low-pass filtered before, or simulated"
+        " without noise",
+        "Filtering again adds little; where positions and torques were filtered differently, the"
+        " errors of the parameters are too small",
     )
 
 

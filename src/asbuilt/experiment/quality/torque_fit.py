@@ -45,12 +45,20 @@ class TorqueFit:
     torque_of: tuple[int, ...]
 
     @classmethod
-    def of(cls, model: RobotModel, motion: SmoothedMotion, scale: Array, torque_scale: float = 1.0) -> TorqueFit:
+    def of(
+        cls, model: RobotModel, motion: SmoothedMotion, scale: Array, torque_scale: float = 1.0
+    ) -> TorqueFit:
         """Compare a recording's smoothed motion, positions multiplied by `scale` (n,), under the logged order of joints."""
         rows = motion.thinned(_MOST_SAMPLES)
         order = tuple(range(model.n_joints))
         return cls(
-            model, motion.q[rows] * scale, motion.qd[rows] * scale, motion.qdd[rows] * scale, motion.tau[rows] * torque_scale, order, order
+            model,
+            motion.q[rows] * scale,
+            motion.qd[rows] * scale,
+            motion.qdd[rows] * scale,
+            motion.tau[rows] * torque_scale,
+            order,
+            order,
         )
 
     @cached_property
@@ -60,7 +68,9 @@ class TorqueFit:
         x = inverse_dynamics(self.model, self.q[:, pick], qd, self.qdd[:, pick], threads=1)
         y = self.tau[:, list(self.torque_of)].copy()
         for k in range(x.shape[1]):
-            basis, _ = np.linalg.qr(np.column_stack([np.ones(len(qd)), qd[:, k], np.tanh(qd[:, k] / BREAKAWAY)]))
+            basis, _ = np.linalg.qr(
+                np.column_stack([np.ones(len(qd)), qd[:, k], np.tanh(qd[:, k] / BREAKAWAY)])
+            )
             x[:, k] -= basis @ (basis.T @ x[:, k])
             y[:, k] -= basis @ (basis.T @ y[:, k])
         return x, y
@@ -103,17 +113,23 @@ class TorqueFit:
         pick = list(self.motion_of)
         base = find_base_parameters(self.model, DriveSet.parse("offset"))
         q, qd, qdd = (values[:, pick] for values in (self.q, self.qd, self.qdd))
-        observed = observation_matrix(self.model, q, qd, qdd, drive=base.drive, columns=base.columns)
+        observed = observation_matrix(
+            self.model, q, qd, qdd, drive=base.drive, columns=base.columns
+        )
         rows = observed.reshape(*q.shape, base.n_base)
         likeness = np.zeros(q.shape[1])
         for k in range(q.shape[1]):
             lengths = np.linalg.norm(rows[:, k], axis=0)
-            basis, values, _ = np.linalg.svd(rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False)
+            basis, values, _ = np.linalg.svd(
+                rows[:, k, lengths > 0] / lengths[lengths > 0], full_matrices=False
+            )
             basis = basis[:, values > 1e-6 * values[0]]
             both = np.column_stack([np.tanh(qd[:, k] / BREAKAWAY), self.tau[:, self.torque_of[k]]])
             way, left = (both - basis @ (basis.T @ both)).T
             norm = float(np.linalg.norm(way) * np.linalg.norm(left))
-            if norm > 0 and abs(way @ left) / np.linalg.norm(way) > 0.1 * np.linalg.norm(both[:, 1] - both[:, 1].mean()):
+            if norm > 0 and abs(way @ left) / np.linalg.norm(way) > 0.1 * np.linalg.norm(
+                both[:, 1] - both[:, 1].mean()
+            ):
                 likeness[k] = way @ left / norm
         return likeness
 
@@ -134,7 +150,10 @@ class TorqueFit:
         n = self.model.n_joints
         for i in range(n):
             for j in range(i + 1, n):
-                torque_of, motion_of = _exchanged(self.torque_of, i, j), _exchanged(self.motion_of, i, j)
+                torque_of, motion_of = (
+                    _exchanged(self.torque_of, i, j),
+                    _exchanged(self.motion_of, i, j),
+                )
                 yield replace(self, torque_of=torque_of)
                 if n <= _MOST_JOINTS:
                     yield replace(self, torque_of=torque_of, motion_of=motion_of)
@@ -151,7 +170,8 @@ def best_assignment(fit: TorqueFit) -> TorqueFit:
         changed = [
             k
             for k in range(fit.model.n_joints)
-            if (candidate.torque_of[k], candidate.motion_of[k]) != (best.torque_of[k], best.motion_of[k])
+            if (candidate.torque_of[k], candidate.motion_of[k])
+            != (best.torque_of[k], best.motion_of[k])
         ]
         if max(abs(candidate.correlation[changed])) < 0.9:
             break

@@ -46,13 +46,21 @@ def exchanged_torques(fit: TorqueFit) -> Exchange | None:
     pick, torque = list(fit.motion_of), fit.tau[:, list(fit.torque_of)]
     q, qd, qdd = (values[:, pick] for values in (fit.q, fit.qd, fit.qdd))
     W = np.zeros((samples, n, p))
-    W[:, :, : base.n_base] = observation_matrix(fit.model, q, qd, qdd, drive=base.drive, columns=base.columns).reshape(samples, n, -1)
+    W[:, :, : base.n_base] = observation_matrix(
+        fit.model, q, qd, qdd, drive=base.drive, columns=base.columns
+    ).reshape(samples, n, -1)
     W[:, range(n), range(base.n_base, p)] = np.tanh(qd / BREAKAWAY)
     y = torque - torque.mean(axis=0)
     spread = y.std(axis=0)
     spread = np.where(spread > 0.0, spread, 1.0)
     y = y / spread
-    normal = _Normal(np.einsum("skp,skq->kpq", W, W), np.einsum("skp,sj->kjp", W, y), np.mean(y**2, axis=0), spread, samples)
+    normal = _Normal(
+        np.einsum("skp,skq->kpq", W, W),
+        np.einsum("skp,sj->kjp", W, y),
+        np.mean(y**2, axis=0),
+        spread,
+        samples,
+    )
 
     def cost(shares: Array) -> float:
         return float(np.sum(np.log(shares + FLOOR)))
@@ -66,7 +74,10 @@ def exchanged_torques(fit: TorqueFit) -> Exchange | None:
         shares = normal.unexplained(tried)
         if cost(shares) < best:
             both = list(pair)
-            best, found = cost(shares), Exchange(pair, float(logged[both].mean()), float(shares[both].mean()))
+            best, found = (
+                cost(shares),
+                Exchange(pair, float(logged[both].mean()), float(shares[both].mean())),
+            )
     return found
 
 
@@ -93,6 +104,10 @@ class _Normal:
         beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[told])
         residual = (
             self.power[torque_of]
-            + (np.einsum("k,p,kpq,q->k", scale**2, beta, self.grams, beta) - 2.0 * scale * (side @ beta)) / self.samples
+            + (
+                np.einsum("k,p,kpq,q->k", scale**2, beta, self.grams, beta)
+                - 2.0 * scale * (side @ beta)
+            )
+            / self.samples
         )
         return np.asarray(np.maximum(residual, 0.0))

@@ -35,7 +35,9 @@ def motion_bandwidth(runs: Sequence[Array], rate: float) -> float:
     for q in runs:
         if q.shape[0] <= window:
             continue
-        _, density = signal.welch(np.diff(q, axis=0) * rate, rate, nperseg=window, detrend=False, axis=0)
+        _, density = signal.welch(
+            np.diff(q, axis=0) * rate, rate, nperseg=window, detrend=False, axis=0
+        )
         total += density * (q.shape[0] - 1)
     total[_buried(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
     power = total.sum(axis=0)
@@ -51,7 +53,9 @@ def _buried(total: Array, cycles: Array) -> NDArray[np.bool_]:
     """Return which bins (F, n) of velocity spectra lie beyond the motion in white noise of the positions; `cycles` (F,) are frequencies per sample."""
     shape = np.sin(np.pi * cycles)[:, None] ** 2
     upper = cycles >= 0.25
-    noise = shape * (total[upper].sum(axis=0) / max(float(shape[upper].sum()), np.finfo(np.float64).tiny))
+    noise = shape * (
+        total[upper].sum(axis=0) / max(float(shape[upper].sum()), np.finfo(np.float64).tiny)
+    )
     noisy = noise.sum(axis=0) > NOISY * total.sum(axis=0)
     smooth = uniform_filter1d(total, SMOOTHED, axis=0, mode="nearest")
     last = np.where(smooth > ABOVE_NOISE * noise, np.arange(len(cycles))[:, None], 0).max(axis=0)

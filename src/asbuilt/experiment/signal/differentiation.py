@@ -26,7 +26,9 @@ def central_differences(x: ArrayLike, rate: float) -> Array:
     return np.asarray(np.gradient(values, 1.0 / rate, axis=0, edge_order=2), dtype=np.float64)
 
 
-def savitzky_golay(x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4) -> tuple[Array, Array, Array]:
+def savitzky_golay(
+    x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4
+) -> tuple[Array, Array, Array]:
     """Smooth the columns of x (N,) or (N, m) and return value, first and second derivative from a moving polynomial of the given degree.
 
     The window is that of `savitzky_golay_window`. Exact on polynomials up to the degree, also at the ends (Savitzky and Golay, Analytical
@@ -34,14 +36,22 @@ def savitzky_golay(x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4)
     """
     values = np.asarray(x, dtype=np.float64)
     if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and {0.5 * rate:g} Hz")
+        raise UsageError(
+            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
+            f" {0.5 * rate:g} Hz"
+        )
     window = savitzky_golay_window(cutoff, rate, degree)
     if window > values.shape[0]:
         raise UsageError(
-            f"a Savitzky-Golay cutoff of {cutoff:g} Hz needs {window} samples at {rate:g} Hz, but the segment has {values.shape[0]}; raise the cutoff"
+            f"a Savitzky-Golay cutoff of {cutoff:g} Hz needs {window} samples at {rate:g} Hz, but"
+            f" the segment has {values.shape[0]}; raise the cutoff"
         )
     q, qd, qdd = (
-        np.ascontiguousarray(signal.savgol_filter(values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp"))
+        np.ascontiguousarray(
+            signal.savgol_filter(
+                values, window, degree, deriv=d, delta=1.0 / rate, axis=0, mode="interp"
+            )
+        )
         for d in range(3)
     )
     return q, qd, qdd
@@ -65,11 +75,17 @@ def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array
     """
     values = np.asarray(x, dtype=np.float64)
     if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and {0.5 * rate:g} Hz")
+        raise UsageError(
+            f"a cutoff of {cutoff:g} Hz is impossible at {rate:g} Hz: it must lie between 0 and"
+            f" {0.5 * rate:g} Hz"
+        )
     if values.shape[0] < 5:
         raise UsageError(f"a smoothing spline needs at least 5 samples, got {values.shape[0]}")
     lam = (np.sqrt(2.0) - 1.0) / (2.0 * np.pi * cutoff / rate) ** 4
     k = np.arange(values.shape[0], dtype=np.float64)
     spline = interpolate.make_smoothing_spline(k, values, lam=lam, axis=0)
-    q, qd, qdd = (np.ascontiguousarray(spline.derivative(d)(k) if d else spline(k)) * rate**d for d in range(3))
+    q, qd, qdd = (
+        np.ascontiguousarray(spline.derivative(d)(k) if d else spline(k)) * rate**d
+        for d in range(3)
+    )
     return q, qd, qdd

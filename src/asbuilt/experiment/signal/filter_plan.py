@@ -70,18 +70,25 @@ class FilterPlan:
         """
         cutoff, total = chain.cutoff, chain.decimate
         if cutoff is None:
-            raise UsageError("this chain has no cutoff yet; give one, or take it from a recording with chain.resolved(recording)")
+            raise UsageError(
+                "this chain has no cutoff yet; give one, or take it from a recording with"
+                " chain.resolved(recording)"
+            )
         if chain.derivative == "savitzky-golay":
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
         else:
             margin, exact = (
-                settling_samples(cutoff, rate, order=chain.order, corrected=chain.corrected, tolerance=tolerance)
+                settling_samples(
+                    cutoff, rate, order=chain.order, corrected=chain.corrected, tolerance=tolerance
+                )
                 for tolerance in (0.01, EXACT)
             )
         margin = margin if chain.trimmed else 0
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
-        low = chain.parallel_cutoff or min(PARALLEL_IN_CUTOFFS * cutoff, 0.5 * rate / STOP_BAND_EDGE)
+        low = chain.parallel_cutoff or min(
+            PARALLEL_IN_CUTOFFS * cutoff, 0.5 * rate / STOP_BAND_EDGE
+        )
         thinning = max(1, int(rate / max(LOWEST_RATE, RATE_IN_CUTOFFS * cutoff) + 1e-9))
         if total is not None:
             thinning = max(factor for factor in range(1, thinning + 1) if total % factor == 0)
@@ -90,8 +97,18 @@ class FilterPlan:
                 low = min(low, 0.5 * rate / total / STOP_BAND_EDGE)
         else:
             factor = max(1, int(rate / thinning / (OUTPUT_RATE_IN_CUTOFFS * low)))
-        anti_alias = design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
-        return cls(chain, rate, thinning, anti_alias, design_parallel_filter(low, rate / thinning, factor), margin, exact)
+        anti_alias = (
+            design_parallel_filter(0.25 * rate / thinning, rate, thinning) if thinning > 1 else None
+        )
+        return cls(
+            chain,
+            rate,
+            thinning,
+            anti_alias,
+            design_parallel_filter(low, rate / thinning, factor),
+            margin,
+            exact,
+        )
 
     @property
     def reach(self) -> int:
@@ -116,7 +133,9 @@ class FilterPlan:
         cutoff = chain.cutoff or 0.0
 
         def smooth(x: Array) -> Array:
-            return butterworth(x, cutoff=cutoff, rate=rate, order=chain.order, corrected=chain.corrected)
+            return butterworth(
+                x, cutoff=cutoff, rate=rate, order=chain.order, corrected=chain.corrected
+            )
 
         if chain.derivative == "savitzky-golay":
             q, qd, qdd = savitzky_golay(run.q, rate, cutoff=cutoff)
@@ -133,7 +152,11 @@ class FilterPlan:
 
     def fits(self, run: UniformRun) -> bool:
         """Whether a run is long enough to be filtered and differentiated."""
-        return run.t.size >= (2 * self.exact + 1 if self.chain.derivative == "savitzky-golay" else max(2 * self.margin + 1, 5))
+        return run.t.size >= (
+            2 * self.exact + 1
+            if self.chain.derivative == "savitzky-golay"
+            else max(2 * self.margin + 1, 5)
+        )
 
     def segments(self, run: UniformRun, low: int, stop: int) -> tuple[list[Piece], int]:
         """Return the segments of a run between the logged samples `low` and `stop`, and the `low` from which a longer run would go on.
@@ -157,7 +180,11 @@ class FilterPlan:
             if a >= b:
                 continue
             kept = slice(a, b, n)
-            tau = self.anti_alias.apply(run.tau[a - m : b + m], axis=0) if self.anti_alias else run.tau[kept]
+            tau = (
+                self.anti_alias.apply(run.tau[a - m : b + m], axis=0)
+                if self.anti_alias
+                else run.tau[kept]
+            )
             pieces.append((run.t[kept], q[kept], qd[kept], qdd[kept], tau, run.tau[kept]))
             if end >= stop:
                 outputs = self.parallel.n_outputs(len(tau)) if self.parallel else len(tau)
@@ -170,21 +197,35 @@ class FilterPlan:
         if chain.derivative == "central":
             passes = "of both passes" if chain.corrected else "of each pass"
             yield (
-                f"positions: Butterworth of order {chain.order} forwards and backwards, -3 dB {passes} at {cutoff:.3g} Hz of {self.rate:g} Hz; "
-                "velocities and accelerations by central differences"
+                f"positions: Butterworth of order {chain.order} forwards and backwards, -3 dB"
+                f" {passes} at {cutoff:.3g} Hz of {self.rate:g} Hz; velocities and accelerations by"
+                " central differences"
             )
         else:
-            yield f"positions, velocities and accelerations: {chain.derivative}, -3 dB at {cutoff:.3g} Hz of {self.rate:g} Hz"
+            yield (
+                f"positions, velocities and accelerations: {chain.derivative}, -3 dB at"
+                f" {cutoff:.3g} Hz of {self.rate:g} Hz"
+            )
         if chain.velocity == "measured":
             yield "velocities: as logged, through the same low-pass; accelerations from them"
         if self.margin:
-            yield f"{self.margin} samples ({self.margin / self.rate:.2g} s) trimmed at either end of every run, where the low-pass has not settled"
+            yield (
+                f"{self.margin} samples ({self.margin / self.rate:.2g} s) trimmed at either end of"
+                " every run, where the low-pass has not settled"
+            )
         if self.anti_alias is not None:
-            yield f"thinned by {self.thinning} to {self.rate / self.thinning:g} Hz, the torque through an anti-aliasing filter"
+            yield (
+                f"thinned by {self.thinning} to {self.rate / self.thinning:g} Hz, the torque"
+                " through an anti-aliasing filter"
+            )
         if self.parallel is not None:
             yield (
-                f"torque and every regressor column: the same zero-phase low-pass, -3 dB at {self.parallel.cutoff:.3g} Hz, then one sample in "
-                f"{self.parallel.decimation} ({self.parallel.output_rate:.3g} Hz)"
+                "torque and every regressor column: the same zero-phase low-pass, -3 dB at"
+                f" {self.parallel.cutoff:.3g} Hz, then one sample in {self.parallel.decimation}"
+                f" ({self.parallel.output_rate:.3g} Hz)"
             )
         elif self.thinning > 1:
-            yield f"everything decimated by {self.thinning} with a Chebyshev type I filter of order 8 forwards and backwards"
+            yield (
+                f"everything decimated by {self.thinning} with a Chebyshev type I filter of order 8"
+                " forwards and backwards"
+            )

@@ -38,12 +38,17 @@ def parse_rule(rule: str) -> Blocks | Last:
         seconds = _number(arguments[0].removesuffix("s"), rule, "a block length in seconds")
         every = _number(arguments[1], rule, "every how many blocks one is held out")
         if seconds <= 0 or every != int(every) or every < 2:
-            raise UsageError(f"cannot hold out {rule!r}: blocks need a positive length and a whole number of 2 or more, as in {FORMS}")
+            raise UsageError(
+                f"cannot hold out {rule!r}: blocks need a positive length and a whole number of 2"
+                f" or more, as in {FORMS}"
+            )
         return Blocks(seconds, int(every))
     if kind == "last" and len(arguments) == 1:
         share = _number(arguments[0], rule, "a share of the time")
         if not 0 < share < 1:
-            raise UsageError(f"cannot hold out {rule!r}: the share must lie between 0 and 1, as in {FORMS}")
+            raise UsageError(
+                f"cannot hold out {rule!r}: the share must lie between 0 and 1, as in {FORMS}"
+            )
         return Last(share)
     raise UsageError(f"cannot hold out {rule!r}: give {FORMS}")
 
@@ -72,12 +77,15 @@ def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
     """
     since, chosen = samples.t - samples.origin, parse_rule(rule)
     if isinstance(chosen, Blocks):
-        held = np.floor(since / chosen.seconds + 1e-9).astype(int) % chosen.every == chosen.every - 1
+        held = (
+            np.floor(since / chosen.seconds + 1e-9).astype(int) % chosen.every == chosen.every - 1
+        )
     else:
         held = since >= (1.0 - chosen.share) * (since[-1] + 1.0 / samples.rate) - 1e-9
     if held.all() or not held.any():
         raise RecordingError(
-            f"{samples.source}: holding out {rule!r} leaves nothing to {'train on' if held.all() else 'judge by'} in {since[-1]:.3g} s; give shorter blocks"
+            f"{samples.source}: holding out {rule!r} leaves nothing to"
+            f" {'train on' if held.all() else 'judge by'} in {since[-1]:.3g} s; give shorter blocks"
         )
     return samples.select(~held), samples.select(held)
 

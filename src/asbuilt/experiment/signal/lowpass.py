@@ -28,7 +28,9 @@ def single_pass_cutoff(cutoff: float, rate: float, order: int) -> float:
     return float(np.arctan(warped) * rate / np.pi)
 
 
-def butterworth(x: ArrayLike, *, cutoff: float, rate: float, order: int = 4, corrected: bool = True) -> Array:
+def butterworth(
+    x: ArrayLike, *, cutoff: float, rate: float, order: int = 4, corrected: bool = True
+) -> Array:
     """Low-pass the columns of x (N,) or (N, m) with a Butterworth filter run forwards and backwards: no phase, amplitude 1 / (1 + r^(2 order)).
 
     `cutoff` [Hz] is where the amplitude of the whole, both passes together, is 1 / sqrt(2); with `corrected=False` it is the cutoff of each pass,
@@ -48,12 +50,19 @@ def butterworth(x: ArrayLike, *, cutoff: float, rate: float, order: int = 4, cor
     """
     values = np.asarray(x, dtype=np.float64)
     sections = _sections(cutoff, rate, order, corrected)
-    padding = min(settling_samples(cutoff, rate, order=order, corrected=corrected, tolerance=1e-6), values.shape[0] - 1)
-    return np.ascontiguousarray(signal.sosfiltfilt(sections, values, axis=0, padtype="odd", padlen=padding))
+    padding = min(
+        settling_samples(cutoff, rate, order=order, corrected=corrected, tolerance=1e-6),
+        values.shape[0] - 1,
+    )
+    return np.ascontiguousarray(
+        signal.sosfiltfilt(sections, values, axis=0, padtype="odd", padlen=padding)
+    )
 
 
 @lru_cache(maxsize=256)
-def settling_samples(cutoff: float, rate: float, *, order: int = 4, corrected: bool = True, tolerance: float = 0.01) -> int:
+def settling_samples(
+    cutoff: float, rate: float, *, order: int = 4, corrected: bool = True, tolerance: float = 0.01
+) -> int:
     """Return after how many samples the double pass's impulse response stays below `tolerance` times its peak.
 
     The response dies as the slowest pole p does, |p|^k; the count is read from the response itself, which is the autocorrelation of one pass.
@@ -80,13 +89,20 @@ def decimate_chebyshev(x: ArrayLike, factor: int, *, order: int = 8) -> Array:
         raise UsageError(f"the decimation factor must be 1 or more, got {factor}")
     if factor == 1:
         return values
-    return np.ascontiguousarray(signal.decimate(values, factor, n=order, ftype="iir", axis=0, zero_phase=True))
+    return np.ascontiguousarray(
+        signal.decimate(values, factor, n=order, ftype="iir", axis=0, zero_phase=True)
+    )
 
 
 @lru_cache(maxsize=256)
 def _sections(cutoff: float, rate: float, order: int, corrected: bool) -> Array:
     if not 0.0 < cutoff < 0.5 * rate:
-        raise UsageError(f"a low-pass at {cutoff:g} Hz is impossible at {rate:g} Hz: the cutoff must lie between 0 and {0.5 * rate:g} Hz")
+        raise UsageError(
+            f"a low-pass at {cutoff:g} Hz is impossible at {rate:g} Hz: the cutoff must lie between"
+            f" 0 and {0.5 * rate:g} Hz"
+        )
     single = single_pass_cutoff(cutoff, rate, order) if corrected else cutoff
-    sections: Array = np.asarray(signal.butter(order, single, fs=rate, output="sos"), dtype=np.float64)
+    sections: Array = np.asarray(
+        signal.butter(order, single, fs=rate, output="sos"), dtype=np.float64
+    )
     return sections

@@ -38,8 +38,14 @@ class ParallelFilter:
 
     def __post_init__(self) -> None:
         taps = np.array(self.taps, dtype=np.float64)
-        if taps.ndim != 1 or taps.size % 2 == 0 or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14):
-            raise UsageError(f"a zero-phase filter needs an odd number of symmetric taps, got shape {taps.shape}")
+        if (
+            taps.ndim != 1
+            or taps.size % 2 == 0
+            or not np.allclose(taps, taps[::-1], rtol=0, atol=1e-14)
+        ):
+            raise UsageError(
+                f"a zero-phase filter needs an odd number of symmetric taps, got shape {taps.shape}"
+            )
         if self.decimation < 1:
             raise UsageError(f"the decimation must be 1 or more, got {self.decimation}")
         taps.setflags(write=False)
@@ -66,16 +72,22 @@ class ParallelFilter:
         """
         values = np.asarray(x, dtype=np.float64)
         if values.ndim == 2 and axis in (-1, 1) and values.flags.c_contiguous:
-            result = np.empty((values.shape[0], self.n_outputs(values.shape[1]))) if out is None else out
+            result = (
+                np.empty((values.shape[0], self.n_outputs(values.shape[1]))) if out is None else out
+            )
             _filter_rows(values, self.taps, self.decimation, result)
             return result
         moved = np.ascontiguousarray(np.moveaxis(values, axis, -1))
         flat = self.apply(moved.reshape(-1, moved.shape[-1]), -1)
-        return np.ascontiguousarray(np.moveaxis(flat.reshape(*moved.shape[:-1], flat.shape[-1]), -1, axis))
+        return np.ascontiguousarray(
+            np.moveaxis(flat.reshape(*moved.shape[:-1], flat.shape[-1]), -1, axis)
+        )
 
     def times(self, t: Array) -> Array:
         """Return the instants of the outputs for the instants t (L,) of one contiguous run."""
-        return np.asarray(t)[self.margin : self.margin + self.n_outputs(len(t)) * self.decimation : self.decimation]
+        return np.asarray(t)[
+            self.margin : self.margin + self.n_outputs(len(t)) * self.decimation : self.decimation
+        ]
 
 
 @lru_cache(maxsize=64)
@@ -89,11 +101,15 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
     """
     highest = 0.5 * rate / STOP_BAND_EDGE
     if not 0.0 < cutoff <= highest:
-        raise UsageError(f"a parallel filter at {cutoff:g} Hz is impossible at {rate:g} Hz: it must be above 0 and at most {highest:g} Hz")
+        raise UsageError(
+            f"a parallel filter at {cutoff:g} Hz is impossible at {rate:g} Hz: it must be above 0"
+            f" and at most {highest:g} Hz"
+        )
     if rate / decimation < 2.0 * STOP_BAND_EDGE * cutoff * (1 - 1e-12):
         raise UsageError(
-            f"decimation by {decimation} leaves {rate / decimation:g} Hz, too little for a filter at {cutoff:g} Hz; "
-            f"decimate by at most {int(rate / (2.0 * STOP_BAND_EDGE * cutoff))} or lower the cutoff to {rate / decimation / (2 * STOP_BAND_EDGE):g} Hz"
+            f"decimation by {decimation} leaves {rate / decimation:g} Hz, too little for a filter"
+            f" at {cutoff:g} Hz; decimate by at most {int(rate / (2.0 * STOP_BAND_EDGE * cutoff))}"
+            f" or lower the cutoff to {rate / decimation / (2 * STOP_BAND_EDGE):g} Hz"
         )
     ratio = cutoff / rate
     beta = signal.kaiser_beta(STOP_BAND)

@@ -46,40 +46,55 @@ def uniform_runs(
         If nothing is left, or the rate asked for is far above what was logged.
     """
     n = recording.n_samples
-    kept = np.isfinite(recording.t) & np.all(np.isfinite(recording.q), axis=1) & np.all(np.isfinite(recording.tau), axis=1)
+    kept = (
+        np.isfinite(recording.t)
+        & np.all(np.isfinite(recording.q), axis=1)
+        & np.all(np.isfinite(recording.tau), axis=1)
+    )
     notes: list[str] = []
     if not kept.all():
-        notes.append(f"{n - int(kept.sum())} of {n} samples with NaN or infinite values were dropped")
+        notes.append(
+            f"{n - int(kept.sum())} of {n} samples with NaN or infinite values were dropped"
+        )
     latest = np.maximum.accumulate(np.where(kept, recording.t, -np.inf))
     advancing = kept & np.concatenate([[True], recording.t[1:] > latest[:-1]])
     if not np.array_equal(advancing, kept):
-        notes.append(f"{int(kept.sum() - advancing.sum())} samples whose time does not advance were dropped")
+        notes.append(
+            f"{int(kept.sum() - advancing.sum())} samples whose time does not advance were dropped"
+        )
     index = np.flatnonzero(advancing)
     fresh = _fresh(recording, index)
     if fresh.size < index.size:
         notes.append(
-            f"{index.size - fresh.size} samples that only repeat the one before (the log was polled faster than the controller writes) were dropped"
+            f"{index.size - fresh.size} samples that only repeat the one before (the log was polled"
+            " faster than the controller writes) were dropped"
         )
     t = recording.t[fresh]
     if t.size < SHORTEST_RUN:
-        raise RecordingError(f"{recording.source}: {t.size} usable samples of {n}; at least {SHORTEST_RUN} are needed")
+        raise RecordingError(
+            f"{recording.source}: {t.size} usable samples of {n}; at least {SHORTEST_RUN} are"
+            " needed"
+        )
     steps = np.diff(t)
     period = float(np.median(steps))
     logged_rate = _logged_rate(t, period)
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
-            f"{recording.source}: a rate of {rate:g} Hz was asked for but only {logged_rate:g} Hz were logged; drop the option or give a lower rate"
+            f"{recording.source}: a rate of {rate:g} Hz was asked for but only {logged_rate:g} Hz"
+            " were logged; drop the option or give a lower rate"
         )
     gap = GAP * period if max_gap is None else max_gap
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
         notes.append(
-            f"{breaks.size} gaps longer than {gap:g} s (the longest {steps.max():.3g} s) split the recording into {breaks.size + 1} runs"
+            f"{breaks.size} gaps longer than {gap:g} s (the longest {steps.max():.3g} s) split the"
+            f" recording into {breaks.size + 1} runs"
         )
     runs = [run for run in np.split(fresh, breaks) if run.size >= SHORTEST_RUN]
     if not runs:
         raise RecordingError(
-            f"{recording.source}: no {SHORTEST_RUN} samples in a row without a gap of more than {gap:g} s; check the clock"
+            f"{recording.source}: no {SHORTEST_RUN} samples in a row without a gap of more than"
+            f" {gap:g} s; check the clock"
         )
     target = logged_rate if rate is None else rate
     inside = np.delete(steps, breaks - 1)
@@ -88,20 +103,37 @@ def uniform_runs(
     clocks = [_clock(recording.t[run], recording.q[run]) for run in runs]
     ticks = sum(even for _, even in clocks)
     if rate is None and ticks == len(runs):
-        target = _rounded(1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks])))
+        target = _rounded(
+            1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
+        )
     if ticks:
-        notes.append("the time stamps jitter but the positions are smoother on an even clock, so the samples were taken as evenly spaced")
+        notes.append(
+            "the time stamps jitter but the positions are smoother on an even clock, so the samples"
+            " were taken as evenly spaced"
+        )
     if ticks < len(runs) or rate is not None:
         notes.append(
-            f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was resampled to {target:g} Hz by cubic splines"
+            f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was"
+            f" resampled to {target:g} Hz by cubic splines"
         )
-    return [_splined(recording, run, clock, target) for run, (clock, _) in zip(runs, clocks, strict=True)], target, tuple(notes)
+    return (
+        [
+            _splined(recording, run, clock, target)
+            for run, (clock, _) in zip(runs, clocks, strict=True)
+        ],
+        target,
+        tuple(notes),
+    )
 
 
 def _fresh(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay."""
-    rows = [recording.q[index], recording.tau[index]] + ([recording.qd[index]] if recording.qd is not None else [])
-    changed = np.concatenate([[True], np.any([np.any(np.diff(row, axis=0) != 0.0, axis=1) for row in rows], axis=0)])
+    rows = [recording.q[index], recording.tau[index]] + (
+        [recording.qd[index]] if recording.qd is not None else []
+    )
+    changed = np.concatenate(
+        [[True], np.any([np.any(np.diff(row, axis=0) != 0.0, axis=1) for row in rows], axis=0)]
+    )
     if changed.all():
         return index
     starts = np.flatnonzero(changed)
@@ -139,8 +171,14 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
     on_even = CubicSpline(tick, q, axis=0)(grid)
     inside = t[0] + np.clip(start + slope * grid, 0.0, t[-1] - t[0])
     on_stamps = CubicSpline(t, q, axis=0)(inside)
-    roughness = [np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0)) for x in (on_even, on_stamps)]
-    return (even, True) if np.median(roughness[0] / np.maximum(roughness[1], 1e-300)) < 1.0 else (t, False)
+    roughness = [
+        np.sqrt(np.mean(np.diff(x[1:-1], n=3, axis=0) ** 2, axis=0)) for x in (on_even, on_stamps)
+    ]
+    return (
+        (even, True)
+        if np.median(roughness[0] / np.maximum(roughness[1], 1e-300)) < 1.0
+        else (t, False)
+    )
 
 
 def _ticks(t: Array, period: float) -> Array | None:
@@ -165,7 +203,12 @@ def _taken(recording: Recording, run: NDArray[np.intp], rate: float) -> UniformR
     even = t0 + np.arange(run.size) / rate
     t = even if np.max(np.abs(even - recording.t[run])) < 0.5 / rate else recording.t[run]
     qd = None if recording.qd is None else recording.qd[run]
-    return UniformRun(t, recording.q[run], recording.tau[run], qd if qd is not None and np.all(np.isfinite(qd)) else None)
+    return UniformRun(
+        t,
+        recording.q[run],
+        recording.tau[run],
+        qd if qd is not None and np.all(np.isfinite(qd)) else None,
+    )
 
 
 def _splined(recording: Recording, run: NDArray[np.intp], clock: Array, rate: float) -> UniformRun:

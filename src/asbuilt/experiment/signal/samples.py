@@ -53,7 +53,9 @@ class Samples:
     def __post_init__(self) -> None:
         t = _read_only(self.t)
         if t.ndim != 1 or t.size == 0:
-            raise RecordingError(f"{self.source}: t must be a vector of at least one time, got shape {t.shape}")
+            raise RecordingError(
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}"
+            )
         object.__setattr__(self, "t", t)
         if np.isnan(self.origin):
             object.__setattr__(self, "origin", float(t[0]))
@@ -63,13 +65,19 @@ class Samples:
         for name in ("q", "qd", "qdd", "tau", "tau_raw"):
             array = _read_only(getattr(self, name))
             if array.shape != shape:
-                raise RecordingError(f"{self.source}: {name} must have shape {shape} for {shape[1]} joints, got {array.shape}")
+                raise RecordingError(
+                    f"{self.source}: {name} must have shape {shape} for {shape[1]} joints, got"
+                    f" {array.shape}"
+                )
             object.__setattr__(self, name, array)
         segments = tuple((int(a), int(b)) for a, b in self.segments) or ((0, t.size),)
         object.__setattr__(self, "segments", segments)
         ends = [0, *(edge for segment in segments for edge in segment), t.size]
         if any(later < earlier for earlier, later in pairwise(ends)):
-            raise RecordingError(f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got {list(segments)}")
+            raise RecordingError(
+                f"{self.source}: segments must be ordered index ranges within 0 to {t.size}, got"
+                f" {list(segments)}"
+            )
 
     @property
     def n_samples(self) -> int:
@@ -94,7 +102,12 @@ class Samples:
     @property
     def filtered_times(self) -> Array:
         """The instants (n_filtered,) of `filtered` [s]."""
-        return np.concatenate([self.parallel.times(self.t[a:b]) if self.parallel else self.t[a:b] for a, b in self.segments])
+        return np.concatenate(
+            [
+                self.parallel.times(self.t[a:b]) if self.parallel else self.t[a:b]
+                for a, b in self.segments
+            ]
+        )
 
     @property
     def filtered_torque(self) -> Array:
@@ -103,26 +116,41 @@ class Samples:
 
     def filtered(self, x: Array) -> Array:
         """Apply the parallel filter, segment by segment, to x (N, ...) given at `t`; returns (n_filtered, ...)."""
-        return np.concatenate([self.parallel.apply(x[a:b], axis=0) if self.parallel else x[a:b] for a, b in self.segments])
+        return np.concatenate(
+            [
+                self.parallel.apply(x[a:b], axis=0) if self.parallel else x[a:b]
+                for a, b in self.segments
+            ]
+        )
 
     def select(self, keep: NDArray[np.bool_]) -> Samples:
         """Return the samples where `keep` (N,) holds; what was contiguous and stays so remains one segment."""
         mask = np.asarray(keep)
         if mask.dtype != np.bool_ or mask.shape != self.t.shape:
             raise UsageError(
-                f"a selection needs one truth value for each of {self.n_samples} samples, got {mask.dtype} of shape {mask.shape}"
+                f"a selection needs one truth value for each of {self.n_samples} samples, got"
+                f" {mask.dtype} of shape {mask.shape}"
             )
         ranges: list[tuple[int, int]] = []
         for a, b in self.segments:
-            edges = np.flatnonzero(np.diff(np.concatenate([[0], mask[a:b].astype(np.int8), [0]]))) + a
+            edges = (
+                np.flatnonzero(np.diff(np.concatenate([[0], mask[a:b].astype(np.int8), [0]]))) + a
+            )
             ranges.extend(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
         if not ranges:
-            raise RecordingError(f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and {self.t[-1]:g} s")
+            raise RecordingError(
+                f"{self.source}: no sample is left of {self.n_samples} between {self.t[0]:g} s and"
+                f" {self.t[-1]:g} s"
+            )
         stops = np.cumsum([b - a for a, b in ranges]).tolist()
         segments = tuple(zip([0, *stops[:-1]], stops, strict=True))
 
         def take(x: Array) -> Array:
-            return x[slice(*ranges[0])] if len(ranges) == 1 else np.concatenate([x[a:b] for a, b in ranges])
+            return (
+                x[slice(*ranges[0])]
+                if len(ranges) == 1
+                else np.concatenate([x[a:b] for a, b in ranges])
+            )
 
         return replace(
             self,

@@ -73,7 +73,10 @@ class SignalChain:
             raise UsageError(f"decimate must be 1 or more, got {self.decimate}")
         if self.order < 1:
             raise UsageError(f"the order of the low-pass must be 1 or more, got {self.order}")
-        for name, known in (("derivative", ("central", "savitzky-golay", "spline")), ("velocity", ("auto", "measured", "derived"))):
+        for name, known in (
+            ("derivative", ("central", "savitzky-golay", "spline")),
+            ("velocity", ("auto", "measured", "derived")),
+        ):
             if getattr(self, name) not in known:
                 raise UsageError(f"{name} {getattr(self, name)!r} is not one of {', '.join(known)}")
 
@@ -88,7 +91,14 @@ class SignalChain:
         presets = {
             "default": cls(),
             "paper2015": cls(
-                cutoff=7.0, decimate=10, order=2, corrected=False, velocity="derived", parallel=False, trimmed=False, rests=True
+                cutoff=7.0,
+                decimate=10,
+                order=2,
+                corrected=False,
+                velocity="derived",
+                parallel=False,
+                trimmed=False,
+                rests=True,
             ),
         }
         if name not in presets:
@@ -100,7 +110,10 @@ class SignalChain:
 
         Whether logged velocities are good is left to be decided recording by recording.
         """
-        chains = [_resolved(self, *uniform_runs(recording, self.rate, self.max_gap)[:2])[0] for recording in recordings]
+        chains = [
+            _resolved(self, *uniform_runs(recording, self.rate, self.max_gap)[:2])[0]
+            for recording in recordings
+        ]
         return replace(max(chains, key=lambda chain: chain.cutoff or 0.0), velocity=self.velocity)
 
 
@@ -118,25 +131,50 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     runs, rate, notes = uniform_runs(recording, chain.rate, chain.max_gap)
     chain, chosen = _resolved(chain, runs, rate)
     plan = FilterPlan.of(chain, rate)
-    pieces = [piece for run in runs if plan.fits(run) for piece in plan.segments(run, plan.margin, run.t.size - plan.margin)[0]]
+    pieces = [
+        piece
+        for run in runs
+        if plan.fits(run)
+        for piece in plan.segments(run, plan.margin, run.t.size - plan.margin)[0]
+    ]
     if not pieces:
         raise RecordingError(
-            f"{recording.source}: nothing is left. The longest run without a gap has {max(run.t.size for run in runs)} samples; a low-pass at {chain.cutoff:.3g} Hz "
-            f"takes {2 * plan.margin} at {rate:g} Hz, and rests are left out. Raise the cutoff, record longer, or check that the robot moves"
+            f"{recording.source}: nothing is left. The longest run without a gap has"
+            f" {max(run.t.size for run in runs)} samples; a low-pass at {chain.cutoff:.3g} Hz takes"
+            f" {2 * plan.margin} at {rate:g} Hz, and rests are left out. Raise the cutoff, record"
+            " longer, or check that the robot moves"
         )
-    samples = _assembled(recording, plan, pieces, float(runs[0].t[0]), (*recording.notes, *notes, *chosen, *plan.description()))
+    samples = _assembled(
+        recording,
+        plan,
+        pieces,
+        float(runs[0].t[0]),
+        (*recording.notes, *notes, *chosen, *plan.description()),
+    )
     if samples.parallel is not None and samples.n_filtered == 0:
         raise RecordingError(
-            f"{recording.source}: no segment is as long as the parallel filter at {samples.parallel.cutoff:.3g} Hz, {samples.parallel.taps.size / samples.rate:.3g} s; "
-            "raise the cutoff or record longer"
+            f"{recording.source}: no segment is as long as the parallel filter at"
+            f" {samples.parallel.cutoff:.3g} Hz, {samples.parallel.taps.size / samples.rate:.3g} s;"
+            " raise the cutoff or record longer"
         )
-    rested = sum(run.t.size - 2 * plan.margin for run in runs if plan.fits(run)) / rate - samples.duration
+    rested = (
+        sum(run.t.size - 2 * plan.margin for run in runs if plan.fits(run)) / rate
+        - samples.duration
+    )
     if not chain.rests and rested > PAUSE:
-        samples = replace(samples, provenance=(*samples.provenance, f"{rested:.3g} s in which no joint moved were left out"))
+        samples = replace(
+            samples,
+            provenance=(
+                *samples.provenance,
+                f"{rested:.3g} s in which no joint moved were left out",
+            ),
+        )
     return samples
 
 
-def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = None) -> Iterator[Samples]:
+def stream_samples(
+    recordings: Iterable[Recording], chain: SignalChain | None = None
+) -> Iterator[Samples]:
     """Prepare a recording that comes in consecutive chunks, holding one chunk and its overlap at a time.
 
     The filtered samples of all that is yielded are those of `prepare_samples` on the whole, each once; what the chain chooses from a recording it chooses from
@@ -163,59 +201,86 @@ def stream_samples(recordings: Iterable[Recording], chain: SignalChain | None = 
             plan = FilterPlan.of(chain, rate)
             if plan.parallel is None and plan.thinning > 1:
                 raise UsageError(
-                    "a chain that decimates without a parallel filter cannot run in chunks; prepare the whole recording at once"
+                    "a chain that decimates without a parallel filter cannot run in chunks; prepare"
+                    " the whole recording at once"
                 )
             notes = (*chosen, *notes)
             origin = float(runs[0].t[0])
         pieces: list[Piece] = []
         for k, run in enumerate(runs):
             goes_on = more and k == len(runs) - 1
-            begin = max(round((low - run.t[0]) * rate), 0) if np.isfinite(low) and low > run.t[0] - 0.5 / rate else plan.margin
+            begin = (
+                max(round((low - run.t[0]) * rate), 0)
+                if np.isfinite(low) and low > run.t[0] - 0.5 / rate
+                else plan.margin
+            )
             stop = run.t.size - (plan.reach if goes_on else plan.margin)
             after = begin
             if plan.fits(run) and stop > begin:
                 found, after = plan.segments(run, begin, stop)
                 pieces.extend(found)
             if goes_on:
-                low = float(run.t[0] + after / rate) if after > plan.margin or np.isfinite(low) else -np.inf
+                low = (
+                    float(run.t[0] + after / rate)
+                    if after > plan.margin or np.isfinite(low)
+                    else -np.inf
+                )
                 held = joined.between(run.t[0] + (after - plan.reach - 0.5) / rate, np.inf)
         if pieces:
-            samples = _assembled(joined, plan, pieces, origin, (*joined.notes, *notes, *plan.description()))
+            samples = _assembled(
+                joined, plan, pieces, origin, (*joined.notes, *notes, *plan.description())
+            )
             if samples.n_filtered:
                 yield samples
 
 
-def _resolved(chain: SignalChain, runs: Sequence[UniformRun], rate: float) -> tuple[SignalChain, tuple[str, ...]]:
+def _resolved(
+    chain: SignalChain, runs: Sequence[UniformRun], rate: float
+) -> tuple[SignalChain, tuple[str, ...]]:
     notes: list[str] = []
     if rate < SLOWEST_RATE:
-        raise RecordingError(f"{rate:.3g} samples a second are too few to differentiate; are the time stamps in seconds?")
+        raise RecordingError(
+            f"{rate:.3g} samples a second are too few to differentiate; are the time stamps in"
+            " seconds?"
+        )
     longest = max(run.t.size for run in runs) / rate
     if chain.cutoff is not None and chain.cutoff * longest < 0.1:
         raise UsageError(
-            f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of a recording whose longest run without a gap lasts {longest:.3g} s; raise the cutoff"
+            f"a low-pass at {chain.cutoff:.3g} Hz leaves nothing of a recording whose longest run"
+            f" without a gap lasts {longest:.3g} s; raise the cutoff"
         )
     if chain.cutoff is None:
         bandwidth = motion_bandwidth([run.q for run in runs], rate)
         cutoff = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)
         chain = replace(chain, cutoff=cutoff)
-        notes.append(f"95 % of the velocity's power lies below {bandwidth:.3g} Hz; positions are kept up to {cutoff:.3g} Hz")
+        notes.append(
+            f"95 % of the velocity's power lies below {bandwidth:.3g} Hz; positions are kept up to"
+            f" {cutoff:.3g} Hz"
+        )
     if chain.velocity == "auto":
         verdict = _velocity_verdict(chain, runs, rate)
-        chain = replace(chain, velocity="measured" if verdict is not None and verdict.helps else "derived")
+        chain = replace(
+            chain, velocity="measured" if verdict is not None and verdict.helps else "derived"
+        )
         notes.extend([str(verdict)] if verdict is not None else [])
     elif chain.velocity == "measured" and any(run.qd is None for run in runs):
         raise UsageError(
-            "measured velocities were asked for, but the recording has none, or not for every sample; leave velocity at 'auto'"
+            "measured velocities were asked for, but the recording has none, or not for every"
+            " sample; leave velocity at 'auto'"
         )
     if chain.standstill is None and not chain.rests:
         plan = FilterPlan.of(chain, rate)
         fitting = [run for run in runs if plan.fits(run)]
         if fitting:
-            chain = replace(chain, standstill=standstill_speeds([plan.motion(run)[1] for run in fitting]))
+            chain = replace(
+                chain, standstill=standstill_speeds([plan.motion(run)[1] for run in fitting])
+            )
     return chain, tuple(notes)
 
 
-def _velocity_verdict(chain: SignalChain, runs: Sequence[UniformRun], rate: float) -> VelocityVerdict | None:
+def _velocity_verdict(
+    chain: SignalChain, runs: Sequence[UniformRun], rate: float
+) -> VelocityVerdict | None:
     cutoff, order = chain.cutoff or 0.0, chain.order
     pairs = []
     for run in runs:
@@ -223,14 +288,25 @@ def _velocity_verdict(chain: SignalChain, runs: Sequence[UniformRun], rate: floa
             return None
         if run.t.size > 2 * settling_samples(cutoff, rate, order=order):
             derived = central_differences(run.q, rate)
-            smooth, logged = (butterworth(x, cutoff=cutoff, rate=rate, order=order) for x in (derived, run.qd))
+            smooth, logged = (
+                butterworth(x, cutoff=cutoff, rate=rate, order=order) for x in (derived, run.qd)
+            )
             pairs.append((smooth, logged, derived, run.qd))
     return compare_velocities(pairs, rate) if pairs else None
 
 
-def _assembled(recording: Recording, plan: FilterPlan, pieces: list[Piece], origin: float, provenance: tuple[str, ...]) -> Samples:
+def _assembled(
+    recording: Recording,
+    plan: FilterPlan,
+    pieces: list[Piece],
+    origin: float,
+    provenance: tuple[str, ...],
+) -> Samples:
     bounds = [0, *np.cumsum([piece[0].size for piece in pieces]).tolist()]
-    t, q, qd, qdd, tau, tau_raw = (np.concatenate(parts) if len(pieces) > 1 else parts[0] for parts in zip(*pieces, strict=True))
+    t, q, qd, qdd, tau, tau_raw = (
+        np.concatenate(parts) if len(pieces) > 1 else parts[0]
+        for parts in zip(*pieces, strict=True)
+    )
     return Samples(
         t=t,
         q=q,
@@ -251,7 +327,10 @@ def _assembled(recording: Recording, plan: FilterPlan, pieces: list[Piece], orig
 
 def _joined(first: Recording, second: Recording) -> Recording:
     qd = None if first.qd is None or second.qd is None else np.concatenate([first.qd, second.qd])
-    t, q, tau = (np.concatenate(pair) for pair in ((first.t, second.t), (first.q, second.q), (first.tau, second.tau)))
+    t, q, tau = (
+        np.concatenate(pair)
+        for pair in ((first.t, second.t), (first.q, second.q), (first.tau, second.tau))
+    )
     return replace(second, t=t, q=q, tau=tau, qd=qd, qdd=None, extra={})
 
 

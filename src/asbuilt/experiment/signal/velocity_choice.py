@@ -29,17 +29,24 @@ class VelocityVerdict:
     @property
     def helps(self) -> bool:
         """Whether they are in step, to scale, and at least twice as quiet."""
-        return abs(self.lag) * self.rate <= LARGEST_LAG and abs(self.gain - 1.0) <= LARGEST_GAIN_ERROR and self.noise <= LARGEST_NOISE
+        return (
+            abs(self.lag) * self.rate <= LARGEST_LAG
+            and abs(self.gain - 1.0) <= LARGEST_GAIN_ERROR
+            and self.noise <= LARGEST_NOISE
+        )
 
     def __str__(self) -> str:
         verdict = "used" if self.helps else "not used"
         return (
-            f"logged velocities {verdict}: they lag the positions' derivative by {1e3 * self.lag:.2g} ms, gain {self.gain:.3f}, "
-            f"noise {self.noise:.2g} of the derivative's"
+            f"logged velocities {verdict}: they lag the positions' derivative by"
+            f" {1e3 * self.lag:.2g} ms, gain {self.gain:.3f}, noise {self.noise:.2g} of the"
+            " derivative's"
         )
 
 
-def compare_velocities(pairs: Sequence[tuple[Array, Array, Array, Array]], rate: float) -> VelocityVerdict:
+def compare_velocities(
+    pairs: Sequence[tuple[Array, Array, Array, Array]], rate: float
+) -> VelocityVerdict:
     """Compare velocities over the runs; each of `pairs` holds the low-passed derivative v, the logged velocity w low-passed alike, and both before the low-pass.
 
     To first order w(t) = gain v(t - lag) = gain v - gain lag dv/dt, whose two coefficients follow by least squares, joint by joint. Noise is what the low-pass
@@ -54,9 +61,17 @@ def compare_velocities(pairs: Sequence[tuple[Array, Array, Array, Array]], rate:
         a = np.concatenate([np.gradient(pair[0][:, k]) * rate for pair in pairs])
         (gain, slope), *_ = np.linalg.lstsq(np.column_stack([v, a]), w, rcond=None)
         lags[k], gains[k] = -slope / gain if gain else np.inf, gain
-        removed = [np.sqrt(sum(float(np.sum((pair[2 + i][:, k] - pair[i][:, k]) ** 2)) for pair in pairs)) for i in range(2)]
+        removed = [
+            np.sqrt(sum(float(np.sum((pair[2 + i][:, k] - pair[i][:, k]) ** 2)) for pair in pairs))
+            for i in range(2)
+        ]
         noises[k] = removed[1] / removed[0] if removed[0] > 0 else np.inf
     moving = speed > 0.01 * speed.max()
     worst = int(np.abs(np.where(moving, lags, 0.0)).argmax())
     scale = int(np.abs(np.where(moving, gains - 1.0, 0.0)).argmax())
-    return VelocityVerdict(float(lags[worst]), float(gains[scale]), float(np.median(noises[moving])) if moving.any() else np.inf, rate)
+    return VelocityVerdict(
+        float(lags[worst]),
+        float(gains[scale]),
+        float(np.median(noises[moving])) if moving.any() else np.inf,
+        rate,
+    )

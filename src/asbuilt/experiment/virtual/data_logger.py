@@ -43,16 +43,29 @@ class DataLogger:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
-            raise UsageError(f"the rate of the logger must be a positive number of samples per second, got {self.rate}")
+            raise UsageError(
+                "the rate of the logger must be a positive number of samples per second, got"
+                f" {self.rate}"
+            )
         if not 0.0 <= self.clock_jitter < 0.5 / self.rate:
             raise UsageError(
-                f"clock_jitter goes from 0 to below half a sampling period, {0.5 / self.rate:g} s at {self.rate:g} Hz; got {self.clock_jitter}"
+                f"clock_jitter goes from 0 to below half a sampling period, {0.5 / self.rate:g} s"
+                f" at {self.rate:g} Hz; got {self.clock_jitter}"
             )
         if not (0.0 <= self.dropped < 1.0 and self.burst >= 1.0):
-            raise UsageError(f"dropped is a fraction from 0 to below 1 and burst at least 1 sample, got {self.dropped} and {self.burst}")
+            raise UsageError(
+                "dropped is a fraction from 0 to below 1 and burst at least 1 sample, got"
+                f" {self.dropped} and {self.burst}"
+            )
 
     def logged(
-        self, model: RobotModel, sensors: SensorNoise, truth: Trajectory, tau: Array, command: Array, rng: np.random.Generator
+        self,
+        model: RobotModel,
+        sensors: SensorNoise,
+        truth: Trajectory,
+        tau: Array,
+        command: Array,
+        rng: np.random.Generator,
     ) -> LoggedColumns:
         """Return what is written down of a trajectory and its torque (N, n), sampled at a multiple of the rate."""
         every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
@@ -61,11 +74,18 @@ class DataLogger:
         q, qd, torque = sensors.measured(model, seen, tau[pick], rng)
         t = seen.t.copy()
         if self.clock_jitter:
-            slips = np.clip(self.clock_jitter * rng.standard_normal(t.size), -0.45 / self.rate, 0.45 / self.rate)
+            slips = np.clip(
+                self.clock_jitter * rng.standard_normal(t.size), -0.45 / self.rate, 0.45 / self.rate
+            )
             t = t + slips - slips[0]
         perfect = sensors == PERFECT_SENSORS and self.accelerations
         columns = LoggedColumns(
-            t=t, q=q, tau=torque, q_command=command[pick], qd=seen.qd if perfect else qd, qdd=seen.qdd if perfect else None
+            t=t,
+            q=q,
+            tau=torque,
+            q_command=command[pick],
+            qd=seen.qd if perfect else qd,
+            qdd=seen.qdd if perfect else None,
         )
         return columns if not self.dropped else _without(columns, self._kept(t.size, rng))
 
@@ -81,4 +101,6 @@ class DataLogger:
 
 def _without(columns: LoggedColumns, keep: NDArray[np.bool_]) -> LoggedColumns:
     qd, qdd = (None if values is None else values[keep] for values in (columns.qd, columns.qdd))
-    return LoggedColumns(columns.t[keep], columns.q[keep], columns.tau[keep], columns.q_command[keep], qd, qdd)
+    return LoggedColumns(
+        columns.t[keep], columns.q[keep], columns.tau[keep], columns.q_command[keep], qd, qdd
+    )

@@ -42,7 +42,8 @@ class DriveTrain:
     def __post_init__(self) -> None:
         if not 0.0 <= self.warming < 1.0 or not self.warming_time > 0.0:
             raise UsageError(
-                f"warming is a fraction from 0 to below 1 and warming_time positive seconds, got {self.warming} and {self.warming_time}"
+                "warming is a fraction from 0 to below 1 and warming_time positive seconds, got"
+                f" {self.warming} and {self.warming_time}"
             )
         for name in ("stribeck_velocity", "engagement"):
             if np.any(np.asarray(getattr(self, name)) <= 0.0):
@@ -82,10 +83,13 @@ class PositionController:
             if not (np.isfinite(value := getattr(self, name)) and value > 0):
                 raise UsageError(f"{name} of the controller must be a positive number, got {value}")
         if self.feedforward not in get_args(FeedForward):
-            raise UsageError(f"feedforward {self.feedforward!r} is not one of {', '.join(get_args(FeedForward))}")
+            raise UsageError(
+                f"feedforward {self.feedforward!r} is not one of {', '.join(get_args(FeedForward))}"
+            )
         if self.bandwidth > self.rate / 20:
             raise UsageError(
-                f"a controller of {self.rate:g} Hz cannot have a bandwidth of {self.bandwidth:g} Hz; stay below a twentieth, {self.rate / 20:g} Hz"
+                f"a controller of {self.rate:g} Hz cannot have a bandwidth of {self.bandwidth:g}"
+                f" Hz; stay below a twentieth, {self.rate / 20:g} Hz"
             )
 
     def gains(self, described: RobotModel, armature: Array, q: Array) -> tuple[Array, float]:
@@ -93,7 +97,9 @@ class PositionController:
         pole = 2.0 * np.pi * self.bandwidth
         return (mass_matrix(described, q) + np.diag(armature)) * pole**2, 2.0 * self.damping / pole
 
-    def feedforward_torque(self, described: RobotModel, train: DriveTrain, command: Trajectory) -> Array:
+    def feedforward_torque(
+        self, described: RobotModel, train: DriveTrain, command: Trajectory
+    ) -> Array:
         """Return the torque that the controller expects along the command, shape (N, n)."""
         if self.feedforward == "none":
             return np.zeros(command.q.shape)
@@ -102,6 +108,12 @@ class PositionController:
         bodies = inverse_dynamics(described, command.q, command.qd, command.qdd)
         if self.feedforward == "full":
             return bodies
-        armature, viscous, coulomb = (train.of(name, command.n_joints) for name in ("armature", "viscous", "coulomb"))
-        friction = viscous * command.qd + coulomb * np.sign(command.qd) + train.of("offset", command.n_joints)
+        armature, viscous, coulomb = (
+            train.of(name, command.n_joints) for name in ("armature", "viscous", "coulomb")
+        )
+        friction = (
+            viscous * command.qd
+            + coulomb * np.sign(command.qd)
+            + train.of("offset", command.n_joints)
+        )
         return bodies + armature * command.qdd + friction

@@ -64,7 +64,9 @@ class FreeMotion:
         """
         missing = self.total - self.total[0] - self.work + self.dissipated
         turnover = np.ptp(self.kinetic) + np.ptp(self.potential)
-        return float(np.max(np.abs(missing)) / max(turnover, np.max(self.kinetic), np.finfo(float).tiny))
+        return float(
+            np.max(np.abs(missing)) / max(turnover, np.max(self.kinetic), np.finfo(float).tiny)
+        )
 
 
 def run_free(
@@ -95,17 +97,21 @@ def run_free(
     True
     """
     if release not in get_args(Release):
-        raise UsageError(f"there is no release {release!r}; there are {', '.join(get_args(Release))}")
+        raise UsageError(
+            f"there is no release {release!r}; there are {', '.join(get_args(Release))}"
+        )
     if not (np.isfinite(duration) and duration >= 2 * TIMESTEP * LOGGED):
         raise UsageError(f"the duration must be a positive number of seconds, got {duration}")
     further = sorted({key for joint in model.joints for key in joint.drive.terms})
     if further:
         raise UsageError(
-            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know; its free motion would be another robot's"
+            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know;"
+            " its free motion would be another robot's"
         )
     n = model.n_joints
     armature, viscous, coulomb, offset = (
-        np.array([getattr(joint.drive, name) or 0.0 for joint in model.joints]) for name in ("armature", "viscous", "coulomb", "offset")
+        np.array([getattr(joint.drive, name) or 0.0 for joint in model.joints])
+        for name in ("armature", "viscous", "coulomb", "offset")
     )
     if release == "free":
         viscous, coulomb, offset = np.zeros((3, n))
@@ -116,20 +122,30 @@ def run_free(
     samples = round(duration / (TIMESTEP * LOGGED)) + 1
     t: Array = np.arange(samples, dtype=np.float64) * TIMESTEP * LOGGED
     q, qd, tau = np.empty((3, samples, n))
-    goal, limit = pose + _step(model, pose), np.array([joint.limits.torque for joint in model.joints])
+    goal, limit = (
+        pose + _step(model, pose),
+        np.array([joint.limits.torque for joint in model.joints]),
+    )
     physics.start(pose, rates)
     with physics.quiet():
         for k in range(samples):
             q[k], qd[k] = physics.state
             if not np.all(np.abs(qd[k]) < RUNAWAY):
                 raise InertiaError(
-                    f"{model.name} runs away at t = {t[k]:.3g} s: its mass matrix is not positive definite there; identify physically consistent "
-                    "inertias, or give its joints an armature"
+                    f"{model.name} runs away at t = {t[k]:.3g} s: its mass matrix is not positive"
+                    " definite there; identify physically consistent inertias, or give its joints"
+                    " an armature"
                 )
-            tau[k] = np.clip(_pull(model, armature, q[k], qd[k], goal), -limit, limit) if release == "step" else 0.0
+            tau[k] = (
+                np.clip(_pull(model, armature, q[k], qd[k], goal), -limit, limit)
+                if release == "step"
+                else 0.0
+            )
             physics.advance(tau[k] - offset, LOGGED)
     ones = np.ones((samples, 1))
-    _, friction = physics.accelerations(q, qd, tau - offset, coulomb=coulomb * ones, viscous=viscous * ones)
+    _, friction = physics.accelerations(
+        q, qd, tau - offset, coulomb=coulomb * ones, viscous=viscous * ones
+    )
     potential = potential_energy(model, q)
     return FreeMotion(
         model=model,
@@ -169,7 +185,9 @@ def _step(model: RobotModel, pose: Array) -> Array:
 def _state(values: ArrayLike, n: int, what: str) -> Array:
     state = np.asarray(values, dtype=np.float64)
     if state.shape != (n,) or not np.all(np.isfinite(state)):
-        raise UsageError(f"{what} must be {n} finite numbers, one per joint, got {np.asarray(values).tolist()}")
+        raise UsageError(
+            f"{what} must be {n} finite numbers, one per joint, got {np.asarray(values).tolist()}"
+        )
     return state
 
 

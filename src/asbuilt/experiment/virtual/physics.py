@@ -73,23 +73,43 @@ class Physics:
             model,
             joints=tuple(replace(joint, drive=DriveValues()) for joint in model.joints),
             links=tuple(
-                link if link.inertia.is_consistent and link.inertia.mass > 0 else replace(link, inertia=STAND_IN) for link in model.links
+                (
+                    link
+                    if link.inertia.is_consistent and link.inertia.mass > 0
+                    else replace(link, inertia=STAND_IN)
+                )
+                for link in model.links
             ),
         )
-        self.compiled: Any = self._mujoco.MjModel.from_xml_string(mjcf_text(bare, actuators=False, shapes=False))
+        self.compiled: Any = self._mujoco.MjModel.from_xml_string(
+            mjcf_text(bare, actuators=False, shapes=False)
+        )
         self.compiled.opt.timestep = timestep
-        self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_LIMIT | self._mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self.compiled.opt.disableflags |= int(
+            self._mujoco.mjtDisableBit.mjDSBL_LIMIT | self._mujoco.mjtDisableBit.mjDSBL_CONTACT
+        )
         self.compiled.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_ACTUATION)
         self.compiled.jnt_actfrclimited[:] = 0
         names, ids = model.joint_names, self._mujoco.mj_name2id
-        self._order = np.array([ids(self.compiled, self._mujoco.mjtObj.mjOBJ_JOINT, name) for name in names])
-        self._bodies = [ids(self.compiled, self._mujoco.mjtObj.mjOBJ_BODY, name) for name in model.link_names]
+        self._order = np.array(
+            [ids(self.compiled, self._mujoco.mjtObj.mjOBJ_JOINT, name) for name in names]
+        )
+        self._bodies = [
+            ids(self.compiled, self._mujoco.mjtObj.mjOBJ_BODY, name) for name in model.link_names
+        ]
         self._take_inertias(bare)
-        self.compiled.dof_armature[self._order] = np.broadcast_to(np.asarray(armature, dtype=np.float64), (n,))
-        self.rub(np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)), np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)))
+        self.compiled.dof_armature[self._order] = np.broadcast_to(
+            np.asarray(armature, dtype=np.float64), (n,)
+        )
+        self.rub(
+            np.broadcast_to(np.asarray(coulomb, dtype=np.float64), (n,)),
+            np.broadcast_to(np.asarray(viscous, dtype=np.float64), (n,)),
+        )
         self.compiled.dof_solimp[:] = [FRICTION_IMPEDANCE, FRICTION_IMPEDANCE, 0.001, 0.5, 2.0]
         self.compiled.dof_solref[:] = [max(FRICTION_TIME, 2 * timestep), 1.0]
-        self._parts = max(1, math.ceil(timestep * self._fastest_decay(self._sound_mass_matrices()) / STABLE))
+        self._parts = max(
+            1, math.ceil(timestep * self._fastest_decay(self._sound_mass_matrices()) / STABLE)
+        )
         self.compiled.opt.timestep = timestep / self._parts
         self.data: Any = self._mujoco.MjData(self.compiled)
         with self.quiet():
@@ -102,8 +122,9 @@ class Physics:
             inertia = link.inertia
             if inertia.mass == 0.0 and np.any(inertia.first_moment != 0.0):
                 raise InertiaError(
-                    f"{self.model.name}: link {link.name!r} has no mass but the first moment {inertia.first_moment.tolist()} kg m; an engine places mass "
-                    "at a centre of mass, so give the link some mass"
+                    f"{self.model.name}: link {link.name!r} has no mass but the first moment"
+                    f" {inertia.first_moment.tolist()} kg m; an engine places mass at a centre of"
+                    " mass, so give the link some mass"
                 )
             moments, axes = np.linalg.eigh(inertia.inertia_about_com)
             if np.linalg.det(axes) < 0:
@@ -116,21 +137,26 @@ class Physics:
     def _sound_mass_matrices(self) -> Array:
         """Return the mass matrices of some random poses (8, n, n), armature included; raises InertiaError where one is singular."""
         q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, self.model.n_joints))
-        masses: Array = mass_matrix(self.model, q) + np.diag(self.compiled.dof_armature[self._order])
+        masses: Array = mass_matrix(self.model, q) + np.diag(
+            self.compiled.dof_armature[self._order]
+        )
         for M in masses:
             eigenvalues, vectors = np.linalg.eigh(M)
             if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
                 worst = self.model.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
                 raise InertiaError(
-                    f"the mass matrix of {self.model.name} is not positive definite (smallest eigenvalue {eigenvalues[0]:.3g}, mostly joint {worst!r}), "
-                    "so torques do not determine how it moves; check the inertias, or give the joint an armature"
+                    f"the mass matrix of {self.model.name} is not positive definite (smallest"
+                    f" eigenvalue {eigenvalues[0]:.3g}, mostly joint {worst!r}), so torques do not"
+                    " determine how it moves; check the inertias, or give the joint an armature"
                 )
         return masses
 
     def _fastest_decay(self, masses: Array) -> float:
         """Return the fastest rate at which viscous friction alone brings a joint to rest, the largest eigenvalue of M^-1 D [1/s]."""
         root = np.sqrt(self.compiled.dof_damping[self._order])
-        return float(np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max())
+        return float(
+            np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
+        )
 
     def inverse_dynamics(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
         """Return MuJoCo's torque for states (N, n): rigid bodies, armature and viscous friction, without dry friction; shape (N, n)."""
@@ -146,7 +172,9 @@ class Physics:
         self.compiled.opt.disableflags = flags
         return torque
 
-    def accelerations(self, q: Array, qd: Array, tau: Array, *, coulomb: Array, viscous: Array) -> tuple[Array, Array]:
+    def accelerations(
+        self, q: Array, qd: Array, tau: Array, *, coulomb: Array, viscous: Array
+    ) -> tuple[Array, Array]:
         """Return joint accelerations and the torque of friction, two (N, n), for states, torques and friction of the moment, all (N, n).
 
         Friction is counted as the drive has to overcome it: `tau = rigid bodies + armature qdd + friction`.
@@ -184,7 +212,10 @@ class Physics:
 
     def rub(self, coulomb: Array, viscous: Array) -> None:
         """Set dry [N m] and viscous [N m s/rad] friction, two (n,)."""
-        self.compiled.dof_frictionloss[self._order], self.compiled.dof_damping[self._order] = coulomb, viscous
+        self.compiled.dof_frictionloss[self._order], self.compiled.dof_damping[self._order] = (
+            coulomb,
+            viscous,
+        )
 
     def advance(self, tau: Array, steps: int = 1) -> None:
         """Take time steps under constant joint torques (n,)."""

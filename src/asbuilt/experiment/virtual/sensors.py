@@ -46,7 +46,9 @@ class SensorNoise:
             if value is not None:
                 per_joint(value, n, entry.name, signed=entry.name in SIGNED)
 
-    def measured(self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator) -> tuple[Array, Array | None, Array]:
+    def measured(
+        self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator
+    ) -> tuple[Array, Array | None, Array]:
         """Return position, velocity (None where it is not logged) and torque, each (N, n), as these sensors see them.
 
         Raises
@@ -58,19 +60,31 @@ class SensorNoise:
         counts = per_joint(self.encoder_counts, n, "encoder_counts")
         turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, 1.0)
         step = np.divide(turn, counts, out=np.zeros(n), where=counts > 0)
-        position = truth.q + per_joint(self.position_noise, n, "position_noise") * rng.standard_normal(truth.q.shape)
+        position = truth.q + per_joint(
+            self.position_noise, n, "position_noise"
+        ) * rng.standard_normal(truth.q.shape)
         torque = tau * per_joint(self.torque_gain, n, "torque_gain", signed=True) + per_joint(
             self.torque_bias, n, "torque_bias", signed=True
         )
-        torque = torque + per_joint(self.torque_noise, n, "torque_noise") * rng.standard_normal(tau.shape)
+        torque = torque + per_joint(self.torque_noise, n, "torque_noise") * rng.standard_normal(
+            tau.shape
+        )
         ripple = per_joint(self.torque_ripple, n, "torque_ripple")
         if np.any(ripple > 0):
             waves = per_joint(self.ripple_cycles, n, "ripple_cycles") * 2 * np.pi / turn
-            torque = torque + ripple * np.sin(waves * truth.q + per_joint(self.ripple_phase, n, "ripple_phase", signed=True))
+            torque = torque + ripple * np.sin(
+                waves * truth.q + per_joint(self.ripple_phase, n, "ripple_phase", signed=True)
+            )
         velocity = None
         if self.velocity_noise is not None:
-            velocity = truth.qd + per_joint(self.velocity_noise, n, "velocity_noise") * rng.standard_normal(truth.qd.shape)
-        return _rounded(position, step), velocity, _rounded(torque, per_joint(self.torque_resolution, n, "torque_resolution"))
+            velocity = truth.qd + per_joint(
+                self.velocity_noise, n, "velocity_noise"
+            ) * rng.standard_normal(truth.qd.shape)
+        return (
+            _rounded(position, step),
+            velocity,
+            _rounded(torque, per_joint(self.torque_resolution, n, "torque_resolution")),
+        )
 
 
 PERFECT_SENSORS = SensorNoise()
@@ -80,8 +94,15 @@ PERFECT_SENSORS = SensorNoise()
 def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
     """Return one number or one per joint as (n,); raises UsageError for any other shape, and for negative numbers unless `signed`."""
     array = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if array.shape not in ((1,), (n,)) or not np.all(np.isfinite(array)) or (not signed and np.any(array < 0)):
-        raise UsageError(f"{name} must be one {'' if signed else 'non-negative '}number or one per joint ({n}), got {value}")
+    if (
+        array.shape not in ((1,), (n,))
+        or not np.all(np.isfinite(array))
+        or (not signed and np.any(array < 0))
+    ):
+        raise UsageError(
+            f"{name} must be one {'' if signed else 'non-negative '}number or one per joint ({n}),"
+            f" got {value}"
+        )
     return np.broadcast_to(array, (n,))
 
 

@@ -13,7 +13,12 @@ from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionControlle
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
-PARTS: Mapping[str, type] = {"train": DriveTrain, "controller": PositionController, "sensors": SensorNoise, "logger": DataLogger}
+PARTS: Mapping[str, type] = {
+    "train": DriveTrain,
+    "controller": PositionController,
+    "sensors": SensorNoise,
+    "logger": DataLogger,
+}
 OWN = ("torque", "behind")
 """Settings of the robot itself."""
 SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, "off": False}
@@ -31,7 +36,11 @@ def setting_names() -> dict[str, str]:
     """
     count = Counter(entry.name for part in PARTS.values() for entry in fields(part))
     shared = {name for name, number in count.items() if number > 1}
-    named = {f"{part}.{entry.name}" if entry.name in shared else entry.name: part for part, kind in PARTS.items() for entry in fields(kind)}
+    named = {
+        f"{part}.{entry.name}" if entry.name in shared else entry.name: part
+        for part, kind in PARTS.items()
+        for entry in fields(kind)
+    }
     return {**dict.fromkeys(OWN, ""), **named}
 
 
@@ -55,12 +64,21 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
     for setting in settings:
         name, equals, text = (piece.strip() for piece in setting.partition("="))
         if name not in known or not equals or not text:
-            raise UsageError(f"a setting of the virtual robot is NAME=VALUE with a NAME of {', '.join(known)}; got {setting!r}")
+            raise UsageError(
+                f"a setting of the virtual robot is NAME=VALUE with a NAME of {', '.join(known)};"
+                f" got {setting!r}"
+            )
         part, field = known[name], name.rpartition(".")[2]
-        changes[part][field] = _value(name, text, of_joints=part in PARTS and field in _of_joints(PARTS[part]))
+        changes[part][field] = _value(
+            name, text, of_joints=part in PARTS and field in _of_joints(PARTS[part])
+        )
     if not any(changes.values()):
         return robot
-    parts = {part: replace(getattr(robot, part), **changed) for part, changed in changes.items() if part and changed}
+    parts = {
+        part: replace(getattr(robot, part), **changed)
+        for part, changed in changes.items()
+        if part and changed
+    }
     return replace(robot, **parts, **changes[""])
 
 
@@ -81,5 +99,8 @@ def _value(name: str, text: str, *, of_joints: bool) -> float | tuple[float, ...
     except ValueError:
         numbers = ()
     if not numbers or (len(numbers) > 1 and not of_joints):
-        raise UsageError(f"{name} takes one number{', or one per joint separated by commas' if of_joints else ''}; got {text!r}")
+        raise UsageError(
+            f"{name} takes one"
+            f" number{', or one per joint separated by commas' if of_joints else ''}; got {text!r}"
+        )
     return numbers if len(numbers) > 1 else numbers[0]

@@ -69,10 +69,18 @@ class InstalledRobot:
         values = read_only(self.drive_values)
         expected = self.drive.columns_per_joint * self.model.n_joints
         if values.shape != (expected,):
-            raise UsageError(f"{self.model.name} with drive terms {self.drive} has {expected} drive parameters, got shape {values.shape}")
+            raise UsageError(
+                f"{self.model.name} with drive terms {self.drive} has {expected} drive parameters,"
+                f" got shape {values.shape}"
+            )
         if not np.all(np.isfinite(values)):
-            name = parameter_names(self.model, self.drive)[10 * self.model.n_joints + int(np.argmin(np.isfinite(values)))]
-            raise UsageError(f"drive parameter {name} of {self.model.name} has no value; the description is silent: give drive_values")
+            name = parameter_names(self.model, self.drive)[
+                10 * self.model.n_joints + int(np.argmin(np.isfinite(values)))
+            ]
+            raise UsageError(
+                f"drive parameter {name} of {self.model.name} has no value; the description is"
+                " silent: give drive_values"
+            )
         object.__setattr__(self, "drive_values", values)
 
     @classmethod
@@ -96,7 +104,17 @@ class InstalledRobot:
         torque, inertia = torque_and_inertia(model, generator)
         spread = generator.uniform(0.5, 1.5, size=(4, n))
         signs = generator.choice([-1.0, 1.0], size=n)
-        values = np.stack([0.15 * inertia, 0.015 * torque / bounds.velocity, 0.02 * torque, 0.005 * torque * signs]) * spread
+        values = (
+            np.stack(
+                [
+                    0.15 * inertia,
+                    0.015 * torque / bounds.velocity,
+                    0.02 * torque,
+                    0.005 * torque * signs,
+                ]
+            )
+            * spread
+        )
         noise = SensorNoise(
             encoder_counts=tuple(2.0**16 if joint.is_revolute else 1e5 for joint in model.joints),
             torque_noise=tuple((1e-3 * torque).tolist()),
@@ -105,11 +123,21 @@ class InstalledRobot:
         )
         mass = 0.03 * sum(link.inertia.mass for link in model.links)
         gripper = LinkInertia.from_com(
-            mass, np.array([0.0, 0.0, 0.06]) + generator.normal(scale=0.02, size=3), np.diag([1.0, 1.0, 0.5]) * mass * 0.05**2
+            mass,
+            np.array([0.0, 0.0, 0.06]) + generator.normal(scale=0.02, size=3),
+            np.diag([1.0, 1.0, 0.5]) * mass * 0.05**2,
         )
-        robot = cls(model, *_beside_described(model, DriveSet.parse("armature,viscous,coulomb,offset"), values.T), noise)
+        robot = cls(
+            model,
+            *_beside_described(model, DriveSet.parse("armature,viscous,coulomb,offset"), values.T),
+            noise,
+        )
         tilt = np.deg2rad(generator.normal(scale=0.3, size=2))
-        return robot.with_perturbed_links(0.03, generator).with_tool(gripper).tilted(float(tilt[0]), float(tilt[1]))
+        return (
+            robot.with_perturbed_links(0.03, generator)
+            .with_tool(gripper)
+            .tilted(float(tilt[0]), float(tilt[1]))
+        )
 
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> InstalledRobot:
         """Return the robot with a body welded to a link or frame `at`, given in its axes; to the last link where none is named.
@@ -136,7 +164,11 @@ class InstalledRobot:
             A[:3, :3] += fraction / 2 * generator.normal(size=(3, 3))
             A[:3, 3] = fraction / 2 * radius * generator.normal(size=3)
             heavier = np.exp(fraction * generator.normal())
-            links.append(replace(link, inertia=LinkInertia.from_pseudo_inertia(heavier * A @ J @ A.T), parts=()))
+            links.append(
+                replace(
+                    link, inertia=LinkInertia.from_pseudo_inertia(heavier * A @ J @ A.T), parts=()
+                )
+            )
         return replace(self, model=replace(self.model, links=tuple(links)))
 
     def tilted(self, roll: float, pitch: float) -> InstalledRobot:
@@ -160,7 +192,9 @@ class InstalledRobot:
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the torque that the motion takes, rigid bodies and drives, without any sensor; shape (N, n)."""
         rigid = inverse_dynamics(self.model, q, qd, qdd)
-        return rigid + drive_torque(self.drive, self.drive_values, q, qd, qdd, load=rigid, shares=self.model.motor_shares)
+        return rigid + drive_torque(
+            self.drive, self.drive_values, q, qd, qdd, load=rigid, shares=self.model.motor_shares
+        )
 
     def record(self, motion: Motion, rate: float = 1000.0, rng: Seed = None) -> SimulatedRecording:
         """Move along `motion` exactly and log it at `rate` [Hz] with the robot's sensors; the same `rng` gives the same recording.
@@ -174,13 +208,20 @@ class InstalledRobot:
         """
         n = self.model.n_joints
         if motion.n_joints != n:
-            raise UsageError(f"the motion moves {motion.n_joints} joints, {self.model.name} has {n}: {', '.join(self.model.joint_names)}")
+            raise UsageError(
+                f"the motion moves {motion.n_joints} joints, {self.model.name} has {n}:"
+                f" {', '.join(self.model.joint_names)}"
+            )
         sampled = motion.sample(rate)
         tau = self.torque(sampled.q, sampled.qd, sampled.qdd)
         seed = f"seed {rng}" if isinstance(rng, int | np.integer) else "no stated seed"
         perfect = self.noise == PERFECT_SENSORS
         how = "noise-free" if perfect else f"with sensor noise, {seed}"
-        logged = (sampled.q, sampled.qd, tau) if perfect else self.noise.measured(self.model, sampled, tau, np.random.default_rng(rng))
+        logged = (
+            (sampled.q, sampled.qd, tau)
+            if perfect
+            else self.noise.measured(self.model, sampled, tau, np.random.default_rng(rng))
+        )
         q, qd, tau = logged
         recording = Recording(
             t=sampled.t,
@@ -191,10 +232,22 @@ class InstalledRobot:
             joint_names=self.model.joint_names,
             source=f"simulation of {self.model.name}",
             torque_source="motor" if "armature" in self.drive.keys else "sensor",
-            notes=(f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at {rate:g} Hz, drive terms {self.drive}",),
+            notes=(
+                (
+                    f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at"
+                    f" {rate:g} Hz, drive terms {self.drive}"
+                ),
+            ),
         )
         names = parameter_names(self.model, self.drive)
-        return SimulatedRecording(recording, self.truth, names, self.model, self.drive, settings={"sensors": asdict(self.noise)})
+        return SimulatedRecording(
+            recording,
+            self.truth,
+            names,
+            self.model,
+            self.drive,
+            settings={"sensors": asdict(self.noise)},
+        )
 
 
 def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> RobotModel:
@@ -208,7 +261,11 @@ def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> Ro
     index, placement = _flange(model, at)
     link, carried = model.links[index], body.moved(placement)
     links = list(model.links)
-    links[index] = replace(link, inertia=link.inertia + carried, parts=(*(link.parts or ((link.name, link.inertia),)), ("tool", carried)))
+    links[index] = replace(
+        link,
+        inertia=link.inertia + carried,
+        parts=(*(link.parts or ((link.name, link.inertia),)), ("tool", carried)),
+    )
     return replace(model, links=tuple(links))
 
 
@@ -221,7 +278,10 @@ def _flange(model: RobotModel, at: str | None) -> tuple[int, Array]:
         if frame.name == at and frame.link != ROOT:
             return frame.link, frame.placement
     names = [*model.link_names, *(frame.name for frame in model.frames if frame.link != ROOT)]
-    raise UsageError(f"{model.name} has no moving link or frame {at!r} to carry a tool; it has {', '.join(names)}")
+    raise UsageError(
+        f"{model.name} has no moving link or frame {at!r} to carry a tool; it has"
+        f" {', '.join(names)}"
+    )
 
 
 def simulate_recording(
@@ -259,7 +319,8 @@ def simulate_recording(
         robot = robot.with_drive(drive, known if drive_values is None else drive_values)
     elif drive_values is not None:
         raise UsageError(
-            "drive_values were given without drive, so it is open what they mean; pass e.g. drive=DriveSet.parse('viscous,coulomb')"
+            "drive_values were given without drive, so it is open what they mean; pass e.g."
+            " drive=DriveSet.parse('viscous,coulomb')"
         )
     if tool is not None:
         robot = robot.with_tool(tool)
@@ -283,5 +344,8 @@ def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tupl
     whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
     n = model.n_joints
     known = [dict(zip(described.letters, row, strict=True)) for row in stated.reshape(n, -1)]
-    known = [have | dict(zip(drive.letters, row, strict=True)) for have, row in zip(known, values, strict=True)]
+    known = [
+        have | dict(zip(drive.letters, row, strict=True))
+        for have, row in zip(known, values, strict=True)
+    ]
     return whole, np.array([[have[letter] for letter in whole.letters] for have in known]).ravel()

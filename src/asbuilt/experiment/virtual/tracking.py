@@ -63,8 +63,19 @@ def track(
     """
     t, n = command.t, command.n_joints
     stiffness, lead = gains
-    names = ("viscous", "coulomb", "stiction", "stribeck_velocity", "offset", "armature", "backlash", "engagement")
-    viscous, coulomb, stiction, stribeck, offset, armature, backlash, engagement = (train.of(name, n) for name in names)
+    names = (
+        "viscous",
+        "coulomb",
+        "stiction",
+        "stribeck_velocity",
+        "offset",
+        "armature",
+        "backlash",
+        "engagement",
+    )
+    viscous, coulomb, stiction, stribeck, offset, armature, backlash, engagement = (
+        train.of(name, n) for name in names
+    )
     settling = round(SETTLING / (t[1] - t[0])) if not np.any(command.qd[0]) else 0
     warmth = np.concatenate([np.ones(settling), train.warmth(t)])
     q, qd, torque = np.empty((t.size, n)), np.empty((t.size, n)), np.empty((t.size + 1, n))
@@ -79,11 +90,16 @@ def track(
             if k >= 0:
                 q[k], qd[k] = position, velocity
             seen = position + half * np.tanh(tau / engagement) if half.any() else position
-            tau = feedforward[i] + stiffness[i] @ (command.q[i] - seen + lead * (command.qd[i] - velocity))
+            tau = feedforward[i] + stiffness[i] @ (
+                command.q[i] - seen + lead * (command.qd[i] - velocity)
+            )
             tau = np.minimum(np.maximum(tau, -torque_limit), torque_limit)
             torque[i + (k >= 0)] = tau
             if varies:
-                physics.rub(warm * (coulomb + stiction * np.exp(-((velocity / stribeck) ** 2))), warm * viscous)
+                physics.rub(
+                    warm * (coulomb + stiction * np.exp(-((velocity / stribeck) ** 2))),
+                    warm * viscous,
+                )
             physics.advance(tau - offset, substeps)
             if k % 100 == 0:
                 _check_course(physics, position, command.q[i], float(t[i]), torque_limit)
@@ -94,7 +110,9 @@ def track(
     return TrackedMotion(t, q, qd, qdd, motor, friction + offset, armature * qdd)
 
 
-def _accelerations(physics: Physics, train: DriveTrain, t: Array, q: Array, qd: Array, tau: Array) -> tuple[Array, Array]:
+def _accelerations(
+    physics: Physics, train: DriveTrain, t: Array, q: Array, qd: Array, tau: Array
+) -> tuple[Array, Array]:
     """Return accelerations and friction at every tick, with the friction law of that moment."""
     n = q.shape[1]
     warmth = train.warmth(t)[:, None]
@@ -103,12 +121,16 @@ def _accelerations(physics: Physics, train: DriveTrain, t: Array, q: Array, qd: 
     return physics.accelerations(q, qd, tau, coulomb=level, viscous=damping)
 
 
-def _check_course(physics: Physics, position: Array, command: Array, t: float, torque_limit: Array) -> None:
+def _check_course(
+    physics: Physics, position: Array, command: Array, t: float, torque_limit: Array
+) -> None:
     away = np.nan_to_num(np.abs(position - command), nan=np.inf)
     if np.all(away < ASTRAY):
         return
     worst = int(np.argmax(away))
     raise MotionError(
-        f"the controller loses joint {physics.model.joint_names[worst]!r} at t = {t:.3g} s: it is at {position[worst]:.3g} instead of {command[worst]:.3g}, "
-        f"with a torque limit of {torque_limit[worst]:.4g}; slow the motion down, or give the controller another bandwidth or rate"
+        f"the controller loses joint {physics.model.joint_names[worst]!r} at t = {t:.3g} s: it is"
+        f" at {position[worst]:.3g} instead of {command[worst]:.3g}, with a torque limit of"
+        f" {torque_limit[worst]:.4g}; slow the motion down, or give the controller another"
+        " bandwidth or rate"
     )

@@ -71,11 +71,16 @@ class VirtualRobot:
 
     def __post_init__(self) -> None:
         if self.model.joint_names != self.described.joint_names:
-            raise UsageError(f"{self.model.name} and its description {self.described.name} do not have the same joints")
+            raise UsageError(
+                f"{self.model.name} and its description {self.described.name} do not have the same"
+                " joints"
+            )
         if self.torque not in ("sensor", "motor", "current"):
             raise UsageError(f"torque {self.torque!r} is not one of sensor, motor, current")
         if not 0.0 <= self.behind <= 1.0:
-            raise UsageError(f"the share of friction behind the sensor goes from 0 to 1, got {self.behind}")
+            raise UsageError(
+                f"the share of friction behind the sensor goes from 0 to 1, got {self.behind}"
+            )
         for entry in fields(DriveTrain):
             if entry.name not in ("warming", "warming_time"):
                 self.train.of(entry.name, self.model.n_joints)
@@ -83,7 +88,13 @@ class VirtualRobot:
 
     @classmethod
     def preset(
-        cls, name: str, model: RobotModel, rng: Seed = None, *, tool: LinkInertia | None = None, at: str | None = None
+        cls,
+        name: str,
+        model: RobotModel,
+        rng: Seed = None,
+        *,
+        tool: LinkInertia | None = None,
+        at: str | None = None,
     ) -> VirtualRobot:
         """Return a robot of the description as one meets it in theory, in a laboratory, or in a factory.
 
@@ -125,7 +136,9 @@ class VirtualRobot:
         acting = {key for key in felt.keys if np.any(self.train.of(key, n))}
         if np.any(np.asarray(self.sensors.torque_bias)):
             acting.add("offset")
-        return DriveSet.parse(",".join(key for key in felt.keys if key in described or key in acting) or "none")
+        return DriveSet.parse(
+            ",".join(key for key in felt.keys if key in described or key in acting) or "none"
+        )
 
     @property
     def truth(self) -> Array:
@@ -135,13 +148,20 @@ class VirtualRobot:
         """
         n = self.model.n_joints
         share = self.behind if self.torque == "sensor" else 1.0
-        values = {key: self.train.of(key, n) * (1.0 if key == "armature" else share) for key in self.drive.keys}
+        values = {
+            key: self.train.of(key, n) * (1.0 if key == "armature" else share)
+            for key in self.drive.keys
+        }
         if "offset" in values:
-            values["offset"] = values["offset"] + per_joint(self.sensors.torque_bias, n, "torque_bias", signed=True)
+            values["offset"] = values["offset"] + per_joint(
+                self.sensors.torque_bias, n, "torque_bias", signed=True
+            )
         drives = np.stack(list(values.values()), axis=1).ravel() if values else np.empty(0)
         return read_only(np.concatenate([self.model.parameters, drives]))
 
-    def record(self, motion: Motion, rng: Seed = None, *, progress: Callable[[float], None] | None = None) -> SimulatedRecording:
+    def record(
+        self, motion: Motion, rng: Seed = None, *, progress: Callable[[float], None] | None = None
+    ) -> SimulatedRecording:
         """Command the motion, let the robot follow it in the engine and log it; the same `rng` gives the same recording.
 
         Raises
@@ -153,17 +173,29 @@ class VirtualRobot:
         """
         if motion.n_joints != self.model.n_joints:
             names = ", ".join(self.model.joint_names)
-            raise UsageError(f"the motion moves {motion.n_joints} joints, {self.model.name} has {self.model.n_joints}: {names}")
+            raise UsageError(
+                f"the motion moves {motion.n_joints} joints, {self.model.name} has"
+                f" {self.model.n_joints}: {names}"
+            )
         generator = np.random.default_rng(rng)
         moved, command = self.follow(motion, progress=progress)
-        torque = {"motor": moved.motor, "current": moved.motor, "sensor": moved.rigid + self.behind * moved.friction}[self.torque]
-        at_motor = Trajectory(moved.t, self.train.motor_position(moved.q, moved.motor), moved.qd, moved.qdd)
+        torque = {
+            "motor": moved.motor,
+            "current": moved.motor,
+            "sensor": moved.rigid + self.behind * moved.friction,
+        }[self.torque]
+        at_motor = Trajectory(
+            moved.t, self.train.motor_position(moved.q, moved.motor), moved.qd, moved.qdd
+        )
         seed = f"seed {rng}" if isinstance(rng, int | np.integer) else "no stated seed"
         note = (
-            f"virtual robot {self.name!r} on MuJoCo, {seed}: {motion.parametrisation} motion of {motion.duration:g} s at {self.logger.rate:g} Hz, "
-            f"torque from the {self.torque}, largest tracking error {np.abs(moved.q - command.q).max():.2g}"
+            f"virtual robot {self.name!r} on MuJoCo, {seed}: {motion.parametrisation} motion of"
+            f" {motion.duration:g} s at {self.logger.rate:g} Hz, torque from the {self.torque},"
+            f" largest tracking error {np.abs(moved.q - command.q).max():.2g}"
         )
-        logged = self.logger.logged(self.model, self.sensors, at_motor, torque, command.q, generator)
+        logged = self.logger.logged(
+            self.model, self.sensors, at_motor, torque, command.q, generator
+        )
         recording = Recording(
             t=logged.t,
             q=logged.q,
@@ -177,10 +209,17 @@ class VirtualRobot:
             extra={"q_command": logged.q_command},
         )
         return SimulatedRecording(
-            recording, self.truth, parameter_names(self.model, self.drive), self.model, self.drive, settings=self.settings
+            recording,
+            self.truth,
+            parameter_names(self.model, self.drive),
+            self.model,
+            self.drive,
+            settings=self.settings,
         )
 
-    def follow(self, motion: Motion, *, progress: Callable[[float], None] | None = None) -> tuple[TrackedMotion, Trajectory]:
+    def follow(
+        self, motion: Motion, *, progress: Callable[[float], None] | None = None
+    ) -> tuple[TrackedMotion, Trajectory]:
         """Return what the robot really does at the controller's ticks, and what it was told to do."""
         model, train, controller = self.model, self.train, self.controller
         n = model.n_joints
@@ -197,7 +236,19 @@ class VirtualRobot:
         gains = controller.gains(self.described, train.of("armature", n), command.q)
         feedforward = controller.feedforward_torque(self.described, train, command)
         limit = np.array([joint.limits.torque for joint in model.joints])
-        return track(physics, train, command, feedforward, gains, limit, substeps=substeps, progress=progress), command
+        return (
+            track(
+                physics,
+                train,
+                command,
+                feedforward,
+                gains,
+                limit,
+                substeps=substeps,
+                progress=progress,
+            ),
+            command,
+        )
 
     @property
     def settings(self) -> Mapping[str, Any]:
@@ -218,11 +269,14 @@ def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
     if further:
         raise UsageError(
-            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know; simulate with --engine inverse-dynamics, which has all terms"
+            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know;"
+            " simulate with --engine inverse-dynamics, which has all terms"
         )
     columns = np.reshape(values, (model.n_joints, -1)).T
     stated = {key: _numbers(column) for key, column in zip(drive.keys, columns, strict=True)}
-    armature, viscous, coulomb, offset = (stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys)
+    armature, viscous, coulomb, offset = (
+        stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys
+    )
     train = DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
     return VirtualRobot(
         model=model,
@@ -246,7 +300,15 @@ def _lab(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
     )
     built = InstalledRobot(model).with_perturbed_links(0.03, rng).model
     sensors = replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, model.n_joints)))
-    return VirtualRobot(model=built, described=model, train=train, sensors=sensors, torque="sensor", behind=0.3, name="lab")
+    return VirtualRobot(
+        model=built,
+        described=model,
+        train=train,
+        sensors=sensors,
+        torque="sensor",
+        behind=0.3,
+        name="lab",
+    )
 
 
 def _factory(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
@@ -258,7 +320,8 @@ def _factory(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
         stiction=_numbers(0.01 * torque * rng.uniform(0.5, 1.5, n)),
         stribeck_velocity=_numbers(0.02 * speed),
         backlash=tuple(
-            1.5e-4 * float(x) if joint.is_revolute else 2e-5 for joint, x in zip(model.joints, rng.uniform(0.5, 1.5, n), strict=True)
+            1.5e-4 * float(x) if joint.is_revolute else 2e-5
+            for joint, x in zip(model.joints, rng.uniform(0.5, 1.5, n), strict=True)
         ),
         engagement=_numbers(0.01 * torque),
         warming=0.1,
@@ -272,12 +335,24 @@ def _factory(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
         torque_resolution=_numbers(1e-3 * torque),
     )
     tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
-    built = InstalledRobot(model).with_perturbed_links(0.08, rng).tilted(float(tilt[0]), float(tilt[1])).model
+    built = (
+        InstalledRobot(model)
+        .with_perturbed_links(0.08, rng)
+        .tilted(float(tilt[0]), float(tilt[1]))
+        .model
+    )
     sensors = replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, n)))
     logger = DataLogger(rate=250.0, clock_jitter=5e-5, dropped=0.005)
     controller = PositionController(feedforward="gravity", bandwidth=15.0)
     return VirtualRobot(
-        model=built, described=model, train=train, sensors=sensors, logger=logger, controller=controller, torque="current", name="factory"
+        model=built,
+        described=model,
+        train=train,
+        sensors=sensors,
+        logger=logger,
+        controller=controller,
+        torque="current",
+        name="factory",
     )
 
 
@@ -290,7 +365,10 @@ def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
     spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
     signs = rng.choice([-1.0, 1.0], size=model.n_joints)
     speed = MotionBounds.assumed(model).velocity
-    values = np.stack([0.005 * torque, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs]) * spread
+    values = (
+        np.stack([0.005 * torque, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
+        * spread
+    )
     armature, viscous, coulomb, offset = (_numbers(row) for row in values)
     return DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
 

@@ -38,14 +38,20 @@ class BodyBounds:
 
     def and_also(self, other: BodyBounds) -> BodyBounds:
         """Return both sets of bounds together."""
-        return BodyBounds(np.vstack([self.rows, other.rows]), np.concatenate([self.offsets, other.offsets]), self.labels + other.labels)
+        return BodyBounds(
+            np.vstack([self.rows, other.rows]),
+            np.concatenate([self.offsets, other.offsets]),
+            self.labels + other.labels,
+        )
 
 
 def non_negative_drives(prior: CadPrior) -> BodyBounds:
     """Return the bounds every drive obeys: armature, viscous and Coulomb friction are not negative."""
     rows = np.zeros((len(prior.non_negative), len(prior.parameters)))
     rows[np.arange(len(rows)), prior.non_negative] = 1.0
-    return BodyBounds(rows, np.zeros(len(rows)), tuple(f"{prior.names[j]} >= 0" for j in prior.non_negative))
+    return BodyBounds(
+        rows, np.zeros(len(rows)), tuple(f"{prior.names[j]} >= 0" for j in prior.non_negative)
+    )
 
 
 def generous_bounds(prior: CadPrior) -> BodyBounds:
@@ -56,8 +62,12 @@ def generous_bounds(prior: CadPrior) -> BodyBounds:
     bodies = prior.parameters[: 10 * prior.n_links].reshape(-1, 10)
     total = float(bodies[:, 9].sum())
     far = FARTHEST * float(prior.reach.max())
-    masses = {i: (LIGHTEST * body[9], max(HEAVIEST * body[9], total)) for i, body in enumerate(bodies)}
-    centres = {i: (body[6:9] / body[9] - far, body[6:9] / body[9] + far) for i, body in enumerate(bodies)}
+    masses = {
+        i: (LIGHTEST * body[9], max(HEAVIEST * body[9], total)) for i, body in enumerate(bodies)
+    }
+    centres = {
+        i: (body[6:9] / body[9] - far, body[6:9] / body[9] + far) for i, body in enumerate(bodies)
+    }
     return non_negative_drives(prior).and_also(body_bounds(prior, mass=masses, com=centres))
 
 
@@ -91,13 +101,30 @@ def body_bounds(
     for link, (low, high) in (com or {}).items():
         for axis in range(3):
             _check(prior, link, low[axis], high[axis], f"centre of mass along {'xyz'[axis]}")
-            at_least(link, {6 + axis: 1.0, 9: -float(low[axis])}, 0.0, f"c{'xyz'[axis]}{link + 1} >= {low[axis]:.3g} m")
-            at_least(link, {6 + axis: -1.0, 9: float(high[axis])}, 0.0, f"c{'xyz'[axis]}{link + 1} <= {high[axis]:.3g} m")
-    return BodyBounds(np.array(rows).reshape(-1, len(prior.parameters)), np.array(offsets), tuple(labels))
+            at_least(
+                link,
+                {6 + axis: 1.0, 9: -float(low[axis])},
+                0.0,
+                f"c{'xyz'[axis]}{link + 1} >= {low[axis]:.3g} m",
+            )
+            at_least(
+                link,
+                {6 + axis: -1.0, 9: float(high[axis])},
+                0.0,
+                f"c{'xyz'[axis]}{link + 1} <= {high[axis]:.3g} m",
+            )
+    return BodyBounds(
+        np.array(rows).reshape(-1, len(prior.parameters)), np.array(offsets), tuple(labels)
+    )
 
 
 def _check(prior: CadPrior, link: int, lower: float, upper: float, what: str) -> None:
     if not 0 <= link < prior.n_links:
-        raise UsageError(f"{prior.robot} has links 0 to {prior.n_links - 1}, got a bound for link {link}")
+        raise UsageError(
+            f"{prior.robot} has links 0 to {prior.n_links - 1}, got a bound for link {link}"
+        )
     if not lower <= upper:
-        raise UsageError(f"{what} of link {link} of {prior.robot} is bounded by {lower} and {upper}; give the lower bound first")
+        raise UsageError(
+            f"{what} of link {link} of {prior.robot} is bounded by {lower} and {upper}; give the"
+            " lower bound first"
+        )

@@ -100,7 +100,9 @@ class CadPrior:
         """
         whitened = self.relative_eigenvalues(parameters)
         with np.errstate(divide="ignore", invalid="ignore"):
-            value = np.sum(whitened - np.log(np.where(whitened > 0, whitened, np.nan)) - 1.0, axis=1)
+            value = np.sum(
+                whitened - np.log(np.where(whitened > 0, whitened, np.nan)) - 1.0, axis=1
+            )
         return np.where(np.isnan(value), np.inf, value)
 
     def relative_eigenvalues(self, parameters: Array) -> Array:
@@ -121,7 +123,9 @@ def body_metric(parameters: Array, strength: Array) -> Array:
 
 def body_metric_root(parameters: Array, strength: Array) -> Array:
     """Return roots S_i (n, 10, 10) of `body_metric`, S_i^T S_i: column a is svec(L_i^-1 B_a L_i^-T) with P_i = L_i L_i^T, so that nothing is squared."""
-    inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(parameters.reshape(-1, 10))))[:, None]
+    inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(parameters.reshape(-1, 10))))[
+        :, None
+    ]
     whitened = inverse @ PSEUDO_INERTIA_BASIS @ inverse.transpose(0, 1, 3, 2)
     return np.asarray(np.sqrt(strength)[:, None, None] * svec(whitened).transpose(0, 2, 1))
 
@@ -147,7 +151,9 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             spread = _second_moment(link.inertia.inertia_about_com)
         else:
             mass, com = _neighbouring_mass(model, masses, i), points.mean(axis=0)
-            spread = _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
+            spread = (
+                _second_moment(link.inertia.inertia) if link.inertia_known else np.zeros((3, 3))
+            )
             strength[i] = GUESSED_STRENGTH
         eigenvalues, axes = np.linalg.eigh(spread)
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
@@ -159,16 +165,21 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
             mended = eigenvalues
         if masses[i] <= 0:
             given = f"an impossible mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
-            notes.append(f"CAD gives {link.name} {given}: {mass:.3g} kg guessed from its neighbours")
+            notes.append(
+                f"CAD gives {link.name} {given}: {mass:.3g} kg guessed from its neighbours"
+            )
         elif np.any(mended != eigenvalues):
             notes.append(
-                f"CAD gives {link.name} an inertia of no solid body; mended ({link.inertia.inconsistency() or 'it has no thickness'})"
+                f"CAD gives {link.name} an inertia of no solid body; mended"
+                f" ({link.inertia.inconsistency() or 'it has no thickness'})"
             )
         if masses[i] > 0 and np.array_equal(mended, eigenvalues):
             chi[10 * i : 10 * i + 10] = link.inertia.parameters
         else:
             S = (axes * mended) @ axes.T
-            chi[10 * i : 10 * i + 10] = LinkInertia.from_com(mass, com, np.trace(S) * np.eye(3) - S).parameters
+            chi[10 * i : 10 * i + 10] = LinkInertia.from_com(
+                mass, com, np.trace(S) * np.eye(3) - S
+            ).parameters
     return CadPrior(
         robot=model.name,
         names=parameter_names(model, drive),

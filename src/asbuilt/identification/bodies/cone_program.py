@@ -27,7 +27,12 @@ class ConeSolution:
 
 
 def solve_cone_program(
-    quadratic: sparse.csc_matrix, linear: Array, constraints: sparse.csc_matrix, right: Array, cones: list[Any], **settings: float | bool
+    quadratic: sparse.csc_matrix,
+    linear: Array,
+    constraints: sparse.csc_matrix,
+    right: Array,
+    cones: list[Any],
+    **settings: float | bool,
 ) -> ConeSolution:
     """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones, for P upper triangular; further `settings` by Clarabel's names.
 
@@ -40,8 +45,12 @@ def solve_cone_program(
         setattr(chosen, name, value)
     try:
         found = clarabel.DefaultSolver(quadratic, linear, constraints, right, cones, chosen).solve()
-    except BaseException as problem:  # a panic of the solver, whose type nothing exports, is no Exception
+    except (
+        BaseException
+    ) as problem:  # a panic of the solver, whose type nothing exports, is no Exception
         if type(problem).__name__ != "PanicException":
             raise
         return ConeSolution(f"Panic ({problem})", np.full(len(linear), np.nan), 0)
-    return ConeSolution(str(found.status), np.array(found.x, dtype=np.float64), int(found.iterations))
+    return ConeSolution(
+        str(found.status), np.array(found.x, dtype=np.float64), int(found.iterations)
+    )

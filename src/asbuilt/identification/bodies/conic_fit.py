@@ -97,7 +97,13 @@ class RealBodies:
     cones: tuple[object, ...]
 
     @classmethod
-    def of(cls, prior: CadPrior, regrouping: Array, bounds: BodyBounds | None = None, smallest_part: float = SMALLEST_PART) -> RealBodies:
+    def of(
+        cls,
+        prior: CadPrior,
+        regrouping: Array,
+        bounds: BodyBounds | None = None,
+        smallest_part: float = SMALLEST_PART,
+    ) -> RealBodies:
         """Return the program of a robot with these bounds."""
         bodies, q0 = near_one(prior)
         n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
@@ -110,11 +116,30 @@ class RealBodies:
         right = np.concatenate([room, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)])
         torque = regrouping @ bodies
         told = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
-        pattern = sparse.csc_matrix(np.vstack([np.hstack([told, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]))
-        places = np.flatnonzero((pattern.indices < p) & (np.arange(pattern.nnz) < pattern.indptr[n]))
+        pattern = sparse.csc_matrix(
+            np.vstack(
+                [np.hstack([told, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]
+            )
+        )
+        places = np.flatnonzero(
+            (pattern.indices < p) & (np.arange(pattern.nnz) < pattern.indptr[n])
+        )
         linear = [clarabel.NonnegativeConeT(len(rows))] if len(rows) else []
         cones = (clarabel.ZeroConeT(p), *linear, *[clarabel.PSDTriangleConeT(4)] * prior.n_links)
-        return cls(prior, bodies, q0, torque, rows, room, smallest_part, pattern, places, told.T > 0.0, right, cones)
+        return cls(
+            prior,
+            bodies,
+            q0,
+            torque,
+            rows,
+            room,
+            smallest_part,
+            pattern,
+            places,
+            told.T > 0.0,
+            right,
+            cones,
+        )
 
     def fit(self, factor: Array, weight: float = TINY_PULL, *, rough: bool = False) -> ConicFit:
         """Return the minimiser for the triangular factor [R z] (p + 1, p + 1); a `rough` one misses it by a thousandth of a standard error or so.
@@ -127,24 +152,40 @@ class RealBodies:
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
         for resolved in RESOLVED:
             pulled = max(weight, resolved * stiffest)
-            pull = np.concatenate([np.repeat(pulled * prior.strength, 10), np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL)])
+            pull = np.concatenate(
+                [
+                    np.repeat(pulled * prior.strength, 10),
+                    np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL),
+                ]
+            )
             inside = self._inside(torque, z, pull) if weight > TINY_PULL else None
             if inside is not None:
                 return self._fit(inside, 0)
             constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])
             constraints.data[self.places] = torque.T[self.told]
-            quadratic = sparse.csc_matrix((np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)), (n + p, n + p))
+            quadratic = sparse.csc_matrix(
+                (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
+                (n + p, n + p),
+            )
             linear = np.concatenate([-pull * self.q0, np.zeros(p)])
-            solution = solve_cone_program(quadratic, linear, constraints, limits, list(self.cones), **(ROUGHLY if rough else EXACTLY))
+            solution = solve_cone_program(
+                quadratic,
+                linear,
+                constraints,
+                limits,
+                list(self.cones),
+                **(ROUGHLY if rough else EXACTLY),
+            )
             if "PrimalInfeasible" in solution.status and len(self.bounds):
                 raise IdentifiabilityError(
-                    f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and drives; widen them"
+                    f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and"
+                    " drives; widen them"
                 )
             if solution.is_solved:
                 return self._fit(solution.x[:n], solution.iterations)
         raise IdentifiabilityError(
-            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the solver says {solution.status}; "
-            "the data may hold values of extreme size"
+            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the"
+            f" solver says {solution.status}; the data may hold values of extreme size"
         )
 
     def _fit(self, q: Array, iterations: int) -> ConicFit:
@@ -161,7 +202,9 @@ class RealBodies:
         return q
 
     def _smallest(self, q: Array) -> float:
-        return float(np.linalg.eigvalsh(smat(q[: 10 * self.prior.n_links].reshape(-1, 10)))[:, 0].min())
+        return float(
+            np.linalg.eigvalsh(smat(q[: 10 * self.prior.n_links].reshape(-1, 10)))[:, 0].min()
+        )
 
     def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
         """Return the minimiser within the linear bounds, where its bodies are real already: no cone is needed for it then. None elsewhere.
@@ -171,7 +214,12 @@ class RealBodies:
         root, info = lapack.dpotrf(torque.T @ torque + np.diag(pull), lower=1)
         if info:
             return None
-        solved = solve_triangular(root, np.column_stack([torque.T @ z + pull * self.q0, -self.bounds.T]), lower=True, check_finite=False)
+        solved = solve_triangular(
+            root,
+            np.column_stack([torque.T @ z + pull * self.q0, -self.bounds.T]),
+            lower=True,
+            check_finite=False,
+        )
         u, slopes = solved[:, 0], solved[:, 1:]
         broken = -(self.room + u @ slopes)
         if np.any(broken > 0.0):
@@ -194,5 +242,7 @@ def near_one(prior: CadPrior) -> tuple[Array, Array]:
     places = np.arange(inertial).reshape(-1, 10)
     M[places[:, :, None], places[:, None, :]] = np.linalg.solve(PSEUDO_INERTIA_SVEC, images)
     M[range(inertial, n), range(inertial, n)] = prior.drive_scale
-    q0 = np.concatenate([np.tile(IDENTITY_SVEC, prior.n_links), prior.parameters[inertial:] / prior.drive_scale])
+    q0 = np.concatenate(
+        [np.tile(IDENTITY_SVEC, prior.n_links), prior.parameters[inertial:] / prior.drive_scale]
+    )
     return M, q0

@@ -34,14 +34,30 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     """
     values = np.asarray(beta, dtype=np.float64)
     if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
-        raise IdentifiabilityError(f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}: {values.tolist()}")
+        raise IdentifiabilityError(
+            f"{base.robot} needs {base.n_base} finite base parameters, got shape {values.shape}:"
+            f" {values.tolist()}"
+        )
     n_links = sum(name.startswith("Ixx") for name in base.standard_names)
-    free = np.array([j for j, name in enumerate(base.standard_names) if j < 10 * n_links or name.startswith("Ia")])
+    free = np.array(
+        [
+            j
+            for j, name in enumerate(base.standard_names)
+            if j < 10 * n_links or name.startswith("Ia")
+        ]
+    )
     armatures = range(10 * n_links, len(free))
     rows = np.flatnonzero(np.any(base.regrouping[:, free] != 0, axis=1))
     n = len(free)
-    fixed = sparse.hstack([sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))])
-    positive = sparse.hstack([-sparse.eye_array(len(armatures), n, k=10 * n_links), sparse.csc_matrix(np.ones((len(armatures), 1)))])
+    fixed = sparse.hstack(
+        [sparse.csc_matrix(base.regrouping[np.ix_(rows, free)]), sparse.csc_matrix((len(rows), 1))]
+    )
+    positive = sparse.hstack(
+        [
+            -sparse.eye_array(len(armatures), n, k=10 * n_links),
+            sparse.csc_matrix(np.ones((len(armatures), 1))),
+        ]
+    )
     bodies = sparse.hstack(
         [
             sparse.kron(sparse.eye_array(n_links), sparse.csc_matrix(-PSEUDO_INERTIA_SVEC)),
@@ -51,14 +67,21 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
     )
     constraints = sparse.csc_matrix(sparse.vstack([fixed, positive, bodies]))
     bounds = np.concatenate([values[rows], np.zeros(len(armatures) + 10 * n_links)])
-    cones = [clarabel.ZeroConeT(len(rows)), clarabel.NonnegativeConeT(len(armatures)), *[clarabel.PSDTriangleConeT(4)] * n_links]
+    cones = [
+        clarabel.ZeroConeT(len(rows)),
+        clarabel.NonnegativeConeT(len(armatures)),
+        *[clarabel.PSDTriangleConeT(4)] * n_links,
+    ]
     goal = np.append(np.zeros(n), -1.0)
-    solution = solve_cone_program(sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones)
+    solution = solve_cone_program(
+        sparse.csc_matrix((n + 1, n + 1)), goal, constraints, bounds, cones
+    )
     if "DualInfeasible" in solution.status:
         return float("inf")
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"the consistency of {base.n_base} base parameters of {base.robot} could not be decided: the solver says {solution.status}"
+            f"the consistency of {base.n_base} base parameters of {base.robot} could not be"
+            f" decided: the solver says {solution.status}"
         )
     return float(solution.x[-1])
 
@@ -73,5 +96,7 @@ def pushing_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
     """Return the names of the base parameters (p,) that are a drive parameter by itself and below zero, where a passive drive has it at zero or above."""
     values = np.asarray(beta, dtype=np.float64)
     n_links = sum(name.startswith("Ixx") for name in base.standard_names)
-    alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(base.columns, non_negative_columns(n_links, base.drive))
+    alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(
+        base.columns, non_negative_columns(n_links, base.drive)
+    )
     return tuple(base.names[j] for j in np.flatnonzero(alone & (values < -ROUNDING_OF_DRIVES)))

@@ -82,7 +82,9 @@ class EntropicFits:
     def alone(self, problem: int) -> EntropicFits:
         """Return the fit of one problem; -1 is the last."""
         one = [range(len(self.chi))[problem]]
-        return EntropicFits(self.chi[one], self.values[one], self.steps, self.duals[one], self.multipliers[one])
+        return EntropicFits(
+            self.chi[one], self.values[one], self.steps, self.duals[one], self.multipliers[one]
+        )
 
 
 class EntropicProblem:
@@ -95,7 +97,14 @@ class EntropicProblem:
     2004, sections 9.6 and 11.7; Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
     """
 
-    def __init__(self, prior: CadPrior, coordinates: Coordinates, bounds: BodyBounds | None = None, *, held: bool = False) -> None:
+    def __init__(
+        self,
+        prior: CadPrior,
+        coordinates: Coordinates,
+        bounds: BodyBounds | None = None,
+        *,
+        held: bool = False,
+    ) -> None:
         self.prior, self.regrouping = prior, coordinates.regrouping
         scale, self.q0 = near_one(prior)
         self.whitening = np.linalg.inv(scale)
@@ -112,12 +121,20 @@ class EntropicProblem:
     def curve(self, hessians: Array, scaling: Array) -> None:
         """Add to Hessians (m, v, v) those of the divergences and of the pull of the drives, from the scaling points W^-1 (m, n_links, 4, 4)."""
         n = self.inertial
-        pairs = scaling[..., SVEC_ROW[:, None], SVEC_ROW] * scaling[..., SVEC_COLUMN[:, None], SVEC_COLUMN]
-        pairs += scaling[..., SVEC_ROW[:, None], SVEC_COLUMN] * scaling[..., SVEC_COLUMN[:, None], SVEC_ROW]
+        pairs = (
+            scaling[..., SVEC_ROW[:, None], SVEC_ROW]
+            * scaling[..., SVEC_COLUMN[:, None], SVEC_COLUMN]
+        )
+        pairs += (
+            scaling[..., SVEC_ROW[:, None], SVEC_COLUMN]
+            * scaling[..., SVEC_COLUMN[:, None], SVEC_ROW]
+        )
         blocks = 0.5 * np.outer(SVEC_LENGTH, SVEC_LENGTH) * pairs
         if self.held:
             parts, drives = self.along[:n].reshape(-1, 10, self.along.shape[1]), self.along[n:]
-            hessians += (_turned(parts) @ blocks @ parts).sum(axis=1) + DRIVE_RIDGE * drives.T @ drives
+            hessians += (_turned(parts) @ blocks @ parts).sum(
+                axis=1
+            ) + DRIVE_RIDGE * drives.T @ drives
             return
         for i in range(len(blocks[0])):
             hessians[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += blocks[:, i]
@@ -125,7 +142,13 @@ class EntropicProblem:
         hessians[:, drive, drive] += DRIVE_RIDGE
 
     def fit(
-        self, factors: Array | None, weight: float, start: Array | EntropicFits, *, barrier: float = BARRIER, close: float = CLOSE
+        self,
+        factors: Array | None,
+        weight: float,
+        start: Array | EntropicFits,
+        *,
+        barrier: float = BARRIER,
+        close: float = CLOSE,
     ) -> EntropicFits:
         """Return the minima for m factors (m, p + 1, p + 1), from `start` (m, n_standard) strictly inside: definite bodies, bounds kept with room to spare.
 
@@ -133,16 +156,26 @@ class EntropicProblem:
         """
         search = _Search(self, factors, weight, barrier, start)
         if not np.all(np.isfinite(search.values)):
-            raise IdentifiabilityError(f"the search for bodies of {self.prior.robot} must start from possible bodies inside the bounds")
+            raise IdentifiabilityError(
+                f"the search for bodies of {self.prior.robot} must start from possible bodies"
+                " inside the bounds"
+            )
         active, steps = np.arange(len(search.y)), 0
         while active.size and steps < MOST_STEPS:
             active, steps = active[~search.advance(active, close)], steps + 1
         if active.size:
             raise IdentifiabilityError(
-                f"no closest bodies of {self.prior.robot} were found: after {steps} Newton steps the squared decrement is still {search.decrements[active].max():.3g}; "
-                "the data may hold values of extreme size"
+                f"no closest bodies of {self.prior.robot} were found: after {steps} Newton steps"
+                f" the squared decrement is still {search.decrements[active].max():.3g}; the data"
+                " may hold values of extreme size"
             )
-        return EntropicFits(search.start + search.y @ self.free.T, search.values, steps, search.duals, search.multipliers)
+        return EntropicFits(
+            search.start + search.y @ self.free.T,
+            search.values,
+            steps,
+            search.duals,
+            search.multipliers,
+        )
 
 
 class _Search:
@@ -152,15 +185,27 @@ class _Search:
     `values` and squared Newton `decrements`.
     """
 
-    def __init__(self, problem: EntropicProblem, factors: Array | None, weight: float, barrier: float, start: Array | EntropicFits) -> None:
+    def __init__(
+        self,
+        problem: EntropicProblem,
+        factors: Array | None,
+        weight: float,
+        barrier: float,
+        start: Array | EntropicFits,
+    ) -> None:
         self.problem, self.weight, self.barrier = problem, weight, barrier
         self.weights = weight * problem.prior.strength
-        self.start = start.chi if isinstance(start, EntropicFits) else np.array(start, dtype=np.float64)
+        self.start = (
+            start.chi if isinstance(start, EntropicFits) else np.array(start, dtype=np.float64)
+        )
         m, v = len(self.start), problem.free.shape[1]
         self.A, self.error = np.zeros((m, 0, v)), np.zeros((m, 0))
         if factors is not None:
             self.A = factors[:, :-1, :-1] @ problem.torque
-            self.error = _times(factors[:, :-1, :-1], self.start @ problem.regrouping.T) - factors[:, :-1, -1]
+            self.error = (
+                _times(factors[:, :-1, :-1], self.start @ problem.regrouping.T)
+                - factors[:, :-1, -1]
+            )
         self.gram = _turned(self.A) @ self.A
         self.y = np.zeros((m, v))
         self.q = self.start @ problem.whitening.T
@@ -185,11 +230,17 @@ class _Search:
         size, turn = np.linalg.eigh(_turned(roots) @ self.duals[a] @ roots)
         V = np.sqrt(np.maximum(size, np.finfo(np.float64).tiny))
         T = np.sqrt(V)[..., None] * (_turned(turn) @ inverse)
-        bodies = self.weights[:, None] * np.asarray(problem.identity - svec(_turned(inverse) @ inverse))
+        bodies = self.weights[:, None] * np.asarray(
+            problem.identity - svec(_turned(inverse) @ inverse)
+        )
         slope = np.hstack([bodies.reshape(len(q), -1), DRIVE_RIDGE * (q[:, n:] - problem.q0[n:])])
-        gradient = _times(_turned(self.A[a]), self.error[a]) + (slope @ problem.along if problem.held else slope)
+        gradient = _times(_turned(self.A[a]), self.error[a]) + (
+            slope @ problem.along if problem.held else slope
+        )
         gradient -= (self.barrier / self.slack[a]) @ problem.slopes
-        hessian = (problem.slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]) @ problem.slopes
+        hessian = (
+            problem.slopes.T * (self.multipliers[a] / self.slack[a])[:, None, :]
+        ) @ problem.slopes
         hessian += self.gram[a]
         problem.curve(hessian, _turned(T) @ T)
         return gradient, hessian, T, V
@@ -198,13 +249,22 @@ class _Search:
         """Take one step of the active problems, and return which of them have arrived."""
         problem, m, n = self.problem, len(active), self.problem.inertial
         a: Indices | slice = active if m < len(self.y) else slice(None)
-        error, q, slack, multipliers, own = self.error[a], self.q[a], self.slack[a], self.multipliers[a], self.weights[:, None]
+        error, q, slack, multipliers, own = (
+            self.error[a],
+            self.q[a],
+            self.slack[a],
+            self.multipliers[a],
+            self.weights[:, None],
+        )
         gradient, hessian, T, V = self.model(a)
         try:
-            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]), dtype=np.float64)[:, :, 0]
+            step = -np.asarray(np.linalg.solve(hessian, gradient[:, :, None]), dtype=np.float64)[
+                :, :, 0
+            ]
         except np.linalg.LinAlgError:
             raise IdentifiabilityError(
-                f"no closest bodies of {problem.prior.robot} were found: the curvature is singular; the data or values may be of extreme size"
+                f"no closest bodies of {problem.prior.robot} were found: the curvature is singular;"
+                " the data or values may be of extreme size"
             ) from None
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
@@ -213,11 +273,17 @@ class _Search:
         X = T @ smat(change[:, :n].reshape(m, -1, 10)) @ _turned(T)
         Y = _diagonal(own / V - V) - X
         loosening = (self.barrier - multipliers * narrowing) / slack - multipliers
-        steepest = np.column_stack([_nearest_edge(np.array([X, Y]), V).T, -narrowing / slack, -loosening / multipliers])
+        steepest = np.column_stack(
+            [_nearest_edge(np.array([X, Y]), V).T, -narrowing / slack, -loosening / multipliers]
+        )
         n_bounds = slack.shape[1]
-        ahead, dual_ahead = steepest[:, [0, *range(2, 2 + n_bounds)]], steepest[:, [1, *range(2 + n_bounds, 2 + 2 * n_bounds)]]
+        ahead, dual_ahead = (
+            steepest[:, [0, *range(2, 2 + n_bounds)]],
+            steepest[:, [1, *range(2 + n_bounds, 2 + 2 * n_bounds)]],
+        )
         length, dual_length = (
-            np.minimum(1.0, NEAR_EDGE / np.maximum(each.max(axis=1), np.finfo(np.float64).tiny)) for each in (ahead, dual_ahead)
+            np.minimum(1.0, NEAR_EDGE / np.maximum(each.max(axis=1), np.finfo(np.float64).tiny))
+            for each in (ahead, dual_ahead)
         )
         self.duals[a] += dual_length[:, None, None, None] * (_turned(T) @ Y @ T)
         self.multipliers[a] += dual_length[:, None] * loosening
@@ -225,7 +291,11 @@ class _Search:
         trying = np.arange(m)
         while trying.size:
             b, far = active[trying], length[trying, None]
-            tried = q[trying] + far * change[trying], error[trying] + far * swing[trying], slack[trying] + far * narrowing[trying]
+            tried = (
+                q[trying] + far * change[trying],
+                error[trying] + far * swing[trying],
+                slack[trying] + far * narrowing[trying],
+            )
             values, roots = self._evaluated(*tried)
             promised = SUFFICIENT * length[trying] * np.maximum(self.decrements[b], 0.0)
             good = values <= self.values[b] - promised + ROUNDING * np.abs(self.values[b])
@@ -237,8 +307,12 @@ class _Search:
             length[trying] *= SHORTER
             trying = trying[length[trying] > SHORTEST]
         off = np.max(np.abs(V**2 / own - 1.0), axis=(1, 2), initial=0.0)
-        off = np.maximum(off, np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0))
-        return np.asarray((np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= CENTRAL))
+        off = np.maximum(
+            off, np.max(np.abs(slack * multipliers / self.barrier - 1.0), axis=1, initial=0.0)
+        )
+        return np.asarray(
+            (np.abs(self.decrements[a]) <= close * min(self.weight, 1.0)) & (off <= CENTRAL)
+        )
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:
         """Return the values and the Cholesky roots of the bodies; infinite where they are outside."""
@@ -246,8 +320,13 @@ class _Search:
         bodies, drives = q[:, :n].reshape(len(q), -1, 10), q[:, n:] - problem.q0[n:]
         roots = _roots(smat(bodies))
         with np.errstate(divide="ignore", invalid="ignore"):
-            value = (bodies @ problem.identity - 2.0 * np.log(np.diagonal(roots, axis1=2, axis2=3)).sum(axis=2)) @ self.weights
-            value += 0.5 * (DRIVE_RIDGE * np.sum(drives**2, axis=1) + np.sum(error**2, axis=1)) - self.barrier * np.log(slack).sum(axis=1)
+            value = (
+                bodies @ problem.identity
+                - 2.0 * np.log(np.diagonal(roots, axis1=2, axis2=3)).sum(axis=2)
+            ) @ self.weights
+            value += 0.5 * (
+                DRIVE_RIDGE * np.sum(drives**2, axis=1) + np.sum(error**2, axis=1)
+            ) - self.barrier * np.log(slack).sum(axis=1)
         return np.where(np.isfinite(value), value, np.inf), roots
 
 
@@ -266,7 +345,9 @@ def _diagonal(entries: Array) -> Array:
 def _nearest_edge(change: Array, V: Array) -> Array:
     """Return the steepest approach of any body of each problem to the edge, in bodies per step."""
     root = np.sqrt(V)
-    steepest: Array = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(axis=(-1, -2))
+    steepest: Array = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(
+        axis=(-1, -2)
+    )
     return steepest
 
 

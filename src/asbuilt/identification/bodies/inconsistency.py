@@ -49,25 +49,32 @@ class Impossibility:
     def sentence(self) -> str:
         """Say what is impossible, and by how much."""
         total = " ".join(
-            f"{'-' if c < 0 else '+'} {'' if (size := significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
+            f"{'-' if c < 0 else '+'}"
+            f" {'' if (size := significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
             for c, name in zip(self.coefficients.tolist(), self.names, strict=True)
         )
         alone = self.value / self.std_error if self.std_error > 0 else -np.inf
         return (
-            f"{total.removeprefix('+ ')} is found to be {plus_minus(self.value, self.std_error)} (base parameter{'s' if len(self.ids) > 1 else ''} "
-            f"{', '.join(map(str, self.ids))}), {significant(-alone, 2)} standard errors below zero, and real bodies with passive drives have it at zero or above; "
-            f"all parameters together lie {significant(self.sigmas, 2)} standard errors from the nearest robot that can be"
+            f"{total.removeprefix('+ ')} is found to be {plus_minus(self.value, self.std_error)}"
+            f" (base parameter{'s' if len(self.ids) > 1 else ''} {', '.join(map(str, self.ids))}),"
+            f" {significant(-alone, 2)} standard errors below zero, and real bodies with passive"
+            " drives have it at zero or above; all parameters together lie"
+            f" {significant(self.sigmas, 2)} standard errors from the nearest robot that can be"
         )
 
 
-def why_impossible(base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike) -> Impossibility | None:
+def why_impossible(
+    base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
+) -> Impossibility | None:
     """Return the proof with few parameters that no real bodies and passive drives have beta, None where some have.
 
     The cone of possible base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and only if some y is non-negative on all of it and negative at beta (Farkas'
     lemma for cones: Boyd & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T beta|` is one over the distance
     from beta to the cone in standard errors; `sum |y_j| sqrt(C_jj)` beside it keeps y short. Second-order and semidefinite programs, solved by Clarabel.
     """
-    problem = _Separation(base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64))
+    problem = _Separation(
+        base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
+    )
     with one_blas_thread():
         surest = problem.solve(np.zeros(base.n_base))
         if surest is None:
@@ -84,14 +91,17 @@ def why_impossible(base: BaseParameters, prior: CadPrior, beta: ArrayLike, covar
         coefficients=y[order],
         value=float(y @ problem.beta),
         std_error=problem.error(y),
-        sigmas=-float(surest @ problem.beta) / max(problem.error(surest), np.finfo(np.float64).tiny),
+        sigmas=-float(surest @ problem.beta)
+        / max(problem.error(surest), np.finfo(np.float64).tiny),
     )
 
 
 class _Separation:
     """The program for y, in units of the standard errors: `images` (n_standard, p) is what a unit of each parameter does to bodies near 1 and to drives."""
 
-    def __init__(self, base: BaseParameters, prior: CadPrior, beta: Array, covariance: Array) -> None:
+    def __init__(
+        self, base: BaseParameters, prior: CadPrior, beta: Array, covariance: Array
+    ) -> None:
         self.beta = beta
         size = np.sqrt(np.diag(covariance))
         self.size = np.where(size > 0, size, size[size > 0].min(initial=1.0))
@@ -110,14 +120,25 @@ class _Separation:
 
     def plainest(self) -> Array | None:
         """Return y (p,) with one parameter that is below zero beyond doubt though no robot has it there, the surest of all such; None where there is none."""
-        bodies = np.array([[smat(part) for part in column.reshape(-1, 10)] for column in self.images[: self.inertial].T])
+        bodies = np.array(
+            [
+                [smat(part) for part in column.reshape(-1, 10)]
+                for column in self.images[: self.inertial].T
+            ]
+        )
         size = np.abs(self.images).max(axis=0)
         eigenvalues = np.linalg.eigvalsh(bodies).min(axis=(1, 2))
         drives = self.images[self.passive].min(axis=0, initial=0.0)
-        proof = (np.minimum(eigenvalues, drives) >= -SOLVED * size) & ~np.any(self.images[self.free], axis=0)
+        proof = (np.minimum(eigenvalues, drives) >= -SOLVED * size) & ~np.any(
+            self.images[self.free], axis=0
+        )
         sigmas = np.where(proof, -self.beta / self.size, 0.0)
         surest = int(np.argmax(sigmas))
-        return None if sigmas[surest] < SIGNIFICANT_SIGMAS else np.where(np.arange(len(self.beta)) == surest, 1.0, 0.0)
+        return (
+            None
+            if sigmas[surest] < SIGNIFICANT_SIGMAS
+            else np.where(np.arange(len(self.beta)) == surest, 1.0, 0.0)
+        )
 
     def shortened(self, surest: Array) -> Array:
         """Return a proof with few parameters, found from the surest."""
@@ -149,12 +170,30 @@ class _Separation:
             return np.hstack([rows, np.zeros((len(rows), p + 1))])
 
         equal = alone(np.vstack([at / length, self.images[self.free]]))
-        bounded = np.hstack([np.vstack([identity, -identity]), np.vstack([-identity, -identity]), np.zeros((2 * p, 1))])
+        bounded = np.hstack(
+            [
+                np.vstack([identity, -identity]),
+                np.vstack([-identity, -identity]),
+                np.zeros((2 * p, 1)),
+            ]
+        )
         cone = np.vstack([np.append(np.zeros(2 * p), -1.0), alone(-self.root.T)])
-        constraints = np.vstack([equal, bounded, alone(-self.images[self.passive]), cone, alone(-self.images[: self.inertial])])
+        constraints = np.vstack(
+            [
+                equal,
+                bounded,
+                alone(-self.images[self.passive]),
+                cone,
+                alone(-self.images[: self.inertial]),
+            ]
+        )
         right = np.zeros(len(constraints))
         right[0] = -1.0
-        cones = [clarabel.ZeroConeT(len(equal)), clarabel.NonnegativeConeT(2 * p + self.passive.size), clarabel.SecondOrderConeT(p + 1)]
+        cones = [
+            clarabel.ZeroConeT(len(equal)),
+            clarabel.NonnegativeConeT(2 * p + self.passive.size),
+            clarabel.SecondOrderConeT(p + 1),
+        ]
         cones += [clarabel.PSDTriangleConeT(4)] * (self.inertial // 10)
         goal = np.concatenate([np.zeros(p), prices, [1.0]])
         nothing = sparse.csc_matrix((len(goal), len(goal)))

@@ -62,17 +62,29 @@ class StandardParameters:
     @property
     def verdict(self) -> str:
         """Say in one sentence what these parameters are."""
-        margin = f"the pseudo-inertia of every link is at least {self.part:.2g} of that of CAD (smallest eigenvalue {self.smallest_eigenvalue:.2g})"
+        margin = (
+            f"the pseudo-inertia of every link is at least {self.part:.2g} of that of CAD (smallest"
+            f" eigenvalue {self.smallest_eigenvalue:.2g})"
+        )
         if not self.possible:
-            return "gives the identified torques exactly, with standard parameters next to CAD; the base parameters are NOT physically consistent: no real bodies have them"
+            return (
+                "gives the identified torques exactly, with standard parameters next to CAD; the"
+                " base parameters are NOT physically consistent: no real bodies have them"
+            )
         if self.exact:
-            return f"gives the identified torques exactly, with real bodies, of all such the closest to CAD; {margin}"
+            return (
+                "gives the identified torques exactly, with real bodies, of all such the closest"
+                f" to CAD; {margin}"
+            )
         away = "in the torque of the data used"
         if self.nearest_in == "random motion":
             cost = float(np.sqrt(np.mean(self.torque_rms**2)))
             of = float(np.sqrt(np.mean(self.torque_rms_of_motion**2)))
             away = f"{cost:.2g} N m RMS away in random motion (of {of:.3g} N m)"
-        return f"no real bodies and passive drives give the identified torques exactly; these are the nearest that can be, {away}; {margin}"
+        return (
+            "no real bodies and passive drives give the identified torques exactly; these are the"
+            f" nearest that can be, {away}; {margin}"
+        )
 
 
 def standard_parameters(
@@ -97,12 +109,17 @@ def standard_parameters(
     """
     asked = np.asarray(beta, dtype=np.float64)
     if asked.shape != (base.n_base,) or not np.all(np.isfinite(asked)):
-        raise IdentifiabilityError(f"{base.robot} needs {base.n_base} finite base parameters, got shape {asked.shape}: {asked.tolist()}")
+        raise IdentifiabilityError(
+            f"{base.robot} needs {base.n_base} finite base parameters, got shape {asked.shape}:"
+            f" {asked.tolist()}"
+        )
     cad = cad_prior(model, base.drive)
     coordinates = Coordinates.of(base)
     drives = non_negative_drives(cad)
     moving = np.any(coordinates.dependent[cad.non_negative] != 0.0, axis=1)
-    shared = BodyBounds(drives.rows[moving], drives.offsets[moving], tuple(np.array(drives.labels)[moving]))
+    shared = BodyBounds(
+        drives.rows[moving], drives.offsets[moving], tuple(np.array(drives.labels)[moving])
+    )
     told = drives.rows[~moving] @ (coordinates.kept @ asked)
     motion = random_motion_rows(model, base)
     of_motion = _joint_rms(motion @ asked, model.n_joints)
@@ -116,7 +133,11 @@ def standard_parameters(
             least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
-        chi = _closest_above(cad, coordinates, chi, part, shared) if possible else _closest_in_metric(cad, coordinates, asked)
+        chi = (
+            _closest_above(cad, coordinates, chi, part, shared)
+            if possible
+            else _closest_in_metric(cad, coordinates, asked)
+        )
     kept = base.regrouping @ chi
     return StandardParameters(
         parameters=chi,
@@ -124,7 +145,9 @@ def standard_parameters(
         exact=exact or not nearest,
         possible=possible,
         part=float(cad.relative_eigenvalues(chi).min()),
-        smallest_eigenvalue=float(np.linalg.eigvalsh(pseudo_inertias(chi[: 10 * cad.n_links].reshape(-1, 10))).min()),
+        smallest_eigenvalue=float(
+            np.linalg.eigvalsh(pseudo_inertias(chi[: 10 * cad.n_links].reshape(-1, 10))).min()
+        ),
         divergence=cad.divergence(chi),
         torque_rms=_joint_rms(motion @ (kept - asked), model.n_joints),
         torque_rms_of_motion=of_motion,
@@ -133,7 +156,9 @@ def standard_parameters(
     )
 
 
-def deepest_inside(cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds) -> tuple[Array, float]:
+def deepest_inside(
+    cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds
+) -> tuple[Array, float]:
     """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for every link and `bounds` hold with some t to spare.
 
     t is negative where no real bodies have beta. Raises `IdentifiabilityError` where the solver gives up.
@@ -146,20 +171,27 @@ def deepest_inside(cad: CadPrior, coordinates: Coordinates, beta: Array, bounds:
     free = coordinates.dependent @ np.linalg.inv(triangle)
     room = np.append(np.full(len(bounds.rows), LEAST_SHARE), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
-    constraints = np.vstack([np.hstack([-rows, room]), np.hstack([-along[:inertial], q0[:inertial, None]])])
+    constraints = np.vstack(
+        [np.hstack([-rows, room]), np.hstack([-along[:inertial], q0[:inertial, None]])]
+    )
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
     size = constraints.shape[1]
     goal = np.append(np.zeros(size - 1), -1.0)
-    solution = solve_cone_program(sparse.csc_matrix((size, size)), goal, sparse.csc_matrix(constraints), right, cones)
+    solution = solve_cone_program(
+        sparse.csc_matrix((size, size)), goal, sparse.csc_matrix(constraints), right, cones
+    )
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"whether real bodies have the {len(beta)} base parameters of {cad.robot} could not be decided: the solver says {solution.status}"
+            f"whether real bodies have the {len(beta)} base parameters of {cad.robot} could not be"
+            f" decided: the solver says {solution.status}"
         )
     return near + free @ solution.x[:-1], float(solution.x[-1])
 
 
-def _closest_above(cad: CadPrior, coordinates: Coordinates, chi: Array, part: float, bounds: BodyBounds) -> Array:
+def _closest_above(
+    cad: CadPrior, coordinates: Coordinates, chi: Array, part: float, bounds: BodyBounds
+) -> Array:
     """Return the closest to CAD with the base parameters of chi and `P_i >= floor P0_i`, the floor being half of `part` at most.
 
     The divergence is that of what is above the floor, `D(P - floor P0 || (1 - floor) P0)`, least at CAD as well.
@@ -169,13 +201,17 @@ def _closest_above(cad: CadPrior, coordinates: Coordinates, chi: Array, part: fl
     below = np.concatenate([floor * cad.parameters[:inertial], np.zeros(len(chi) - inertial)])
     above = replace(cad, parameters=cad.parameters - below)
     problem = EntropicProblem(above, coordinates, bounds, held=True)
-    return np.asarray(problem.fit(None, 1.0, (chi - below)[None], barrier=FINE_BARRIER).chi[0] + below)
+    return np.asarray(
+        problem.fit(None, 1.0, (chi - below)[None], barrier=FINE_BARRIER).chi[0] + below
+    )
 
 
 def _closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> Array:
     """Return the parameters with `K chi = beta` that are closest to CAD in the metric there, possible or not."""
     bodies, _ = near_one(cad)
-    whitened = np.linalg.solve(bodies, np.column_stack([coordinates.kept @ beta - cad.parameters, coordinates.dependent]))
+    whitened = np.linalg.solve(
+        bodies, np.column_stack([coordinates.kept @ beta - cad.parameters, coordinates.dependent])
+    )
     d, *_ = np.linalg.lstsq(whitened[:, 1:], -whitened[:, 0], rcond=None)
     return np.asarray(coordinates.kept @ beta + coordinates.dependent @ d)
 
@@ -191,7 +227,9 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
         size = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
         eigenvalues, axes = np.linalg.eigh(A / np.outer(size, size))
         root = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * axes.T * size
-    return triangular_factor(np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))]))
+    return triangular_factor(
+        np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))])
+    )
 
 
 def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
@@ -199,11 +237,24 @@ def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
     rng = np.random.default_rng(RANDOM_SEED)
     limits = [joint.limits for joint in model.joints]
     reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
-    low = np.array([limit.lower if np.isfinite(limit.lower) else -far for limit, far in zip(limits, reach, strict=True)])
-    high = np.array([limit.upper if np.isfinite(limit.upper) else far for limit, far in zip(limits, reach, strict=True)])
+    low = np.array(
+        [
+            limit.lower if np.isfinite(limit.lower) else -far
+            for limit, far in zip(limits, reach, strict=True)
+        ]
+    )
+    high = np.array(
+        [
+            limit.upper if np.isfinite(limit.upper) else far
+            for limit, far in zip(limits, reach, strict=True)
+        ]
+    )
     shape = (RANDOM_STATES, model.n_joints)
     q = rng.uniform(low, high, shape)
-    qd, qdd = rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape), rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape)
+    qd, qdd = (
+        rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape),
+        rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape),
+    )
     return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
 
 

@@ -12,7 +12,12 @@ from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.identification.result.result import IdentificationResult
 
-USUAL_UNCERTAINTY: dict[TorqueSource, float] = {"sensor": 0.0, "unknown": 0.0, "motor": 0.05, "current": 0.07}
+USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
+    "sensor": 0.0,
+    "unknown": 0.0,
+    "motor": 0.05,
+    "current": 0.07,
+}
 """Standard deviation of a joint's gain, as a fraction, where nothing better is stated.
 
 Currents: data sheets of motors usually promise the torque constant to +-10 % (limits: 5.8 % as a standard deviation), and neodymium magnets lose about 0.1 % of
@@ -25,7 +30,9 @@ MOST = 0.5
 RANK_TOLERANCE = 1e-10
 
 
-def relative_gain_errors(source: TorqueSource, n_joints: int, stated: ArrayLike | None = None) -> Array:
+def relative_gain_errors(
+    source: TorqueSource, n_joints: int, stated: ArrayLike | None = None
+) -> Array:
     """Return the standard deviation of each joint's gain, (n,), as fractions: what is stated (one for all joints or one each), else what is usual for the source.
 
     Raises UsageError for another number of values, and for values that are no fractions from 0 to 0.5.
@@ -34,9 +41,15 @@ def relative_gain_errors(source: TorqueSource, n_joints: int, stated: ArrayLike 
         return np.full(n_joints, USUAL_UNCERTAINTY[source])
     values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
     if values.ndim != 1 or values.size not in (1, n_joints):
-        raise UsageError(f"the uncertainty of the gains takes one fraction or {n_joints}, one per joint, got {values.size}")
+        raise UsageError(
+            f"the uncertainty of the gains takes one fraction or {n_joints}, one per joint, got"
+            f" {values.size}"
+        )
     if not np.all((values >= 0.0) & (values <= MOST)):
-        raise UsageError(f"the uncertainty of the gains must be fractions from 0 to {MOST:g} (5% or 0.05), got {values.tolist()}")
+        raise UsageError(
+            f"the uncertainty of the gains must be fractions from 0 to {MOST:g} (5% or 0.05), got"
+            f" {values.tolist()}"
+        )
     return np.broadcast_to(values, (n_joints,)).copy()
 
 
@@ -51,10 +64,14 @@ def parse_gain_uncertainty(text: str | None) -> list[float] | None:
     if text is None:
         return None
     try:
-        return [float(part.rstrip("%")) / (100.0 if part.endswith("%") else 1.0) for part in (each.strip() for each in text.split(","))]
+        return [
+            float(part.rstrip("%")) / (100.0 if part.endswith("%") else 1.0)
+            for part in (each.strip() for each in text.split(","))
+        ]
     except ValueError:
         raise UsageError(
-            f"--gain-uncertainty takes a fraction for all joints or one for each, such as 7% or 0.05,0.03,..., got {text!r}"
+            "--gain-uncertainty takes a fraction for all joints or one for each, such as 7% or"
+            f" 0.05,0.03,..., got {text!r}"
         ) from None
 
 
@@ -72,7 +89,10 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
         parts = [evidence.whole(evidence.fitted)]
         if evidence.n_fitted < result.n_samples:
             parts.append(evidence.whole(evidence.judged))
-        factors = [weight * np.vstack(joint)[:, places] for weight, joint in zip(weights, zip(*parts, strict=True), strict=True)]
+        factors = [
+            weight * np.vstack(joint)[:, places]
+            for weight, joint in zip(weights, zip(*parts, strict=True), strict=True)
+        ]
     else:
         factors = [np.column_stack([rows[:, :p], rows[:, :p] @ beta]) for rows in stand_in]
     factors = [factor * np.append(~result.dropped, True) for factor in factors]
@@ -80,5 +100,7 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
     sides = np.column_stack([factor[:, :-1].T @ factor[:, -1] for factor in factors])
     scale = np.sqrt(np.diag(matrix))
     scale[scale == 0.0] = 1.0
-    shares = np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=RANK_TOLERANCE)[0]
+    shares = np.linalg.lstsq(
+        matrix / np.outer(scale, scale), sides / scale[:, None], rcond=RANK_TOLERANCE
+    )[0]
     return np.asarray(shares / scale[:, None])

@@ -72,7 +72,11 @@ class Mounting:
     @property
     def is_askew(self) -> bool:
         """Whether the robot stands otherwise than described."""
-        z = float(self.tilt @ np.linalg.solve(self.covariance, self.tilt)) if np.all(np.diag(self.covariance) > 0) else np.inf
+        z = (
+            float(self.tilt @ np.linalg.solve(self.covariance, self.tilt))
+            if np.all(np.diag(self.covariance) > 0)
+            else np.inf
+        )
         return self.angle > NOTICEABLE and z > SIGNIFICANT**2
 
     @property
@@ -91,16 +95,30 @@ class Mounting:
         """Say how the robot stands."""
         degrees, errors = np.rad2deg(self.tilt), np.rad2deg(self.std_errors)
         turned = " and ".join(
-            f"{angle:.2f} +- {error:.2f} deg about {_written(axis)}" for angle, error, axis in zip(degrees, errors, self.axes, strict=True)
+            f"{angle:.2f} +- {error:.2f} deg about {_written(axis)}"
+            for angle, error, axis in zip(degrees, errors, self.axes, strict=True)
         )
-        before, after = float(np.sqrt(np.mean(self.rms_as_given**2))), float(np.sqrt(np.mean(self.rms**2)))
+        before, after = (
+            float(np.sqrt(np.mean(self.rms_as_given**2))),
+            float(np.sqrt(np.mean(self.rms**2))),
+        )
         if self.is_askew:
-            return f"gravity is turned by {turned} from where the description has it: the robot stands askew; torque residual {before:.3g} -> {after:.3g} N m"
-        return f"gravity points where the description has it: turned by {turned}, which is not told from nothing"
+            return (
+                f"gravity is turned by {turned} from where the description has it: the robot stands"
+                f" askew; torque residual {before:.3g} -> {after:.3g} N m"
+            )
+        return (
+            f"gravity points where the description has it: turned by {turned}, which is not told"
+            " from nothing"
+        )
 
 
 def find_mounting(
-    model: RobotModel, samples: Samples | Sequence[Samples], *, drive: DriveSet = NO_DRIVE, block_seconds: float | None = None
+    model: RobotModel,
+    samples: Samples | Sequence[Samples],
+    *,
+    drive: DriveSet = NO_DRIVE,
+    block_seconds: float | None = None,
 ) -> Mounting:
     """Find the direction of gravity in the root frame, near that of the description, from the samples of a recording.
 
@@ -120,7 +138,8 @@ def find_mounting(
     strength = float(np.linalg.norm(model.gravity))
     if not batches or strength == 0.0:
         raise UsageError(
-            f"finding how {model.name} stands takes samples and a description with gravity; got {len(batches)} batches, {strength:g} m/s^2"
+            f"finding how {model.name} stands takes samples and a description with gravity; got"
+            f" {len(batches)} batches, {strength:g} m/s^2"
         )
     drive = DriveSet(tuple(term for term in drive.terms if not term.needs_load))
     axes = axes_across(model.gravity)
@@ -129,11 +148,15 @@ def find_mounting(
     bounds = generous_bounds(prior)
 
     def information(tilt: Array) -> SquareRootInformation:
-        return accumulate_stream(_turned(model, axes, tilt), base, batches, block_seconds=block_seconds)
+        return accumulate_stream(
+            _turned(model, axes, tilt), base, batches, block_seconds=block_seconds
+        )
 
     def shares(tilt: Array, weights: Array) -> Array:
         told = information(tilt)
-        chi = fit_real_bodies(prior, base.regrouping, factor=told.stacked(weights), bounds=bounds).chi
+        chi = fit_real_bodies(
+            prior, base.regrouping, factor=told.stacked(weights), bounds=bounds
+        ).chi
         return _shares(told, base, weights, chi)
 
     def cost(tilt: Array, weights: Array) -> float:
@@ -150,7 +173,9 @@ def find_mounting(
                 method="Nelder-Mead",
                 bounds=[(-FARTHEST, FARTHEST)] * 2,
                 options={
-                    "initial_simplex": tilt + first * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+                    "initial_simplex": (
+                        tilt + first * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+                    ),
                     "xatol": last,
                     "fatol": 1e-2,
                     "maxfev": MOST_TRIES,
@@ -161,14 +186,17 @@ def find_mounting(
             fit, rms = _settled(told, prior, bounds)
         if np.max(np.abs(tilt)) > 0.99 * FARTHEST:
             raise IdentifiabilityError(
-                f"gravity in the root frame of {model.name} lies more than {np.rad2deg(FARTHEST):.0f} deg from where the description has it; describe how the robot stands"
+                f"gravity in the root frame of {model.name} lies more than"
+                f" {np.rad2deg(FARTHEST):.0f} deg from where the description has it; describe how"
+                " the robot stands"
             )
         here = _shares(told, base, fit.weights, fit.standard)
         slopes, hessian = _differences(lambda other: shares(other, fit.weights), tilt, here)
         if np.linalg.eigvalsh(hessian)[0] <= 0.0:
             raise IdentifiabilityError(
-                f"the recordings of {model.name} do not tell how it stands: the torque error has no distinct least value over the tilt; move joints whose axes "
-                "are not parallel to gravity through their range"
+                f"the recordings of {model.name} do not tell how it stands: the torque error has no"
+                " distinct least value over the tilt; move joints whose axes are not parallel to"
+                " gravity through their range"
             )
         inverse = np.linalg.inv(hessian)
         covariance = inverse @ (slopes.T @ slopes) @ inverse
@@ -183,12 +211,16 @@ def find_mounting(
     )
 
 
-def _settled(information: SquareRootInformation, prior: CadPrior, bounds: BodyBounds) -> tuple[ConsistentEstimate, Array]:
+def _settled(
+    information: SquareRootInformation, prior: CadPrior, bounds: BodyBounds
+) -> tuple[ConsistentEstimate, Array]:
     fit = fit_consistent(information, prior, bounds=bounds)
     return fit, np.sqrt(information.residual_energy(fit.beta) / information.n_samples)
 
 
-def _shares(information: SquareRootInformation, base: BaseParameters, weights: Array, chi: Array) -> Array:
+def _shares(
+    information: SquareRootInformation, base: BaseParameters, weights: Array, chi: Array
+) -> Array:
     """Return each block's share in the cost, shape (n_blocks,)."""
     residual = np.append(-(base.regrouping @ chi), 1.0)
     errors = [information.block_stacked(b, weights) @ residual for b in range(information.n_blocks)]
@@ -199,10 +231,17 @@ def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> 
     """Return the slopes of the blocks' shares (n_blocks, 2) and the Hessian (2, 2) of their sum, by central differences."""
     h = DIFFERENCE
     one, two = np.array([h, 0.0]), np.array([0.0, h])
-    ahead, behind = [shares(tilt + step) for step in (one, two)], [shares(tilt - step) for step in (one, two)]
-    slopes = np.column_stack([(up - down) / (2 * h) for up, down in zip(ahead, behind, strict=True)])
+    ahead, behind = (
+        [shares(tilt + step) for step in (one, two)],
+        [shares(tilt - step) for step in (one, two)],
+    )
+    slopes = np.column_stack(
+        [(up - down) / (2 * h) for up, down in zip(ahead, behind, strict=True)]
+    )
     value = here.sum()
-    curved = [(up.sum() - 2 * value + down.sum()) / h**2 for up, down in zip(ahead, behind, strict=True)]
+    curved = [
+        (up.sum() - 2 * value + down.sum()) / h**2 for up, down in zip(ahead, behind, strict=True)
+    ]
     both = shares(tilt + one + two).sum() + shares(tilt - one - two).sum() - 2 * value
     mixed = (both / h**2 - curved[0] - curved[1]) / 2
     return slopes, np.array([[curved[0], mixed], [mixed, curved[1]]])

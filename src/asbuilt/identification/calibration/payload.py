@@ -106,15 +106,24 @@ def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int,
     Raises UsageError where no moving link or frame has that name.
     """
     frames = {link: (i, np.eye(4)) for i, link in enumerate(model.link_names)}
-    frames |= {frame.name: (frame.link, np.array(frame.placement)) for frame in model.frames if frame.link >= 0}
+    frames |= {
+        frame.name: (frame.link, np.array(frame.placement))
+        for frame in model.frames
+        if frame.link >= 0
+    }
     if name is not None:
         if name not in frames:
-            raise UsageError(f"{model.name} has no moving link or frame {name!r} to carry a payload; it has {', '.join(frames)}")
+            raise UsageError(
+                f"{model.name} has no moving link or frame {name!r} to carry a payload; it has"
+                f" {', '.join(frames)}"
+            )
         return name, *frames[name]
     last = model.n_joints - 1
     for word in FLANGES:
         for frame, (link, placement) in frames.items():
-            if link == last and word in (re.split(r"[^a-z0-9]+", frame.lower()) if len(word) <= SHORT_WORD else frame.lower()):
+            if link == last and word in (
+                re.split(r"[^a-z0-9]+", frame.lower()) if len(word) <= SHORT_WORD else frame.lower()
+            ):
                 return frame, link, placement
     return model.link_names[last], last, np.eye(4)
 
@@ -149,7 +158,10 @@ def identify_payload(
     """
     batches = [loaded] if not isinstance(loaded, Sequence) else list(loaded)
     if not batches:
-        raise UsageError(f"no samples are given of {result.robot} under load; pass at least one prepared recording")
+        raise UsageError(
+            f"no samples are given of {result.robot} under load; pass at least one prepared"
+            " recording"
+        )
     source = batches[0].torque_source
     uncertainty = relative_gain_errors(source, result.model.n_joints, gain_uncertainty)
     name, link, placement = payload_frame(result.model, frame)
@@ -157,7 +169,9 @@ def identify_payload(
     prior, vague = _prior(result), _vague(result.model)
     x = np.concatenate([result.estimates, np.zeros(10)])
     for _ in range(LOAD_ITERATIONS if result.base.drive.needs_load else 1):
-        rows = PayloadRows.of(result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds)
+        rows = PayloadRows.of(
+            result, batches, list(unloaded), link, shift_matrix(placement), x, block_seconds
+        )
         with one_blas_thread():
             x, carried = _solved(rows.blocks, prior, vague, result.estimates, arm)
     with one_blas_thread():
@@ -167,12 +181,15 @@ def identify_payload(
     beta, estimate = x[:p], x[p:]
     if not estimate[9] > 0:
         raise IdentifiabilityError(
-            f"the recording under load says that {result.robot} carries {estimate[9]:.3g} kg at {name}; is it really loaded, "
-            "and are torque sign, gains and the arm's result of the same robot and units?"
+            f"the recording under load says that {result.robot} carries {estimate[9]:.3g} kg at"
+            f" {name}; is it really loaded, and are torque sign, gains and the arm's result of the"
+            " same robot and units?"
         )
     parameters, projected = _nearest_body(estimate, noise + gains)
     values, reported = _reported(parameters, noise + gains)
-    errors, noise_errors, gain_errors = (_deviations(reported @ part @ reported.T) for part in (noise + gains, noise, gains))
+    errors, noise_errors, gain_errors = (
+        _deviations(reported @ part @ reported.T) for part in (noise + gains, noise, gains)
+    )
     told = _told(values, errors)
     payload = Payload(
         robot=result.robot,
@@ -190,7 +207,9 @@ def identify_payload(
         gains_by_evidence=result.evidence is not None,
         projected=projected,
         determined=tuple(item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if well),
-        not_determined=tuple(item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if not well),
+        not_determined=tuple(
+            item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if not well
+        ),
         arm=beta,
         n_samples=rows.n_samples,
         torque_source=source,
@@ -205,7 +224,9 @@ def identify_payload(
     )
 
 
-def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm) -> Array:
+def _gain_slopes(
+    result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm
+) -> Array:
     """Return how pi changes per fraction by which the torque of each joint changes in all recordings, those behind the result too, (10, n).
 
     pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
@@ -213,7 +234,9 @@ def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, 
     p = result.n_base
     of_arm = arm_by_joint(result, rows.joints, result.weights)
     sides = np.column_stack([joint[:, :-1].T @ joint[:, -1] for joint in rows.joints])
-    matrix = sum((block[:, :-1].T @ block[:, :-1] for block in rows.blocks), start=np.zeros((p + 10, p + 10)))
+    matrix = sum(
+        (block[:, :-1].T @ block[:, :-1] for block in rows.blocks), start=np.zeros((p + 10, p + 10))
+    )
     matrix[p:, p:] += vague[:, :-1].T @ vague[:, :-1]
     if arm == "frozen":
         return np.asarray(_solved_symmetric(matrix[p:, p:], sides[p:] - matrix[p:, :p] @ of_arm))
@@ -223,7 +246,10 @@ def _gain_slopes(result: IdentificationResult, rows: PayloadRows, prior: Array, 
 
 def _solved_symmetric(matrix: Array, sides: Array) -> Array:
     scale = _lengths(matrix)
-    return np.asarray(np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-14)[0] / scale[:, None])
+    return np.asarray(
+        np.linalg.lstsq(matrix / np.outer(scale, scale), sides / scale[:, None], rcond=1e-14)[0]
+        / scale[:, None]
+    )
 
 
 def _lengths(gram: Array) -> Array:
@@ -235,8 +261,12 @@ def _lengths(gram: Array) -> Array:
 def _prior(result: IdentificationResult) -> Array:
     """Return rows (m, p + 11) that hold beta at the result, in units of its standard errors, where the result knows it; what it dropped, whose columns are zero elsewhere, at zero."""
     scale, variances, directions = told_directions(result)
-    root = np.vstack([(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]])
-    return np.concatenate([root, np.zeros((len(root), 10)), (root @ result.estimates)[:, None]], axis=1)
+    root = np.vstack(
+        [(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]]
+    )
+    return np.concatenate(
+        [root, np.zeros((len(root), 10)), (root @ result.estimates)[:, None]], axis=1
+    )
 
 
 def _vague(model: RobotModel) -> Array:
@@ -255,7 +285,9 @@ def _arm_taken_out(factor: Array, beta: Array) -> Array:
     return np.column_stack([factor[:, p:-1], factor[:, -1] - factor[:, :p] @ beta])
 
 
-def _solved(blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm) -> tuple[Array, Array]:
+def _solved(
+    blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
+) -> tuple[Array, Array]:
     """Return [beta, pi], and the covariance (10, 10) of pi that comes from the result and from ignorance of the payload.
 
     What of the arm neither the result nor the recordings tell stays at the result's `estimates` (p,).
@@ -270,12 +302,21 @@ def _solved(blocks: Sequence[Array], prior: Array, vague: Array, estimates: Arra
         _demand(solve_factor(triangular_factor(own), len(own)).rank)
         solution = solve_factor(triangular_factor(np.vstack([vague, own])), len(own))
         spread = solution.inverse_root @ solution.inverse_root.T
-        carried = np.column_stack([spread @ own[:, :-1].T @ data[:, :p] @ root, spread @ vague[:, :-1].T])
+        carried = np.column_stack(
+            [spread @ own[:, :-1].T @ data[:, :p] @ root, spread @ vague[:, :-1].T]
+        )
         return np.concatenate([beta, solution.x]), carried @ carried.T
     both = np.vstack([prior, data])
     without = np.delete(both, slice(p, p + 10), axis=1)
-    _demand(solve_factor(triangular_factor(both), len(data)).rank - solve_factor(triangular_factor(without), len(data)).rank)
-    solution = solve_factor(triangular_factor(np.vstack([prior, ignorance, data])), len(data), np.append(estimates, np.zeros(10)))
+    _demand(
+        solve_factor(triangular_factor(both), len(data)).rank
+        - solve_factor(triangular_factor(without), len(data)).rank
+    )
+    solution = solve_factor(
+        triangular_factor(np.vstack([prior, ignorance, data])),
+        len(data),
+        np.append(estimates, np.zeros(10)),
+    )
     held = np.vstack([prior, ignorance])[:, :-1]
     carried = (solution.inverse_root @ solution.inverse_root.T @ held.T)[p:]
     return solution.x, carried @ carried.T
@@ -284,8 +325,9 @@ def _solved(blocks: Sequence[Array], prior: Array, vague: Array, estimates: Arra
 def _demand(rank: int) -> None:
     if rank < 4:
         raise IdentifiabilityError(
-            f"the recording under load tells {max(rank, 0)} of the payload's ten parameters, not even its mass and centre; move the arm through "
-            "different poses, so that the payload's weight acts on several joints"
+            f"the recording under load tells {max(rank, 0)} of the payload's ten parameters, not"
+            " even its mass and centre; move the arm through different poses, so that the"
+            " payload's weight acts on several joints"
         )
 
 
@@ -297,28 +339,40 @@ def _demand_known_arm(rows: Array, prior: Array) -> None:
     free = vt[int(np.sum(s > OPEN * s.max(initial=0.0))) :]
     if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(OPEN) * np.linalg.norm(rows / scaled):
         raise IdentifiabilityError(
-            "the recording under load moves what the result of the arm leaves open (joints that stood still, say), so that a frozen arm does not predict it; "
-            "take the arm refined, or identify it again from richer motion"
+            "the recording under load moves what the result of the arm leaves open (joints that"
+            " stood still, say), so that a frozen arm does not predict it; take the arm refined, or"
+            " identify it again from richer motion"
         )
 
 
-def _jackknife(blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm) -> Array:
+def _jackknife(
+    blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
+) -> Array:
     """Return the covariance (10, 10) of pi from leaving out one time block at a time."""
     n, p = len(blocks), len(estimates)
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
-            f"{n} time blocks are too few to judge the errors of a payload, {FEWEST_BLOCKS} are needed; record longer"
+            f"{n} time blocks are too few to judge the errors of a payload, {FEWEST_BLOCKS} are"
+            " needed; record longer"
         )
     if arm == "frozen":
         rows, held = [_arm_taken_out(block, estimates) for block in blocks], vague
     else:
-        rows, held = list(blocks), np.vstack([prior, np.concatenate([np.zeros((10, p)), vague], axis=1)])
+        rows, held = (
+            list(blocks),
+            np.vstack([prior, np.concatenate([np.zeros((10, p)), vague], axis=1)]),
+        )
     total = sum((row.T @ row for row in rows), start=held.T @ held)
     scale = _lengths(total)[:-1]
     found = []
     for row in rows:
         rest = total - row.T @ row
-        solved = np.linalg.lstsq(rest[:-1, :-1] / np.outer(scale, scale), rest[:-1, -1] / scale, rcond=1e-14)[0] / scale
+        solved = (
+            np.linalg.lstsq(
+                rest[:-1, :-1] / np.outer(scale, scale), rest[:-1, -1] / scale, rcond=1e-14
+            )[0]
+            / scale
+        )
         found.append(solved[-10:])
     deviations: Array = np.array(found) - np.mean(found, axis=0)
     return np.asarray((n - 1) / n * deviations.T @ deviations, dtype=np.float64)
@@ -335,10 +389,13 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
     quadratic = sparse.csc_matrix(np.triu(2.0 * (root * scale).T @ (root * scale)))
     linear = -2.0 * (root * scale).T @ (root @ estimate)
     constraint = sparse.csc_matrix(-PSEUDO_INERTIA_SVEC * scale)
-    solution = solve_cone_program(quadratic, linear, constraint, -floor * IDENTITY_SVEC, [clarabel.PSDTriangleConeT(4)])
+    solution = solve_cone_program(
+        quadratic, linear, constraint, -floor * IDENTITY_SVEC, [clarabel.PSDTriangleConeT(4)]
+    )
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"no possible body was found near the payload estimate {estimate.tolist()}: the solver says {solution.status}"
+            f"no possible body was found near the payload estimate {estimate.tolist()}: the solver"
+            f" says {solution.status}"
         )
     return solution.x * scale, True
 
@@ -352,7 +409,12 @@ def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
         return np.concatenate([[body.mass], body.com, about[np.triu_indices(3)]])
 
     step = 1e-6 * np.maximum(np.sqrt(np.diag(covariance)), 1e-9)
-    slope = np.column_stack([(report(parameters + h) - report(parameters - h)) / (2 * h[k]) for k, h in enumerate(np.diag(step))])
+    slope = np.column_stack(
+        [
+            (report(parameters + h) - report(parameters - h)) / (2 * h[k])
+            for k, h in enumerate(np.diag(step))
+        ]
+    )
     return report(parameters), slope
 
 
@@ -367,11 +429,17 @@ def _told(values: Array, errors: Array) -> NDArray[np.bool_]:
     return errors <= WELL_TOLD * size
 
 
-def _metrics(result: IdentificationResult, samples: Samples, beta: Array, payload: Payload | None) -> TorqueMetrics:
+def _metrics(
+    result: IdentificationResult, samples: Samples, beta: Array, payload: Payload | None
+) -> TorqueMetrics:
     """Return the torque error of an arm (and what it carries) on a recording."""
     added = None
     if payload is not None:
         added = np.zeros(10 * result.model.n_joints)
-        added[10 * payload.link : 10 * payload.link + 10] = shift_matrix(payload.placement) @ payload.parameters
+        added[10 * payload.link : 10 * payload.link + 10] = (
+            shift_matrix(payload.placement) @ payload.parameters
+        )
     prediction = predict_torque(result.model, result.base, beta, samples, added=added)
-    return torque_metrics(prediction.measured, prediction.predicted, samples.source, result.joint_names)
+    return torque_metrics(
+        prediction.measured, prediction.predicted, samples.source, result.joint_names
+    )

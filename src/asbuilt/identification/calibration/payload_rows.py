@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PayloadRows:
     """Hold weighted rows `[W | P | tau]` (m, p + 11) of arm, payload and torque, reduced: of each time block, all joints together, and of each joint, all blocks together.
@@ -51,20 +50,31 @@ class PayloadRows:
         p, weights = result.n_base, result.weights
         link_columns = np.arange(10 * link, 10 * link + 10)
         columns = np.union1d(result.base.columns, link_columns)
-        own, carried = np.searchsorted(columns, result.base.columns), np.searchsorted(columns, link_columns)
+        own, carried = (
+            np.searchsorted(columns, result.base.columns),
+            np.searchsorted(columns, link_columns),
+        )
         kept = ~result.dropped
         arm_model = carrying(result.model, result.base, x[:p])
         chi = arm_model.parameters.copy()
         chi[link_columns] += shift @ x[p:]
         under = accumulate_stream(
-            arm_model.with_parameters(chi), replace(result.base, columns=columns), loaded, block_seconds=block_seconds
+            arm_model.with_parameters(chi),
+            replace(result.base, columns=columns),
+            loaded,
+            block_seconds=block_seconds,
         )
 
         def with_payload(factor: Array) -> Array:
-            return np.column_stack([factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]])
+            return np.column_stack(
+                [factor[:, own] * kept, factor[:, carried] @ shift, factor[:, -1]]
+            )
 
         blocks = [with_payload(under.block_stacked(b, weights)) for b in range(under.n_blocks)]
-        joints = [with_payload(weight * factor) for weight, factor in zip(weights, _whole(under), strict=True)]
+        joints = [
+            with_payload(weight * factor)
+            for weight, factor in zip(weights, _whole(under), strict=True)
+        ]
         if unloaded:
             bare = accumulate_stream(arm_model, result.base, unloaded, block_seconds=block_seconds)
             blocks += [_widened(bare.block_stacked(b, weights), kept) for b in range(bare.n_blocks)]
@@ -87,4 +97,6 @@ def _whole(information: SquareRootInformation) -> list[Array]:
 
 def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:
     """Return a factor of the bare arm with ten zero columns for the payload, columns of parameters that are not `kept` zero too."""
-    return np.concatenate([factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1)
+    return np.concatenate(
+        [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1
+    )

@@ -76,28 +76,36 @@ class TorqueGains:
 
     def sentences(self) -> tuple[str, ...]:
         """Say what holds of the gains."""
-        said = [f"known of the payload: {', '.join(self.known)}; found beside the gains: {self._found()}"]
+        said = [
+            f"known of the payload: {', '.join(self.known)}; found beside the gains:"
+            f" {self._found()}"
+        ]
         untold = self._named(~self.determined)
         if untold:
             said.append(
-                f"not told by these recordings: {untold}; the payload hardly loads these joints, or what it loads them with was left open. They keep the gain in use"
+                f"not told by these recordings: {untold}; the payload hardly loads these joints, or"
+                " what it loads them with was left open. They keep the gain in use"
             )
         turned = self.determined & (self.factors < 0)
         if turned.any():
             said.append(
-                f"the torque in use has the opposite sign at {'every joint' if turned.all() else self._named(turned)}; the gains below turn it, so leave sign and "
-                "--flip-torque as they are"
+                "the torque in use has the opposite sign at"
+                f" {'every joint' if turned.all() else self._named(turned)}; the gains below turn"
+                " it, so leave sign and --flip-torque as they are"
             )
         faint = self._named(self.payload_share < FAINT)
         if faint:
             said.append(
-                f"the payload makes up less than {100 * FAINT:.0f} % of the torque of {faint}: these gains hang on parameters shared with other joints, and "
-                "on the friction model more than their standard errors say"
+                f"the payload makes up less than {100 * FAINT:.0f} % of the torque of {faint}:"
+                " these gains hang on parameters shared with other joints, and on the friction"
+                " model more than their standard errors say"
             )
         return tuple(said)
 
     def _named(self, chosen: NDArray[np.bool_]) -> str:
-        return ", ".join(name for name, named in zip(self.joint_names, chosen, strict=True) if named)
+        return ", ".join(
+            name for name, named in zip(self.joint_names, chosen, strict=True) if named
+        )
 
     def _found(self) -> str:
         body = LinkInertia(self.payload)
@@ -107,13 +115,17 @@ class TorqueGains:
 
 def gains_in_use(recordings: Sequence[Recording]) -> Array:
     """Return the gains (n,) that all of these recordings were multiplied by when read, ones where they were left as logged; raises UsageError where they differ."""
-    each = [np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains) for recording in recordings]
+    each = [
+        np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains)
+        for recording in recordings
+    ]
     for recording, gains in zip(recordings, each, strict=True):
         if not np.array_equal(gains, each[0]):
             listed = ", ".join(f"{gain:g}" for gain in each[0])
             raise UsageError(
-                f"{recording.source} was multiplied by gains {', '.join(f'{gain:g}' for gain in gains)}, {recordings[0].source} by {listed}; give the same to all, "
-                "by --gain or in their sheets"
+                f"{recording.source} was multiplied by gains"
+                f" {', '.join(f'{gain:g}' for gain in gains)}, {recordings[0].source} by {listed};"
+                " give the same to all, by --gain or in their sheets"
             )
     return each[0]
 
@@ -149,25 +161,43 @@ def identify_gains(
         If the recordings leave the scale open.
     """
     if not mass > 0:
-        raise UsageError(f"the mass of the payload must be known and positive to find gains, got {mass:g} kg")
+        raise UsageError(
+            f"the mass of the payload must be known and positive to find gains, got {mass:g} kg"
+        )
     if inertia_about_com is not None and com is None:
         raise UsageError("inertia_about_com of the payload is given without com; give com too")
-    without, under = (list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded))
+    without, under = (
+        list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded)
+    )
     terms = drive if drive is not None else usual_drive(model, "current")
     if not without or not under:
         raise UsageError(
-            f"gains of {model.name} take recordings without and with the payload, got {len(without)} and {len(under)}; pass at least one of each"
+            f"gains of {model.name} take recordings without and with the payload, got"
+            f" {len(without)} and {len(under)}; pass at least one of each"
         )
     if terms.needs_load:
-        raise UsageError(f"gains are found with friction that does not depend on load, got drive terms {terms}")
-    used = np.ones(model.n_joints) if in_use is None else np.atleast_1d(np.asarray(in_use, dtype=np.float64))
+        raise UsageError(
+            f"gains are found with friction that does not depend on load, got drive terms {terms}"
+        )
+    used = (
+        np.ones(model.n_joints)
+        if in_use is None
+        else np.atleast_1d(np.asarray(in_use, dtype=np.float64))
+    )
     if used.shape not in ((1,), (model.n_joints,)) or not np.all(np.isfinite(used) & (used != 0.0)):
-        raise UsageError(f"gains in use are one number or {model.n_joints}, one per joint, none of them 0, got {used.tolist()}")
+        raise UsageError(
+            f"gains in use are one number or {model.n_joints}, one per joint, none of them 0, got"
+            f" {used.tolist()}"
+        )
     used = np.broadcast_to(used, (model.n_joints,)).copy()
     name, link, placement = payload_frame(model, frame)
     problem = _Problem(model, terms, without, under, link, shift_matrix(placement))
     centre = np.zeros(3) if com is None else np.asarray(com, dtype=np.float64)
-    tensor = np.zeros((3, 3)) if inertia_about_com is None else np.asarray(inertia_about_com, dtype=np.float64)
+    tensor = (
+        np.zeros((3, 3))
+        if inertia_about_com is None
+        else np.asarray(inertia_about_com, dtype=np.float64)
+    )
     given = LinkInertia.from_com(mass, centre, tensor).parameters
     known = np.array([inertia_about_com is not None] * 6 + [com is not None] * 3 + [True])
     with one_blas_thread():
@@ -177,7 +207,11 @@ def identify_gains(
     open_ended = ~(scatter < np.abs(gains))
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
-    labels = ["mass", *(["centre of mass"] if com is not None else []), *(["inertia"] if inertia_about_com is not None else [])]
+    labels = [
+        "mass",
+        *(["centre of mass"] if com is not None else []),
+        *(["inertia"] if inertia_about_com is not None else []),
+    ]
     return TorqueGains(
         joint_names=model.joint_names,
         gains=used * gains,
@@ -196,13 +230,22 @@ class _Problem:
     """The rows `[W_k | P_k | i_k]` of every joint, reduced to triangles block by block."""
 
     def __init__(
-        self, model: RobotModel, drive: DriveSet, unloaded: Sequence[Samples], loaded: Sequence[Samples], link: int, to_link: Array
+        self,
+        model: RobotModel,
+        drive: DriveSet,
+        unloaded: Sequence[Samples],
+        loaded: Sequence[Samples],
+        link: int,
+        to_link: Array,
     ) -> None:
         base = find_base_parameters(model, drive)
         self._n, self._p = model.n_joints, base.n_base
         carried = np.arange(10 * link, 10 * link + 10)
         union = np.union1d(base.columns, carried)
-        where_base, where_payload = np.searchsorted(union, base.columns), np.searchsorted(union, carried)
+        where_base, where_payload = (
+            np.searchsorted(union, base.columns),
+            np.searchsorted(union, carried),
+        )
         plan = RegressorPlan.of(model, drive, union, spare_rows=1)
         self.blocks: list[list[Array]] = []
         loads: set[bool] = set()
@@ -223,11 +266,18 @@ class _Problem:
                 loads.add(under)
         if len(loads) < 2:
             raise IdentifiabilityError(
-                f"no samples of {model.name} {'with' if False in loads else 'without'} the payload are left to find gains from: every contiguous stretch is "
-                "shorter than the filter needs; record longer, or raise the cutoff"
+                f"no samples of {model.name} {'with' if False in loads else 'without'} the payload"
+                " are left to find gains from: every contiguous stretch is shorter than the filter"
+                " needs; record longer, or raise the cutoff"
             )
 
-    def solve(self, given: Array, known: NDArray[np.bool_], start: Array | None = None, skip: int | None = None) -> tuple[Array, Array]:
+    def solve(
+        self,
+        given: Array,
+        known: NDArray[np.bool_],
+        start: Array | None = None,
+        skip: int | None = None,
+    ) -> tuple[Array, Array]:
         """Return gains (n,) and payload (10,), by Gauss-Newton on 1 / gain and the parameters, weights renewed as the errors settle."""
         kept = [block for b, block in enumerate(self.blocks) if b != skip]
         rows = [triangular_factor(np.vstack([block[k] for block in kept])) for k in range(self._n)]
@@ -237,7 +287,10 @@ class _Problem:
         inverse = self._signs(rows, theta, free) if start is None else 1.0 / start
         sigma = np.ones(self._n)
         for iteration in range(ITERATIONS):
-            scaled = [r * [[*([g] * (p + 10)), 1.0]] / s for r, g, s in zip(rows, inverse, sigma, strict=True)]
+            scaled = [
+                r * [[*([g] * (p + 10)), 1.0]] / s
+                for r, g, s in zip(rows, inverse, sigma, strict=True)
+            ]
             matrix = np.vstack([r[:, :-1][:, free] for r in scaled])
             target = np.concatenate([r[:, -1] - r[:, :-1][:, ~free] @ theta[~free] for r in scaled])
             if iteration == 0 and start is None:
@@ -257,7 +310,10 @@ class _Problem:
             if np.all(np.abs(change) <= CONVERGENCE * np.abs(inverse)):
                 break
         if not np.all(np.isfinite(inverse)):
-            raise IdentifiabilityError("the recordings leave the gains open; carry a heavier payload, and move the joints that carry it")
+            raise IdentifiabilityError(
+                "the recordings leave the gains open; carry a heavier payload, and move the joints"
+                " that carry it"
+            )
         return 1.0 / inverse, theta[p:]
 
     def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
@@ -269,21 +325,31 @@ class _Problem:
             size = float(np.linalg.norm(r[:, -1])) or 1.0
             matrix.append(np.hstack([r[:, :-1][:, free], own]) / size)
             target.append(-r[:, :-1] @ theta / size)
-        return np.where(_least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0, -1.0, 1.0)
+        return np.where(
+            _least_squares(np.vstack(matrix), np.concatenate(target))[-self._n :] < 0, -1.0, 1.0
+        )
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
         """Return the RMS torque of the payload over the RMS torque of the loaded recordings, (n,)."""
         shares = []
         for k in range(self._n):
-            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [np.zeros((1, self._p + 11))]
+            under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [
+                np.zeros((1, self._p + 11))
+            ]
             rows = np.vstack(under)
             total = float(np.linalg.norm(rows[:, -1] * gains[k]))
-            shares.append(float(np.linalg.norm(rows[:, self._p : -1] @ payload)) / total if total > 0.0 else 0.0)
+            shares.append(
+                float(np.linalg.norm(rows[:, self._p : -1] @ payload)) / total
+                if total > 0.0
+                else 0.0
+            )
         return np.array(shares)
 
     def jackknife(self, gains: Array, given: Array, known: NDArray[np.bool_]) -> Array:
         """Return standard errors (n,) from leaving out one time block after another."""
-        left = np.array([self.solve(given, known, start=gains, skip=b)[0] for b in range(len(self.blocks))])
+        left = np.array(
+            [self.solve(given, known, start=gains, skip=b)[0] for b in range(len(self.blocks))]
+        )
         b = len(left)
         return np.asarray(np.sqrt((b - 1) / b * np.sum((left - left.mean(axis=0)) ** 2, axis=0)))
 

@@ -78,20 +78,38 @@ def identify_two_channels(
     UsageError
         If the two channels are not of the same instants, or a term needs what there is not.
     """
-    sensors, motors = (list(each) if isinstance(each, Sequence) else [each] for each in (sensor, motor))
+    sensors, motors = (
+        list(each) if isinstance(each, Sequence) else [each] for each in (sensor, motor)
+    )
     if len(sensors) != len(motors) or not sensors:
-        raise UsageError(f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)} of motors")
+        raise UsageError(
+            f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"
+            " of motors"
+        )
     for one, other in zip(sensors, motors, strict=True):
-        if one.t.shape != other.t.shape or np.abs(one.t - other.t).max() > 1e-9 or one.segments != other.segments:
+        if (
+            one.t.shape != other.t.shape
+            or np.abs(one.t - other.t).max() > 1e-9
+            or one.segments != other.segments
+        ):
             raise UsageError(
-                f"{one.source} and {other.source} are not of the same instants: {len(one.t)} samples up to {one.t[-1]:g} s and {len(other.t)} up to {other.t[-1]:g} s. "
-                "Log sensors and motors together, with the same time stamps, and prepare both with the same signal chain"
+                f"{one.source} and {other.source} are not of the same instants: {len(one.t)}"
+                f" samples up to {one.t[-1]:g} s and {len(other.t)} up to {other.t[-1]:g} s. Log"
+                " sensors and motors together, with the same time stamps, and prepare both with"
+                " the same signal chain"
             )
-    ahead = DriveSet((*MOTOR_SIDE.terms, *coupled_motor_terms(model).terms)) if motor_side is None else motor_side
+    ahead = (
+        DriveSet((*MOTOR_SIDE.terms, *coupled_motor_terms(model).terms))
+        if motor_side is None
+        else motor_side
+    )
     for side in (link_side, ahead):
         side.check_joints(model.n_joints)
         if not side.is_shaped:
-            raise UsageError(f"two channels are identified with shapes that are stated, such as stribeck:velocity=0.05, got {side}")
+            raise UsageError(
+                "two channels are identified with shapes that are stated, such as"
+                f" stribeck:velocity=0.05, got {side}"
+            )
     if link_side.needs_load or ahead.needs_load:
         raise UsageError("two channels are identified with friction that does not depend on load")
     acting = _acting(model, ahead)
@@ -129,9 +147,15 @@ def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
     return np.flatnonzero(acts)
 
 
-def _both_sides(model: RobotModel, base: BaseParameters, motor_side: DriveSet, acting: Indices) -> BaseParameters:
+def _both_sides(
+    model: RobotModel, base: BaseParameters, motor_side: DriveSet, acting: Indices
+) -> BaseParameters:
     """Return the base parameters with those of the motor side that act behind them, each independent of all others."""
-    every = [f"{letter}m{number}" for number in range(1, model.n_joints + 1) for letter in motor_side.letters]
+    every = [
+        f"{letter}m{number}"
+        for number in range(1, model.n_joints + 1)
+        for letter in motor_side.letters
+    ]
     every_unit = [unit for joint in model.joints for unit in motor_side.units(joint.kind)]
     names, units = tuple(every[j] for j in acting), tuple(every_unit[j] for j in acting)
     first, p, m = base.n_standard, base.n_base, len(names)
@@ -147,7 +171,12 @@ def _both_sides(model: RobotModel, base: BaseParameters, motor_side: DriveSet, a
         expressions=base.expressions + names,
         symbolic=base.symbolic + names,
         standard=base.standard
-        + tuple(StandardParameter(first + j + 1, name, "identifiable", (first + j + 1,), f"{name}: {why}") for j, name in enumerate(names)),
+        + tuple(
+            StandardParameter(
+                first + j + 1, name, "identifiable", (first + j + 1,), f"{name}: {why}"
+            )
+            for j, name in enumerate(names)
+        ),
     )
 
 
@@ -164,13 +193,21 @@ def _joined(
     p = both.n_base - len(acting)
     links = RegressorPlan.of(model, link_side, both.columns[:p], spare_rows=1)
     drives = RegressorPlan.of(model, motor_side, 10 * n + acting, spare_rows=1)
-    support = (*links.support, *(np.concatenate([own, p + extra]) for own, extra in zip(links.support, drives.support, strict=True)))
+    support = (
+        *links.support,
+        *(
+            np.concatenate([own, p + extra])
+            for own, extra in zip(links.support, drives.support, strict=True)
+        ),
+    )
     factors: list[list[Array]] = [[] for _ in support]
     sums, times = [], []
     for seen, driven in zip(stretches(model, sensors), stretches(model, motors), strict=True):
         growing = [GrowingFactor(len(columns) + 1) for columns in support]
         total = np.zeros(2 * n)
-        for behind, links_again, ahead in zip(seen.pieces(links), driven.pieces(links), driven.pieces(drives), strict=True):
+        for behind, links_again, ahead in zip(
+            seen.pieces(links), driven.pieces(links), driven.pieces(drives), strict=True
+        ):
             for k in range(n):
                 growing[k].append(behind[k])
                 growing[n + k].append(np.vstack([links_again[k][:-1], ahead[k]]))
@@ -180,5 +217,15 @@ def _joined(
             kept.append(grown.factor())
         sums.append(total)
         times.append(seen.time)
-    names = (*(f"{name} sensor" for name in model.joint_names), *(f"{name} motor" for name in model.joint_names))
-    return SquareRootInformation(both, names, support, tuple(np.array(each) for each in factors), np.array(sums), tuple(times))
+    names = (
+        *(f"{name} sensor" for name in model.joint_names),
+        *(f"{name} motor" for name in model.joint_names),
+    )
+    return SquareRootInformation(
+        both,
+        names,
+        support,
+        tuple(np.array(each) for each in factors),
+        np.array(sums),
+        tuple(times),
+    )

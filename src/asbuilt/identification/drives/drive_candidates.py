@@ -42,7 +42,9 @@ class Candidate:
         return self.term.key
 
 
-def candidates(model: RobotModel, start: DriveSet, source: str, samples: Sequence[Samples]) -> tuple[Candidate, ...]:
+def candidates(
+    model: RobotModel, start: DriveSet, source: str, samples: Sequence[Samples]
+) -> tuple[Candidate, ...]:
     """Return the terms that are tried beside `start` for torques of this source, a shape at values spread over its credible range."""
     found = []
     speeds = [np.abs(each.qd) for each in samples]
@@ -53,7 +55,11 @@ def candidates(model: RobotModel, start: DriveSet, source: str, samples: Sequenc
             found.append(Candidate(term, False))
         for shape in term.free_shapes:
             for j, values in enumerate(_spread(model, shape, speeds)):
-                found.append(Candidate(term.with_shapes({shape.name: tuple(values.tolist())}), j in (0, POINTS - 1)))
+                found.append(
+                    Candidate(
+                        term.with_shapes({shape.name: tuple(values.tolist())}), j in (0, POINTS - 1)
+                    )
+                )
     return tuple(found)
 
 
@@ -81,20 +87,34 @@ class CandidateColumns:
     """
 
     def __init__(
-        self, model: RobotModel, base: BaseParameters, tried: Sequence[Candidate], samples: Sequence[Samples], weights: Array
+        self,
+        model: RobotModel,
+        base: BaseParameters,
+        tried: Sequence[Candidate],
+        samples: Sequence[Samples],
+        weights: Array,
     ) -> None:
         self.model, self.base, self.tried = model, base, tuple(tried)
         n = model.n_joints
         plans = [RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)]
         for each in tried:
             own = n * len(each.term.letters)
-            plans.append(RegressorPlan.of(model, DriveSet((each.term,)), np.arange(10 * n, 10 * n + own), spare_rows=1))
+            plans.append(
+                RegressorPlan.of(
+                    model, DriveSet((each.term,)), np.arange(10 * n, 10 * n + own), spare_rows=1
+                )
+            )
         first = np.cumsum([0, *(len(each.term.letters) for each in tried)])
         extra, p = int(first[-1]), base.n_base
         self.n_parameters = p + n * extra
-        self._places = {(k, c): np.arange(first[c], first[c + 1]) + p + k * extra for k in range(n) for c in range(len(tried))}
+        self._places = {
+            (k, c): np.arange(first[c], first[c + 1]) + p + k * extra
+            for k in range(n)
+            for c in range(len(tried))
+        }
         self._positions = [
-            np.concatenate([support, p + k * extra + np.arange(extra), [self.n_parameters]]) for k, support in enumerate(plans[0].support)
+            np.concatenate([support, p + k * extra + np.arange(extra), [self.n_parameters]])
+            for k, support in enumerate(plans[0].support)
         ]
         self._weights = weights
         self.drive_places = [_drive_places(base, k) for k in range(n)]
@@ -102,9 +122,17 @@ class CandidateColumns:
         counts = []
         for stretch in thinned(model, samples):
             block = [np.zeros((len(positions), len(positions))) for positions in self._positions]
-            for base_rows, *extra_rows in zip(*(stretch.pieces(plan) for plan in plans), strict=True):
+            for base_rows, *extra_rows in zip(
+                *(stretch.pieces(plan) for plan in plans), strict=True
+            ):
                 for k in range(n):
-                    rows = np.vstack([base_rows[k][:-1], *(each[k][:-1] for each in extra_rows), base_rows[k][-1:]])
+                    rows = np.vstack(
+                        [
+                            base_rows[k][:-1],
+                            *(each[k][:-1] for each in extra_rows),
+                            base_rows[k][-1:],
+                        ]
+                    )
                     block[k] += rows @ rows.T
             grams.append(block)
             counts.append(stretch.n_outputs)
@@ -153,7 +181,10 @@ class CandidateColumns:
         matrix = total[np.ix_(indices, indices)]
         sizes = np.sqrt(np.diag(matrix))
         sizes[sizes == 0.0] = 1.0
-        solution = np.linalg.solve(matrix / np.outer(sizes, sizes) + RIDGE * np.eye(len(indices)), total[indices, -1] / sizes)
+        solution = np.linalg.solve(
+            matrix / np.outer(sizes, sizes) + RIDGE * np.eye(len(indices)),
+            total[indices, -1] / sizes,
+        )
         parameters = np.zeros(self.n_parameters)
         parameters[indices] = solution / sizes
         return parameters
@@ -161,8 +192,13 @@ class CandidateColumns:
     def judged(self, grams: Sequence[Array], parameters: Array) -> Array:
         """Return the squared error of each joint, (n,), no less than the rounding of its torque's: normal equations tell no smaller one, and may say below zero."""
         left = np.append(-parameters, 1.0)
-        errors = [left[positions] @ gram @ left[positions] for positions, gram in zip(self._positions, grams, strict=True)]
-        rounding = [np.finfo(np.float64).eps * gram[-1, -1] + np.finfo(np.float64).tiny for gram in grams]
+        errors = [
+            left[positions] @ gram @ left[positions]
+            for positions, gram in zip(self._positions, grams, strict=True)
+        ]
+        rounding = [
+            np.finfo(np.float64).eps * gram[-1, -1] + np.finfo(np.float64).tiny for gram in grams
+        ]
         return np.maximum(errors, rounding)
 
 
@@ -171,7 +207,14 @@ def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Ind
     found = []
     for term in base.drive.terms:
         names = [f"{letter}{joint + 1}" for letter in term.letters]
-        found.append((term, np.array([base.names.index(name) for name in names if name in base.names], dtype=np.int64)))
+        found.append(
+            (
+                term,
+                np.array(
+                    [base.names.index(name) for name in names if name in base.names], dtype=np.int64
+                ),
+            )
+        )
     return found
 
 
@@ -180,8 +223,13 @@ class Folds:
 
     def __init__(self, columns: CandidateColumns, blocks: Indices, n_folds: int) -> None:
         self._columns = columns
-        self.folds = [fold for fold in np.array_split(blocks, min(n_folds, len(blocks))) if len(fold)]
-        self._training = [columns.normal_equations(columns.summed(np.setdiff1d(blocks, fold))) for fold in self.folds]
+        self.folds = [
+            fold for fold in np.array_split(blocks, min(n_folds, len(blocks))) if len(fold)
+        ]
+        self._training = [
+            columns.normal_equations(columns.summed(np.setdiff1d(blocks, fold)))
+            for fold in self.folds
+        ]
         self._held = [columns.summed(fold) for fold in self.folds]
         self._counts = [int(columns.counts[fold].sum()) for fold in self.folds]
         self._known: dict[Choice, Fit] = {}
@@ -194,24 +242,35 @@ class Folds:
             indices = columns.indices(key)
             learnt = [columns.solved(total, indices) for total in self._training]
             errors = [
-                columns.judged(held, parameters) / count for held, parameters, count in zip(self._held, learnt, self._counts, strict=True)
+                columns.judged(held, parameters) / count
+                for held, parameters, count in zip(self._held, learnt, self._counts, strict=True)
             ]
             self._known[key] = Fit(np.array(errors), np.array(learnt))
         return self._known[key]
 
 
-def chosen_drive(start: DriveSet, tried: Sequence[Candidate], choice: Choice, n_joints: int) -> DriveSet:
+def chosen_drive(
+    start: DriveSet, tried: Sequence[Candidate], choice: Choice, n_joints: int
+) -> DriveSet:
     """Return the drive set of a choice: each term at the joints that have it, with the shapes they have there, simpler terms at the other joints."""
     drive = start
     for key in dict.fromkeys(tried[c].key for _, c in choice):
         at = {k: tried[c].term for k, c in choice if tried[c].key == key}
         term = next(iter(at.values()))
         shapes = {
-            shape.name: tuple(float(f"{at[k].at(k).value(shape.name):.4g}") if k in at else shape.default for k in range(n_joints))
+            shape.name: tuple(
+                float(f"{at[k].at(k).value(shape.name):.4g}") if k in at else shape.default
+                for k in range(n_joints)
+            )
             for shape in available_terms()[key].free_shapes
         }
         everywhere = len(at) == n_joints
-        drive = drive.with_term(replace(term.with_shapes(shapes), joints=None if everywhere else tuple(sorted(k + 1 for k in at))))
+        drive = drive.with_term(
+            replace(
+                term.with_shapes(shapes),
+                joints=None if everywhere else tuple(sorted(k + 1 for k in at)),
+            )
+        )
         simple = next((each for each in drive.terms if each.key == term.stands_for), None)
         if simple is not None:
             left = tuple(k + 1 for k in range(n_joints) if simple.is_at(k) and k not in at)

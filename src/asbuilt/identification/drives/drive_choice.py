@@ -106,7 +106,9 @@ class DriveChoice:
     fitted: tuple[ShapePlace, ...] = ()
 
 
-def settle_drive(model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None) -> DriveChoice:
+def settle_drive(
+    model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None
+) -> DriveChoice:
     """Return the drive terms to identify with: the usual ones of robot and torque source where `drive` is None, as given with its shapes fitted, or chosen where it is text such as "auto".
 
     "auto,spring:joints=2" has the terms beside auto in any case. Fitted shapes are judged on held-out blocks against the set without them, and stay whatever comes of it; a warning
@@ -129,13 +131,17 @@ def default_with(default: DriveSet, text: str) -> DriveSet:
     """Return the default set with the terms that stand beside auto in a list; raises UsageError where the list is not one of auto."""
     parts = [part.strip() for part in text.split(",")]
     if not is_auto(text):
-        raise UsageError(f"drive terms {text!r} do not leave a choice; give a DriveSet, or {AUTO!r}")
+        raise UsageError(
+            f"drive terms {text!r} do not leave a choice; give a DriveSet, or {AUTO!r}"
+        )
     for term in DriveSet.parse([part for part in parts if part.lower() != AUTO]).terms:
         default = default.with_term(term)
     return default
 
 
-def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: DriveSet | None = None) -> DriveChoice:
+def choose_drive(
+    model: RobotModel, samples: Sequence[Samples], *, default: DriveSet | None = None
+) -> DriveChoice:
     """Choose drive terms joint by joint: those that are credible there and lower the error on held-out time blocks, beside those the torque source calls for.
 
     Credible are the terms that declare themselves so for the torque source (springs and balancers never do: a robot has them or not), with shapes inside their credible range
@@ -152,15 +158,19 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
     start, told = (start, ()) if fit is None else (fit.drive, fit.places)
     n_blocks = len(thinned(model, samples))
     if n_blocks < FEWEST_BLOCKS:
-        said = f"drive terms {_named(start)} kept: {n_blocks} time blocks are too few to choose among more by holding some out"
+        said = (
+            f"drive terms {_named(start)} kept: {n_blocks} time blocks are too few to choose among"
+            " more by holding some out"
+        )
         return DriveChoice(start, (said,), fitted=told)
     plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     fitted = fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base))
     condition = fitted.solution.scaled_condition_number
     if not condition <= LARGE_CONDITION:
         said = (
-            f"drive terms {_named(start)} kept: the motion hardly tells these apart (scaled condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer "
-            "sets were not tried; record a richer motion"
+            f"drive terms {_named(start)} kept: the motion hardly tells these apart (scaled"
+            f" condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer sets were"
+            " not tried; record a richer motion"
         )
         return DriveChoice(start, (said,), fitted=told)
     tried = candidates(model, start, samples[0].torque_source, samples)
@@ -170,7 +180,11 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
         for _ in range(LOADS):
             loaded, before = carrying(model, plain.base, arm), choice
             columns = CandidateColumns(
-                loaded, plain.base, tried, samples, 1.0 / np.where(fitted.sigma > 0.0, fitted.sigma, noise_floor(plain))
+                loaded,
+                plain.base,
+                tried,
+                samples,
+                1.0 / np.where(fitted.sigma > 0.0, fitted.sigma, noise_floor(plain)),
             )
             choice, additions = _chosen(columns, columns.blocks)
             if choice == before or not any(tried[c].term.needs_load for _, c in choice):
@@ -179,9 +193,16 @@ def choose_drive(model: RobotModel, samples: Sequence[Samples], *, default: Driv
         gain = _nested_gain(columns) if choice else None
     chosen, untold, refined = _refined(loaded, samples, start, columns, choice)
     additions = [
-        replace(each, taken=False, objection="its shape is not told") if (each.joint, each.term) in untold else each for each in additions
+        (
+            replace(each, taken=False, objection="its shape is not told")
+            if (each.joint, each.term) in untold
+            else each
+        )
+        for each in additions
     ]
-    concluded = _concluded(loaded.joint_names, start, chosen, len(tried), gain if chosen != start else None, additions)
+    concluded = _concluded(
+        loaded.joint_names, start, chosen, len(tried), gain if chosen != start else None, additions
+    )
     return replace(concluded, fitted=(*told, *refined) if concluded.drive == chosen else told)
 
 
@@ -198,7 +219,13 @@ def _chosen(columns: CandidateColumns, blocks: Indices) -> tuple[Choice, list[Ad
     return choice, list(looked.values())
 
 
-def _best_at(columns: CandidateColumns, folds: Folds, choice: Choice, joint: int, looked: dict[tuple[int, str], Addition]) -> Placed | None:
+def _best_at(
+    columns: CandidateColumns,
+    folds: Folds,
+    choice: Choice,
+    joint: int,
+    looked: dict[tuple[int, str], Addition],
+) -> Placed | None:
     """Return the credible term that lowers the held-out error most at a joint, None where none is worth it; what was looked at is noted."""
     before = folds.fit(choice)
     there = [columns.tried[c].term for k, c in choice if k == joint]
@@ -209,7 +236,10 @@ def _best_at(columns: CandidateColumns, folds: Folds, choice: Choice, joint: int
         stands_for = columns.tried[shaped[0]].term.stands_for
         if key in taken or stands_for in taken:
             continue
-        placed = min(((joint, c) for c in shaped), key=lambda at: float(np.log(folds.fit((*choice, at)).held_out).mean()))
+        placed = min(
+            ((joint, c) for c in shaped),
+            key=lambda at: float(np.log(folds.fit((*choice, at)).held_out).mean()),
+        )
         after = folds.fit((*choice, placed))
         own = Gain.between(before.held_out[:, joint], after.held_out[:, joint])
         together = Gain.between(before.held_out, after.held_out)
@@ -217,7 +247,12 @@ def _best_at(columns: CandidateColumns, folds: Folds, choice: Choice, joint: int
             continue
         objection = _objection(columns, before.parameters, after.parameters, placed)
         looked[joint, key] = Addition(joint, key, own, objection, False)
-        if objection is None and own.exceeds(CERTAIN) and together.exceeds(CERTAIN) and (best is None or together.log > best[0]):
+        if (
+            objection is None
+            and own.exceeds(CERTAIN)
+            and together.exceeds(CERTAIN)
+            and (best is None or together.log > best[0])
+        ):
             best = (together.log, placed, key)
     if best is None:
         return None
@@ -225,7 +260,9 @@ def _best_at(columns: CandidateColumns, folds: Folds, choice: Choice, joint: int
     return best[1]
 
 
-def _objection(columns: CandidateColumns, before: Array, after: Array, placed: Placed) -> str | None:
+def _objection(
+    columns: CandidateColumns, before: Array, after: Array, placed: Placed
+) -> str | None:
     """Say why a term at a joint is not credible: `before` and `after` (folds, P) are the parameters learnt without and with it."""
     candidate = columns.tried[placed[1]]
     if candidate.at_bound:
@@ -234,7 +271,9 @@ def _objection(columns: CandidateColumns, before: Array, after: Array, placed: P
     if not np.all(surely_positive(after[:, columns.own_places(placed)])):
         return "its parameters do not come out positive"
     for term, places in columns.drive_places[placed[0]]:
-        if term.non_negative and np.any(surely_positive(-after[:, places]) & ~surely_positive(-before[:, places])):
+        if term.non_negative and np.any(
+            surely_positive(-after[:, places]) & ~surely_positive(-before[:, places])
+        ):
             return f"{term.key} would become negative beside it"
     return None
 
@@ -258,7 +297,12 @@ def _nested_gain(columns: CandidateColumns) -> Gain:
 
 
 def _concluded(
-    names: Sequence[str], start: DriveSet, chosen: DriveSet, n_tried: int, gain: Gain | None, additions: Sequence[Addition]
+    names: Sequence[str],
+    start: DriveSet,
+    chosen: DriveSet,
+    n_tried: int,
+    gain: Gain | None,
+    additions: Sequence[Addition],
 ) -> DriveChoice:
     """Return the choice with what is to be said of it; `gain` None where nothing was chosen."""
     refused = [
@@ -269,21 +313,35 @@ def _concluded(
     objections = (f"not credible, so left out: {'; '.join(refused)}",) if refused else ()
     if gain is None:
         said = (
-            f"drive terms {_named(start)} kept: of {n_tried} others none is credible and surely lowers the torque error on held-out blocks"
+            f"drive terms {_named(start)} kept: of {n_tried} others none is credible and surely"
+            " lowers the torque error on held-out blocks"
         )
         return DriveChoice(start, (said, *objections), (), None, tuple(additions))
     added = ", ".join(
-        f"{each.term} at {names[each.joint]} ({each.gain})" for each in sorted(additions, key=lambda a: a.joint) if each.taken
+        f"{each.term} at {names[each.joint]} ({each.gain})"
+        for each in sorted(additions, key=lambda a: a.joint)
+        if each.taken
     )
     if not gain.exceeds(CERTAIN_TOGETHER):
-        said = f"drive terms {_named(start)} kept: chosen anew without some blocks, richer ones lower the torque error there by {gain} only ({added})"
-        return DriveChoice(start, (said, *objections), (), gain, tuple(replace(each, taken=False) for each in additions))
+        said = (
+            f"drive terms {_named(start)} kept: chosen anew without some blocks, richer ones lower"
+            f" the torque error there by {gain} only ({added})"
+        )
+        return DriveChoice(
+            start,
+            (said, *objections),
+            (),
+            gain,
+            tuple(replace(each, taken=False) for each in additions),
+        )
     sentences = [
-        f"drive terms {_named(chosen)} chosen beside {_named(start)}; each lowers its joint's torque error on held-out blocks: {added}; the choice made anew "
-        f"without the blocks that judge it, all joints: {gain}"
+        f"drive terms {_named(chosen)} chosen beside {_named(start)}; each lowers its joint's"
+        f" torque error on held-out blocks: {added}; the choice made anew without the blocks that"
+        f" judge it, all joints: {gain}"
     ]
     shaped = [
-        f"{shape.name} of {term.key} {', '.join(_shape_at(term, shape, k, names) for k in range(len(names)) if term.is_at(k))}"
+        f"{shape.name} of {term.key}"
+        f" {', '.join(_shape_at(term, shape, k, names) for k in range(len(names)) if term.is_at(k))}"
         for term in chosen.terms
         for shape in term.shapes
     ]
@@ -292,29 +350,57 @@ def _concluded(
 
 
 def _shape_at(term: DriveTerm, shape: Shape, joint: int, names: Sequence[str]) -> str:
-    return f"{names[joint]} {term.at(joint).value(shape.name):.3g}{f' {shape.unit}' if shape.unit else ''}"
+    return (
+        f"{names[joint]}"
+        f" {term.at(joint).value(shape.name):.3g}{f' {shape.unit}' if shape.unit else ''}"
+    )
 
 
 def _refined(
-    loaded: RobotModel, samples: Sequence[Samples], start: DriveSet, columns: CandidateColumns, choice: Choice
+    loaded: RobotModel,
+    samples: Sequence[Samples],
+    start: DriveSet,
+    columns: CandidateColumns,
+    choice: Choice,
 ) -> tuple[DriveSet, set[tuple[int, str]], tuple[ShapePlace, ...]]:
     """Return the set of a choice with its shapes refined between the values tried, less the terms, by joint and key, whose shape all blocks together do not tell; and the shapes told."""
     n = loaded.n_joints
     rough = chosen_drive(start, columns.tried, choice, n)
     free = DriveSet(
-        tuple(term if term.key in start.keys else replace(available_terms()[term.key], joints=term.joints) for term in rough.terms)
+        tuple(
+            (
+                term
+                if term.key in start.keys
+                else replace(available_terms()[term.key], joints=term.joints)
+            )
+            for term in rough.terms
+        )
     )
     if free.is_shaped:
         return rough, set(), ()
     found_all = fit_shapes(loaded, free, samples)
     fitted = found_all.shapes
-    untold = {(k, found.term) for found in fitted for k, c in choice if columns.tried[c].key == found.term and not found.told[k]}
-    chosen = chosen_drive(start, columns.tried, tuple((k, c) for k, c in choice if (k, columns.tried[c].key) not in untold), n)
+    untold = {
+        (k, found.term)
+        for found in fitted
+        for k, c in choice
+        if columns.tried[c].key == found.term and not found.told[k]
+    }
+    chosen = chosen_drive(
+        start,
+        columns.tried,
+        tuple((k, c) for k, c in choice if (k, columns.tried[c].key) not in untold),
+        n,
+    )
     for found in fitted:
         for term in chosen.terms:
             if term.key == found.term:
                 chosen = chosen.with_term(term.with_shapes({found.shape.name: found.values}))
-    return chosen, untold, tuple(place for place in found_all.places if (place.joint, place.term) not in untold)
+    return (
+        chosen,
+        untold,
+        tuple(place for place in found_all.places if (place.joint, place.term) not in untold),
+    )
 
 
 def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:
@@ -328,13 +414,26 @@ def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> D
     warnings = found.warnings(model.joint_names)
     both = [_judged(model, samples, each) for each in (plain, found.drive)]
     if both[0] is None or both[1] is None:
-        return DriveChoice(found.drive, found.sentences(model.joint_names), warnings, fitted=found.places)
+        return DriveChoice(
+            found.drive, found.sentences(model.joint_names), warnings, fitted=found.places
+        )
     gain = Gain.between(both[0], both[1])
-    change = f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against {_named(plain)}"
+    change = (
+        f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against {_named(plain)}"
+    )
     if gain.fraction < 0:
         listed = ", ".join(term.key for term in shaped)
-        warnings = (*warnings, f"Fitted {listed} do not pay: {change}. Leave them out, or state their shapes.")
-    return DriveChoice(found.drive, (*found.sentences(model.joint_names), change), warnings, gain, fitted=found.places)
+        warnings = (
+            *warnings,
+            f"Fitted {listed} do not pay: {change}. Leave them out, or state their shapes.",
+        )
+    return DriveChoice(
+        found.drive,
+        (*found.sentences(model.joint_names), change),
+        warnings,
+        gain,
+        fitted=found.places,
+    )
 
 
 def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:
@@ -348,13 +447,21 @@ def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> A
     for fold in np.array_split(np.arange(information.n_blocks), min(FOLDS, information.n_blocks)):
         learnt = information.select(np.setdiff1d(np.arange(information.n_blocks), fold))
         held = information.select(fold)
-        errors.append(held.residual_energy(fit_least_squares(learnt, weights=weights, prior=prior).beta) / held.n_samples)
+        errors.append(
+            held.residual_energy(fit_least_squares(learnt, weights=weights, prior=prior).beta)
+            / held.n_samples
+        )
     return np.array(errors)
 
 
 def _named(drive: DriveSet) -> str:
     """Return the keys of a set, with the joints of terms that only some have."""
     return ", ".join(
-        term.key + ("" if term.joints is None else f" (joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))})")
+        term.key
+        + (
+            ""
+            if term.joints is None
+            else f" (joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))})"
+        )
         for term in drive.terms
     )

@@ -35,20 +35,36 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
     """
     ratios = gear_ratios(result.model)
     if not ratios:
-        raise DescriptionError(f"{result.robot} states no gear ratio; give drive = {{gear_ratio = 100.0}} to its links in the robot file")
+        raise DescriptionError(
+            f"{result.robot} states no gear ratio; give drive = {{gear_ratio = 100.0}} to its links"
+            " in the robot file"
+        )
     drive, found = result.base.drive, []
-    alone = {parameter.name for parameter in result.parameters if parameter.expression == parameter.name}
-    known = {parameter.name: parameter for parameter in result.parameters if parameter.name in alone}
+    alone = {
+        parameter.name for parameter in result.parameters if parameter.expression == parameter.name
+    }
+    known = {
+        parameter.name: parameter for parameter in result.parameters if parameter.name in alone
+    }
     for joint, ratio in ratios.items():
         for term in drive.at(joint).terms:
-            for letter, unit, power in zip(term.letters, term.units(revolute=True), term.powers_of_ratio(), strict=True):
+            for letter, unit, power in zip(
+                term.letters, term.units(revolute=True), term.powers_of_ratio(), strict=True
+            ):
                 parameter = known.get(f"{letter}{joint + 1}")
                 if parameter is None:
                     continue
-                shrunk = float(np.abs(ratio) ** power) * (np.sign(ratio) if term.turns_over else 1.0)
+                shrunk = float(np.abs(ratio) ** power) * (
+                    np.sign(ratio) if term.turns_over else 1.0
+                )
                 found.append(
                     MotorSideParameter(
-                        parameter.name, ratio, parameter.estimate, parameter.estimate / shrunk, parameter.std_error / abs(shrunk), unit
+                        parameter.name,
+                        ratio,
+                        parameter.estimate,
+                        parameter.estimate / shrunk,
+                        parameter.std_error / abs(shrunk),
+                        unit,
                     )
                 )
     return tuple(found)
@@ -56,4 +72,8 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
 
 def gear_ratios(model: RobotModel) -> dict[int, float]:
     """Return the gear ratios that the description gives, by joint (counted from 0)."""
-    return {k: joint.drive.gear_ratio for k, joint in enumerate(model.joints) if joint.drive.gear_ratio is not None}
+    return {
+        k: joint.drive.gear_ratio
+        for k, joint in enumerate(model.joints)
+        if joint.drive.gear_ratio is not None
+    }

@@ -90,7 +90,9 @@ class ShapeFit:
                 f"{name} {value:.3g}{'' if told else ' (not told, default)'}"
                 for name, value, told in zip(joint_names, found.values, found.told, strict=True)
             )
-            said.append(f"{found.shape.name} of {found.term}, fitted by variable projection: {listed}{unit}")
+            said.append(
+                f"{found.shape.name} of {found.term}, fitted by variable projection: {listed}{unit}"
+            )
         return tuple(said)
 
     def warnings(self, joint_names: Sequence[str]) -> tuple[str, ...]:
@@ -98,14 +100,19 @@ class ShapeFit:
         said = []
         for found in self.shapes:
             bounded = [
-                f"{name} ({low:.3g} to {high:.3g}{f' {found.shape.unit}' if found.shape.unit else ''})"
-                for name, low, high, there in zip(joint_names, found.lowest, found.highest, found.at_bound, strict=True)
+                f"{name} ({low:.3g} to"
+                f" {high:.3g}{f' {found.shape.unit}' if found.shape.unit else ''})"
+                for name, low, high, there in zip(
+                    joint_names, found.lowest, found.highest, found.at_bound, strict=True
+                )
                 if there
             ]
             if bounded:
                 said.append(
-                    f"The {found.shape.name} that fits {found.term} best lies at an end of its credible range at {', '.join(bounded)}: the friction there is of another kind. "
-                    "It keeps its default; leave the term out there (:joints=...) or state the value."
+                    f"The {found.shape.name} that fits {found.term} best lies at an end of its"
+                    f" credible range at {', '.join(bounded)}: the friction there is of another"
+                    " kind. It keeps its default; leave the term out there (:joints=...) or state"
+                    " the value."
                 )
         return tuple(said)
 
@@ -126,8 +133,9 @@ def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -
     chosen = thinned(model, samples)
     if not chosen:
         raise IdentifiabilityError(
-            f"no samples of {model.name} are left to fit the shapes of {drive} to: every contiguous stretch is shorter than the filter needs; "
-            "record longer, raise the cutoff, or state the shapes"
+            f"no samples of {model.name} are left to fit the shapes of {drive} to: every contiguous"
+            " stretch is shorter than the filter needs; record longer, raise the cutoff, or state"
+            " the shapes"
         )
     with one_blas_thread():
         for _ in range(CYCLES if len(free) > 1 else 1):
@@ -138,7 +146,8 @@ def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -
                 found[key, shape.name] = fitted
                 current = current.with_term(term.with_shapes({shape.name: fitted.values}))
             if all(
-                place in before and np.all(np.abs(before[place] - each.values) <= SETTLED * np.abs(each.values))
+                place in before
+                and np.all(np.abs(before[place] - each.values) <= SETTLED * np.abs(each.values))
                 for place, each in found.items()
             ):
                 break
@@ -152,15 +161,22 @@ def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
     return every[::step]
 
 
-def _fit_one(model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape, chosen: Sequence[Stretch]) -> FittedShape:
+def _fit_one(
+    model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape, chosen: Sequence[Stretch]
+) -> FittedShape:
     n = model.n_joints
     remaining = _Remaining(model, others, chosen)
     braking = term.stands_for not in others.keys
 
     def error(values: Array) -> Array:
-        return remaining.with_term(term.with_shapes({shape.name: tuple(float(value) for value in values)}), positive=braking)
+        return remaining.with_term(
+            term.with_shapes({shape.name: tuple(float(value) for value in values)}),
+            positive=braking,
+        )
 
-    lowest, highest = credible_range(model, shape, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen])
+    lowest, highest = credible_range(
+        model, shape, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen]
+    )
     logarithmic = shape.lower > 0.0
     first, last = (np.log(lowest), np.log(highest)) if logarithmic else (lowest, highest)
 
@@ -179,11 +195,18 @@ def _fit_one(model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape,
         low, high = np.where(left, low, a), np.where(left, b, high)
         renewed = np.where(left, high - GOLDEN * (high - low), low + GOLDEN * (high - low))
         at = error(real(renewed))
-        a, b, at_a, at_b = np.where(left, renewed, b), np.where(left, a, renewed), np.where(left, at, at_b), np.where(left, at_a, at)
+        a, b, at_a, at_b = (
+            np.where(left, renewed, b),
+            np.where(left, a, renewed),
+            np.where(left, at, at_b),
+            np.where(left, at_a, at),
+        )
     values, least = real(np.where(at_a < at_b, a, b)), np.minimum(at_a, at_b)
     worse = least > errors.min(axis=0)
     values = np.where(worse, real(grid[best, every]), values)
-    reduction = 1.0 - np.minimum(least, errors.min(axis=0)) / np.maximum(remaining.energy, np.finfo(np.float64).tiny)
+    reduction = 1.0 - np.minimum(least, errors.min(axis=0)) / np.maximum(
+        remaining.energy, np.finfo(np.float64).tiny
+    )
     margin = AT_BOUND * (last - first)
     placed = np.log(values) if logarithmic else values
     lowers = reduction > TOLD / sum(each.n_outputs for each in chosen)
@@ -207,7 +230,12 @@ def credible_range(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> 
     moved = np.concatenate(speeds)
     limit = np.array([joint.limits.velocity for joint in model.joints])
     top = np.where(np.isfinite(limit) & (limit > 0), limit, moved.max(axis=0))
-    slowest = np.array([np.quantile(v[v > 0.0], SLOWEST_SHARE) if np.any(v > 0.0) else shape.lower for v in moved.T])
+    slowest = np.array(
+        [
+            np.quantile(v[v > 0.0], SLOWEST_SHARE) if np.any(v > 0.0) else shape.lower
+            for v in moved.T
+        ]
+    )
     lowest = np.clip(np.maximum(low * top, slowest), shape.lower, shape.upper)
     return lowest, np.clip(high * top, lowest, shape.upper)
 
@@ -234,9 +262,13 @@ class _Remaining:
     def with_term(self, term: DriveTerm, *, positive: bool) -> Array:
         """Return the squared error of each joint that is left beside the columns of this term, shape (n,); with `positive` only if their parameters are."""
         n, per = self._model.n_joints, len(term.letters)
-        plan = RegressorPlan.of(self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1)
+        plan = RegressorPlan.of(
+            self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1
+        )
         left = []
-        for rows, basis, torque in zip(_joined(plan, self._chosen), self._bases, self._torques, strict=True):
+        for rows, basis, torque in zip(
+            _joined(plan, self._chosen), self._bases, self._torques, strict=True
+        ):
             columns = rows[:-1]
             rest = columns - (columns @ basis.T) @ basis
             rest = rest - (rest @ basis.T) @ basis
@@ -250,5 +282,7 @@ class _Remaining:
 
 
 def _joined(plan: RegressorPlan, chosen: Sequence[Stretch]) -> list[Array]:
-    pieces: Iterator[tuple[Array, ...]] = (tuple(rows.copy() for rows in piece) for each in chosen for piece in each.pieces(plan))
+    pieces: Iterator[tuple[Array, ...]] = (
+        tuple(rows.copy() for rows in piece) for each in chosen for piece in each.pieces(plan)
+    )
     return [np.hstack(parts) for parts in zip(*pieces, strict=True)]

@@ -48,11 +48,18 @@ class SuspectedSpring:
     error_with: float
 
     def __str__(self) -> str:
-        return f"{self.joint_name} {self.stiffness:.2g} {self.unit} (torque error on time blocks held out {self.error_without:.3g} -> {self.error_with:.3g})"
+        return (
+            f"{self.joint_name} {self.stiffness:.2g} {self.unit} (torque error on time blocks held"
+            f" out {self.error_without:.3g} -> {self.error_with:.3g})"
+        )
 
 
 def suspected_springs(
-    model: RobotModel, samples: Sequence[Samples], drive: DriveSet, *, block_seconds: float | None = None
+    model: RobotModel,
+    samples: Sequence[Samples],
+    drive: DriveSet,
+    *,
+    block_seconds: float | None = None,
 ) -> tuple[SuspectedSpring, ...]:
     """Return the joints, the most helped first, at which a spring beside real bodies lowers the torque error on time blocks held out.
 
@@ -69,14 +76,34 @@ def suspected_springs(
         if described is not None and described.is_at(joint):
             continue
         sprung = {joint + 1} if described is None else {joint + 1, *(described.joints or ())}
-        tried = _HeldOut.of(model, samples, drive.with_term(Spring(joints=tuple(sorted(sprung)))), plain.weights, block_seconds)
+        tried = _HeldOut.of(
+            model,
+            samples,
+            drive.with_term(Spring(joints=tuple(sorted(sprung)))),
+            plain.weights,
+            block_seconds,
+        )
         own = Gain.between(plain.errors[:, joint], tried.errors[:, joint])
         together = Gain.between(plain.errors * plain.weights**2, tried.errors * plain.weights**2)
         stiffness = tried.parameters[:, [tried.names.index(f"{Spring.letters[0]}{joint + 1}")]]
-        if own.fraction > WORTH and own.exceeds(CERTAIN) and together.exceeds(CERTAIN_TOGETHER) and bool(surely_positive(stiffness)[0]):
+        if (
+            own.fraction > WORTH
+            and own.exceeds(CERTAIN)
+            and together.exceeds(CERTAIN_TOGETHER)
+            and bool(surely_positive(stiffness)[0])
+        ):
             unit = (Spring.revolute_units if place.is_revolute else Spring.prismatic_units)[0]
-            without, with_it = (float(np.sqrt(each.errors[:, joint].mean())) for each in (plain, tried))
-            found.append((together.log, SuspectedSpring(joint, place.name, float(stiffness.mean()), unit, without, with_it)))
+            without, with_it = (
+                float(np.sqrt(each.errors[:, joint].mean())) for each in (plain, tried)
+            )
+            found.append(
+                (
+                    together.log,
+                    SuspectedSpring(
+                        joint, place.name, float(stiffness.mean()), unit, without, with_it
+                    ),
+                )
+            )
     return tuple(spring for _, spring in sorted(found, key=lambda each: -each[0]))
 
 
@@ -91,7 +118,12 @@ class _HeldOut:
 
     @classmethod
     def of(
-        cls, model: RobotModel, samples: Sequence[Samples], drive: DriveSet, weights: Array | None, block_seconds: float | None
+        cls,
+        model: RobotModel,
+        samples: Sequence[Samples],
+        drive: DriveSet,
+        weights: Array | None,
+        block_seconds: float | None,
     ) -> _HeldOut:
         base, prior = find_base_parameters(model, drive), cad_prior(model, drive)
         information = accumulate_stream(model, base, samples, block_seconds=block_seconds)

@@ -65,7 +65,13 @@ class Bootstrap:
         return np.quantile(self.estimates, [outside, 1.0 - outside], axis=0).T
 
 
-def redraw(information: SquareRootInformation, estimate: Estimate, *, n_draws: int | None = None, rng: Seed = 0) -> Bootstrap:
+def redraw(
+    information: SquareRootInformation,
+    estimate: Estimate,
+    *,
+    n_draws: int | None = None,
+    rng: Seed = 0,
+) -> Bootstrap:
     """Fit recordings made of time blocks drawn with replacement as `estimate` was fitted, all that it chose held fixed.
 
     Each draw has as many blocks as the recording; residuals may be correlated within a block (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap).
@@ -81,7 +87,8 @@ def redraw(information: SquareRootInformation, estimate: Estimate, *, n_draws: i
     n = information.n_blocks
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
-            f"{n} time blocks are too few to draw from, {FEWEST_BLOCKS} are needed; record longer, choose shorter blocks, or take errors by formula (blocks)"
+            f"{n} time blocks are too few to draw from, {FEWEST_BLOCKS} are needed; record longer,"
+            " choose shorter blocks, or take errors by formula (blocks)"
         )
     linear = estimate.refit is None
     draws = (LINEAR_DRAWS if linear else REFITTED_DRAWS) if n_draws is None else n_draws
@@ -95,13 +102,16 @@ def redraw(information: SquareRootInformation, estimate: Estimate, *, n_draws: i
     refused = draws - len(estimates)
     if refused > MOST_FAILURES * draws or len(estimates) < 2:
         raise IdentifiabilityError(
-            f"{refused} of {draws} draws of {n} time blocks leave open what the whole recording tells; single blocks carry what others do not: record longer, "
-            "or take errors by formula (blocks)"
+            f"{refused} of {draws} draws of {n} time blocks leave open what the whole recording"
+            " tells; single blocks carry what others do not: record longer, or take errors by"
+            " formula (blocks)"
         )
     return Bootstrap(np.array(estimates))
 
 
-def _stepped(information: SquareRootInformation, estimate: Estimate, counts: NDArray[np.int64]) -> list[Array]:
+def _stepped(
+    information: SquareRootInformation, estimate: Estimate, counts: NDArray[np.int64]
+) -> list[Array]:
     root = estimate.solution.inverse_root
     gram, score = block_pulls(information, estimate)
     more, estimates = counts - 1.0, []
@@ -113,16 +123,32 @@ def _stepped(information: SquareRootInformation, estimate: Estimate, counts: NDA
     return estimates
 
 
-def _refitted(information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]) -> list[Array]:
+def _refitted(
+    information: SquareRootInformation, weights: Array, refit: Refit, counts: NDArray[np.int64]
+) -> list[Array]:
     blocks = [information.block_stacked(b, weights) for b in range(information.n_blocks)]
     estimates = []
     for times in counts:
         with suppress(AsbuiltError):
-            estimates.append(refit(triangular_factor(np.vstack([np.sqrt(c) * block for c, block in zip(times, blocks, strict=True) if c]))))
+            estimates.append(
+                refit(
+                    triangular_factor(
+                        np.vstack(
+                            [
+                                np.sqrt(c) * block
+                                for c, block in zip(times, blocks, strict=True)
+                                if c
+                            ]
+                        )
+                    )
+                )
+            )
     return estimates
 
 
-def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap) -> Uncertainty:
+def bootstrap_uncertainty(
+    information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap
+) -> Uncertainty:
     """Return the scatter of the draws as the errors of an estimate, no variance smaller than the textbook one.
 
     Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement makes too small, and those of fits that are not linear by the ratio of
@@ -130,13 +156,22 @@ def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate
     that miss influential blocks scatter the more; bounds hold such draws back. With it, 95 % intervals cover 95 to 97 % (benchmarks/coverage.py).
     """
     n = information.n_blocks
-    few = 1.0 if estimate.refit is None else float(stats.t.ppf(COVERED, n - 1) / stats.norm.ppf(COVERED))
+    few = (
+        1.0
+        if estimate.refit is None
+        else float(stats.t.ppf(COVERED, n - 1) / stats.norm.ppf(COVERED))
+    )
     textbook = np.diag(estimate.covariance)
     told = textbook > 0
     covariance = drawn.covariance * (few**2 * n / (n - 1.0))
     still = np.flatnonzero(told & (np.diag(covariance) == 0.0))
     covariance[still, still] = textbook[still]
-    swell = np.sqrt(np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)) * told
+    swell = (
+        np.sqrt(
+            np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)
+        )
+        * told
+    )
     covariance = covariance * np.outer(swell, swell)
     ratio = np.diag(covariance)[told] / textbook[told]
     basis = replace(
@@ -152,7 +187,9 @@ def bootstrap_uncertainty(information: SquareRootInformation, estimate: Estimate
 def held_fixed(estimate: Estimate) -> tuple[str, ...]:
     """Return what all draws of an estimate have in common beside the blocks, in words."""
     method, own = estimate.method, CHOSEN.get(estimate.method)
-    if method in ("huber", "bisquare") or (estimate.information is not None and method not in OWN_ROWS):
+    if method in ("huber", "bisquare") or (
+        estimate.information is not None and method not in OWN_ROWS
+    ):
         weights: tuple[str, ...] = ("the weights of joints and rows",)
     else:
         weights = () if method in ("ols", "ml") else ("the weights of the joints",)

@@ -35,24 +35,48 @@ class ErrorBasis:
     def sentence(self, effective_samples: float, n_samples: int) -> str:
         """Say it in a sentence or two, with the number of samples that are worth independent ones."""
         worth = f"effective samples {round(effective_samples)} of {n_samples}"
-        blocks = f"{self.n_blocks} time blocks" + (f" of {self.block_seconds:.3g} s" if self.block_seconds else "")
+        blocks = f"{self.n_blocks} time blocks" + (
+            f" of {self.block_seconds:.3g} s" if self.block_seconds else ""
+        )
         if self.kind == "blocks":
-            return f"Standard errors (blocks): by formula from {blocks}, allowing for residual correlation within them ({worth})."
+            return (
+                f"Standard errors (blocks): by formula from {blocks}, allowing for residual"
+                f" correlation within them ({worth})."
+            )
         if self.kind == "bootstrap":
-            listed = ", ".join(self.held_fixed[:-1]) + (" and " if len(self.held_fixed) > 1 else "") + "".join(self.held_fixed[-1:])
+            listed = (
+                ", ".join(self.held_fixed[:-1])
+                + (" and " if len(self.held_fixed) > 1 else "")
+                + "".join(self.held_fixed[-1:])
+            )
             held = f", with {listed} held fixed" if self.held_fixed else ""
-            return f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks} drawn with replacement{held} ({worth})."
+            return (
+                f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks} drawn"
+                f" with replacement{held} ({worth})."
+            )
         if self.kind == "textbook":
-            return f"Standard errors (textbook): residuals taken as independent, {self._too_small()}."
+            return (
+                f"Standard errors (textbook): residuals taken as independent, {self._too_small()}."
+            )
         return f"Standard errors allow for residual correlation ({worth})."
 
     def _too_small(self) -> str:
         if self.growth is None:
-            few = f"; {self.n_blocks} time blocks are too few to do better" if self.asked != "textbook" else ""
+            few = (
+                f"; {self.n_blocks} time blocks are too few to do better"
+                if self.asked != "textbook"
+                else ""
+            )
             return f"which they hardly are, so TOO SMALL{few}"
         if self.growth < TELLING_GROWTH:
-            return f"and here they nearly are (errors from time blocks are {self.growth:.2g} times as large); TOO SMALL where residuals are correlated"
-        return f"which they are not: TOO SMALL, errors from time blocks (--errors blocks) are {self.growth:.2g} times as large"
+            return (
+                f"and here they nearly are (errors from time blocks are {self.growth:.2g} times as"
+                " large); TOO SMALL where residuals are correlated"
+            )
+        return (
+            "which they are not: TOO SMALL, errors from time blocks (--errors blocks) are"
+            f" {self.growth:.2g} times as large"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists, ready for JSON."""

@@ -52,8 +52,14 @@ class ShapeErrors:
         """Say how well each shape is told."""
         parts: dict[str, list[str]] = {}
         for place, value, error in zip(self.places, self.values, self.std_errors, strict=True):
-            shown = " +- ".join(rounded(value, error)) if np.isfinite(error) else f"{value:.3g} (not told)"
-            parts.setdefault(f"{place.shape} of {place.term}", []).append(f"{joint_names[place.joint]} {shown}")
+            shown = (
+                " +- ".join(rounded(value, error))
+                if np.isfinite(error)
+                else f"{value:.3g} (not told)"
+            )
+            parts.setdefault(f"{place.shape} of {place.term}", []).append(
+                f"{joint_names[place.joint]} {shown}"
+            )
         listed = "; ".join(f"{what} {', '.join(each)}" for what, each in parts.items())
         return f"Standard errors count what the shapes, fitted along, leave open: {listed}."
 
@@ -91,7 +97,13 @@ def shape_errors(
                 for k, rows in enumerate(piece):
                     p_k = len(plan.support[k])
                     error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
-                    seen = np.vstack([root[plan.support[k]].T @ rows[:p_k], *(rows[None, p_k + first[i]] for i in at[k]), error])
+                    seen = np.vstack(
+                        [
+                            root[plan.support[k]].T @ rows[:p_k],
+                            *(rows[None, p_k + first[i]] for i in at[k]),
+                            error,
+                        ]
+                    )
                     where = np.ix_(*[[*range(r), *(r + i for i in at[k]), r + m]] * 2)
                     gram[where] += estimate.weights[k] ** 2 * (seen @ seen.T)
             blocks.append(gram)
@@ -105,10 +117,14 @@ def shape_errors(
     if not told:
         return ShapeErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
     inverse = np.linalg.inv(left[np.ix_(told, told)])
-    noise = np.array([estimate.sigma[places[i].joint] * estimate.weights[places[i].joint] for i in told])
+    noise = np.array(
+        [estimate.sigma[places[i].joint] * estimate.weights[places[i].joint] for i in told]
+    )
     V = inverse * np.outer(noise, noise)
     if not textbook and len(blocks) >= FEWEST_BLOCKS:
-        scores = np.array([gram[[r + i for i in told], -1] - moved[:, told].T @ gram[:r, -1] for gram in blocks])
+        scores = np.array(
+            [gram[[r + i for i in told], -1] - moved[:, told].T @ gram[:r, -1] for gram in blocks]
+        )
         clustered = np.sum((scores @ inverse) ** 2, axis=0) * len(blocks) / (len(blocks) - 1)
         swell = np.sqrt(np.maximum(clustered / np.diag(V), 1.0))
         V = V * np.outer(swell, swell)
@@ -118,13 +134,19 @@ def shape_errors(
 
 
 def _value(drive: DriveSet, place: ShapePlace) -> float:
-    return next(term for term in drive.terms if term.key == place.term).at(place.joint).value(place.shape)
+    return (
+        next(term for term in drive.terms if term.key == place.term)
+        .at(place.joint)
+        .value(place.shape)
+    )
 
 
 class _Changes:
     """What moving each shape by one unit does to the torque of every joint, to first order."""
 
-    def __init__(self, base: BaseParameters, beta: Array, shaped: Sequence[tuple[str, str]], n_joints: int) -> None:
+    def __init__(
+        self, base: BaseParameters, beta: Array, shaped: Sequence[tuple[str, str]], n_joints: int
+    ) -> None:
         chi = np.zeros(base.n_standard)
         chi[base.columns] = beta
         values = chi[10 * n_joints :].reshape(n_joints, -1)
@@ -137,7 +159,10 @@ class _Changes:
         for key, name in shaped:
             term = next(term for term in base.drive.terms if term.key == key)
             at = np.array([term.at(k).value(name) for k in range(n_joints)])
-            sides = [DriveSet((term.with_shapes({name: tuple((at * (1.0 + step)).tolist())}),)) for step in (STEP, -STEP)]
+            sides = [
+                DriveSet((term.with_shapes({name: tuple((at * (1.0 + step)).tolist())}),))
+                for step in (STEP, -STEP)
+            ]
             self._moved.append((sides, places[key], 2.0 * STEP * at))
 
     def of(self, samples: Samples) -> Callable[[slice], list[Array]]:

@@ -58,7 +58,9 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     n_blocks, n_samples = information.n_blocks, information.n_samples
     root = estimate.solution.inverse_root
     if n_blocks < FEWEST_BLOCKS or estimate.rank == 0:
-        return Uncertainty(estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks"))
+        return Uncertainty(
+            estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks")
+        )
     moves = np.empty((n_blocks, root.shape[1]))
     pulls = np.empty((n_blocks, root.shape[1], root.shape[0]))
     weight = np.empty((n_blocks, root.shape[0]))
@@ -72,7 +74,9 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
             pulls[b] = axes @ (leverage[:, None] * turned)
             weight[b] = leverage @ turned**2
         freedom = _degrees_of_freedom(pulls, weight)
-    clustered = np.sum((moves @ root.T) ** 2, axis=0) * (1.0 + 2.0 * _neighbours(information, moves))
+    clustered = np.sum((moves @ root.T) ** 2, axis=0) * (
+        1.0 + 2.0 * _neighbours(information, moves)
+    )
     textbook = np.diag(estimate.covariance)
     widened = (stdtrit(np.maximum(freedom, FEWEST_DEGREES), COVERED) / ndtri(COVERED)) ** 2
     variance = np.maximum(clustered * widened, textbook)
@@ -81,20 +85,36 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     shrinkage = float(np.exp(-2.0 * np.mean(np.log(swell[told])))) if told.any() else 1.0
     growth = float(np.median(swell[told])) if told.any() else None
     return Uncertainty(
-        estimate.covariance * np.outer(swell, swell), n_samples * shrinkage, replace(basis_of(information, "blocks"), growth=growth)
+        estimate.covariance * np.outer(swell, swell),
+        n_samples * shrinkage,
+        replace(basis_of(information, "blocks"), growth=growth),
     )
 
 
 def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
     """Return the covariance of the textbook, `s^2 (W^T W)^-1`, right where residuals are independent; the basis says how much larger errors from time blocks are."""
     growth = block_uncertainty(information, estimate).basis.growth
-    return Uncertainty(estimate.covariance, float(information.n_samples), replace(basis_of(information, "textbook"), growth=growth))
+    return Uncertainty(
+        estimate.covariance,
+        float(information.n_samples),
+        replace(basis_of(information, "textbook"), growth=growth),
+    )
 
 
-def basis_of(information: SquareRootInformation, kind: ErrorKind, *, asked: ErrorKind | None = None) -> ErrorBasis:
+def basis_of(
+    information: SquareRootInformation, kind: ErrorKind, *, asked: ErrorKind | None = None
+) -> ErrorBasis:
     """Return the basis of errors from this information."""
-    lengths = [(block.stop - block.start) * block.n_samples / max(block.n_samples - 1, 1) for block in information.blocks]
-    return ErrorBasis(kind, kind if asked is None else asked, information.n_blocks, float(np.median(lengths)) if lengths else None)
+    lengths = [
+        (block.stop - block.start) * block.n_samples / max(block.n_samples - 1, 1)
+        for block in information.blocks
+    ]
+    return ErrorBasis(
+        kind,
+        kind if asked is None else asked,
+        information.n_blocks,
+        float(np.median(lengths)) if lengths else None,
+    )
 
 
 def block_pulls(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
@@ -116,7 +136,9 @@ def _degrees_of_freedom(pulls: Array, weight: Array) -> Array:
     """
     own = np.einsum("brp,brp->bp", pulls, pulls)
     trace = np.sum(weight - own, axis=0)
-    across = np.array([np.sum((pulls[:, :, j] @ pulls[:, :, j].T) ** 2) for j in range(pulls.shape[2])])
+    across = np.array(
+        [np.sum((pulls[:, :, j] @ pulls[:, :, j].T) ** 2) for j in range(pulls.shape[2])]
+    )
     square = np.sum(weight**2 - 2.0 * weight * own, axis=0) + across
     freedom = np.full(len(square), float(len(pulls) - 1))
     np.divide(trace**2, square, out=freedom, where=square > 0)

@@ -42,8 +42,9 @@ FEWEST_FOLDS = 3
 STRAINED = 0.05
 """Rise of the torque error on the data used from which real bodies are said to fit with strain: more than the parameters they give up account for."""
 CURE = (
-    "Something acts that links and drives as described cannot be: find how the robot stands (--mounting estimate), choose richer friction (--drive auto), "
-    "or describe the tool that the flange carries."
+    "Something acts that links and drives as described cannot be: find how the robot stands"
+    " (--mounting estimate), choose richer friction (--drive auto), or describe the tool that the"
+    " flange carries."
 )
 
 
@@ -69,12 +70,15 @@ def estimate_auto(evidence: Evidence) -> Estimate:
         if share > OUTLYING_SHARE or swell > OUTLYING_ENERGY:
             robust = robust if sample.every == 1 else estimate_huber(evidence)
             reasons.append(
-                f"huber, since {100 * share:.2g} % of the torques are outliers and the variance of a joint is {swell:.3g} times the robust one"
+                f"huber, since {100 * share:.2g} % of the torques are outliers and the variance of"
+                f" a joint is {swell:.3g} times the robust one"
             )
             estimate = robust
     seen = replace(evidence, information=estimate.information or evidence.information, samples=None)
     solution = estimate.solution
-    if evidence.unexcited != "refuse" and (estimate.undetermined or solution.scaled_condition_number > ILL_CONDITIONED):
+    if evidence.unexcited != "refuse" and (
+        estimate.undetermined or solution.scaled_condition_number > ILL_CONDITIONED
+    ):
         why = (
             "directions are not excited"
             if estimate.undetermined
@@ -88,7 +92,9 @@ def estimate_auto(evidence: Evidence) -> Estimate:
         reasons.append(why)
     if not reasons:
         reasons.append("wls: few outliers, well conditioned, and real bodies have these values")
-    return replace(estimate, notes=(f"Picked automatically: {'; '.join(reasons)}.", *estimate.notes))
+    return replace(
+        estimate, notes=(f"Picked automatically: {'; '.join(reasons)}.", *estimate.notes)
+    )
 
 
 def _joined(later: Estimate, earlier: Estimate) -> Estimate:
@@ -118,34 +124,62 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
     pushing = pushing_drives(seen.base, free.beta)
     who = f"{', '.join(pushing)} would push with" if pushing else "no real bodies have"
     energy, n = information.residual_energy(free.beta), information.n_samples
-    sigma = np.maximum(np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)), quietest_noise(information))
+    sigma = np.maximum(
+        np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
+        quietest_noise(information),
+    )
     consistent, entropic = estimate_consistent(seen), estimate_entropic(seen)
     candidates: list[tuple[Estimate, Callable[[SquareRootInformation], Estimate]]] = [
         (consistent, lambda part: fit_consistent(part, prior, weights=consistent.weights)),
-        (entropic, lambda part: fit_toward_cad(part, prior, weight=entropic.prior_weight, weights=entropic.weights)),
+        (
+            entropic,
+            lambda part: fit_toward_cad(
+                part, prior, weight=entropic.prior_weight, weights=entropic.weights
+            ),
+        ),
     ]
     estimator = estimate_ridge if free.method == "ridge" else estimate_wls
     before = _held_out(information, lambda part: estimator(replace(seen, information=part)), sigma)
     if len(before) < FEWEST_FOLDS:
-        why = f"consistent, since {who} the values of {free.method}; time blocks are too few to hold any out"
+        why = (
+            f"consistent, since {who} the values of {free.method}; time blocks are too few to hold"
+            " any out"
+        )
         return _strained(information, _joined(consistent, free), free, sigma), why
-    errors = {estimate.method: _held_out(information, again, sigma) for estimate, again in candidates}
-    preferred = [estimate for estimate, _ in (candidates[::-1] if free.method == "ridge" else candidates)]
+    errors = {
+        estimate.method: _held_out(information, again, sigma) for estimate, again in candidates
+    }
+    preferred = [
+        estimate for estimate, _ in (candidates[::-1] if free.method == "ridge" else candidates)
+    ]
     if _better(errors[preferred[1].method], errors[preferred[0].method]):
         preferred.reverse()
     told = [_compared(each.method, errors[each.method], free.method, before) for each in preferred]
     on = f"on {len(before)} groups of time blocks held out in turn"
     for real, sentence in zip(preferred, told, strict=True):
         if not _better(before, errors[real.method]):
-            judged = "better" if _better(errors[real.method], before) else "as well within one standard error"
-            why = f"{real.method}, since {who} the values of {free.method} and it predicts {judged}, {on}: {sentence}"
+            judged = (
+                "better"
+                if _better(errors[real.method], before)
+                else "as well within one standard error"
+            )
+            why = (
+                f"{real.method}, since {who} the values of {free.method} and it predicts {judged},"
+                f" {on}: {sentence}"
+            )
             return _strained(information, _joined(real, free), free, sigma), why
     refused = (
-        f"No real bodies have the values of {free.method}, and real bodies predict worse by more than one standard error, {on} ({'; '.join(told)}), so these "
-        f"values were kept. {CURE}"
+        f"No real bodies have the values of {free.method}, and real bodies predict worse by more"
+        f" than one standard error, {on} ({'; '.join(told)}), so these values were kept. {CURE}"
     )
     kept = replace(free, warnings=(*free.warnings, ("bodies_refused", refused)))
-    return kept, f"{free.method} kept although no real bodies have its values, since real bodies predict worse, {on}: {'; '.join(told)}"
+    return (
+        kept,
+        (
+            f"{free.method} kept although no real bodies have its values, since real bodies predict"
+            f" worse, {on}: {'; '.join(told)}"
+        ),
+    )
 
 
 def _better(errors: Array, others: Array) -> bool:
@@ -157,27 +191,47 @@ def _better(errors: Array, others: Array) -> bool:
 def _compared(method: str, errors: Array, other: str, others: Array) -> str:
     excess = errors - others
     return (
-        f"squared error of {method} {errors.mean():.3g} noise variances, of {other} {others.mean():.3g}, "
-        f"difference {excess.mean():+.2g} +- {excess.std(ddof=1) / np.sqrt(len(excess)):.2g}"
+        f"squared error of {method} {errors.mean():.3g} noise variances, of {other}"
+        f" {others.mean():.3g}, difference {excess.mean():+.2g} +-"
+        f" {excess.std(ddof=1) / np.sqrt(len(excess)):.2g}"
     )
 
 
-def _strained(information: SquareRootInformation, real: Estimate, free: Estimate, sigma: Array) -> Estimate:
+def _strained(
+    information: SquareRootInformation, real: Estimate, free: Estimate, sigma: Array
+) -> Estimate:
     """Return the fit of real bodies, warning where it follows the data used much worse than the free one."""
-    strain = float(np.sqrt(np.mean(information.residual_energy(real.beta) / information.n_samples / sigma**2))) - 1.0
+    strain = (
+        float(
+            np.sqrt(
+                np.mean(information.residual_energy(real.beta) / information.n_samples / sigma**2)
+            )
+        )
+        - 1.0
+    )
     if strain <= STRAINED:
         return real
     message = (
-        f"Real bodies follow the data used with {100 * strain:.0f} % more torque error, in noise of the joints, than the values of {free.method}, which no bodies "
-        f"have. {CURE}"
+        f"Real bodies follow the data used with {100 * strain:.0f} % more torque error, in noise of"
+        f" the joints, than the values of {free.method}, which no bodies have. {CURE}"
     )
     return replace(real, warnings=(*real.warnings, ("bodies_strained", message)))
 
 
-def _held_out(information: SquareRootInformation, again: Callable[[SquareRootInformation], Estimate], sigma: Array) -> Array:
+def _held_out(
+    information: SquareRootInformation,
+    again: Callable[[SquareRootInformation], Estimate],
+    sigma: Array,
+) -> Array:
     """Return the mean squared torque error, in variances `sigma**2` of the joints, on each group of blocks held out in turn; empty for one block."""
     found = []
     with one_blas_thread():
         for learnt, judged in folds(information):
-            found.append(float(np.mean(judged.residual_energy(again(learnt).beta) / judged.n_samples / sigma**2)))
+            found.append(
+                float(
+                    np.mean(
+                        judged.residual_energy(again(learnt).beta) / judged.n_samples / sigma**2
+                    )
+                )
+            )
     return np.array(found)

@@ -104,10 +104,23 @@ def fit_consistent(
         fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
         notes = (
-            f"real bodies and passive drives, by conic program: {len(limits.labels)} bounds, of which active: "
-            f"{', '.join(limits.labels[j] for j in near[:8]) or 'none'}{f' and {len(near) - 8} more' if len(near) > 8 else ''}",
+            (
+                f"real bodies and passive drives, by conic program: {len(limits.labels)} bounds, of"
+                " which active: "
+                f"{', '.join(limits.labels[j] for j in near[:8]) or 'none'}{f' and {len(near) - 8} more' if len(near) > 8 else ''}"
+            ),
         )
-        return _estimate("consistent", information, prior, w, fit.chi, TINY_PULL, rounds, notes, lambda factor: problem.fit(factor).chi)
+        return _estimate(
+            "consistent",
+            information,
+            prior,
+            w,
+            fit.chi,
+            TINY_PULL,
+            rounds,
+            notes,
+            lambda factor: problem.fit(factor).chi,
+        )
 
 
 def fit_toward_cad(
@@ -128,12 +141,18 @@ def fit_toward_cad(
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")
     base = information.base
-    limits = non_negative_drives(prior) if bounds is None else non_negative_drives(prior).and_also(bounds)
+    limits = (
+        non_negative_drives(prior)
+        if bounds is None
+        else non_negative_drives(prior).and_also(bounds)
+    )
 
     with one_blas_thread():
         conic = RealBodies.of(prior, base.regrouping, limits)
         w, rounds = _joint_weights(information, conic, weights)
-        path = _EntropicPath(EntropicProblem(prior, Coordinates.of(base), limits), _inside(prior, limits))
+        path = _EntropicPath(
+            EntropicProblem(prior, Coordinates.of(base), limits), _inside(prior, limits)
+        )
 
         def roughly(factors: Array, weight: float) -> Array:
             return (
@@ -143,14 +162,26 @@ def fit_toward_cad(
             )
 
         def exactly(factor: Array) -> Array:
-            return path.exactly(factor, pull) if metric == "entropic" else conic.fit(factor, pull).chi
+            return (
+                path.exactly(factor, pull) if metric == "entropic" else conic.fit(factor, pull).chi
+            )
 
         if weight is None:
             choice = choose_weight(information, w, base.regrouping, roughly)
             pull, reason = choice.weight, choice.reason
         else:
             pull, reason = float(weight), f"weight of CAD {weight:g}, as given"
-        return _estimate(metric, information, prior, w, exactly(information.stacked(w)), pull, rounds, (reason,), exactly)
+        return _estimate(
+            metric,
+            information,
+            prior,
+            w,
+            exactly(information.stacked(w)),
+            pull,
+            rounds,
+            (reason,),
+            exactly,
+        )
 
 
 class _EntropicPath:
@@ -173,21 +204,27 @@ class _EntropicPath:
             self._reached.clear()
             for each in (*(stronger for stronger in WEIGHTS if stronger > weight), weight):
                 self.roughly(factor[None], each)
-        return np.asarray(self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0])
+        return np.asarray(
+            self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0]
+        )
 
 
 def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     """Return parameters strictly inside: CAD, its bounded drives off zero; nearest to it with room to spare where bounds exclude it."""
     chi = prior.parameters.copy()
     lifted = prior.non_negative
-    chi[lifted] = np.maximum(chi[lifted], START_SLACK * prior.drive_scale[lifted - 10 * prior.n_links])
+    chi[lifted] = np.maximum(
+        chi[lifted], START_SLACK * prior.drive_scale[lifted - 10 * prior.n_links]
+    )
     if np.all(bounds.slack(chi) > 0):
         return chi
     room = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
     tighter = BodyBounds(bounds.rows, bounds.offsets - room, bounds.labels)
     p = len(prior.parameters)
     nothing = np.zeros((p + 1, p + 1))
-    return fit_real_bodies(prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2).chi
+    return fit_real_bodies(
+        prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2
+    ).chi
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
@@ -196,15 +233,33 @@ def quietest_noise(information: SquareRootInformation) -> Array:
     return np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
 
 
-def _joint_weights(information: SquareRootInformation, problem: RealBodies, weights: Array | None) -> tuple[Array, int]:
+def _joint_weights(
+    information: SquareRootInformation, problem: RealBodies, weights: Array | None
+) -> tuple[Array, int]:
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
     if weights is not None:
-        return fit_least_squares(information, weights=weights, prior=np.zeros(information.base.n_base)).weights, 0
+        return (
+            fit_least_squares(
+                information, weights=weights, prior=np.zeros(information.base.n_base)
+            ).weights,
+            0,
+        )
     quietest = quietest_noise(information)
-    w = 1.0 / np.maximum(fit_least_squares(information, weights="joint", prior=np.zeros(information.base.n_base)).sigma, quietest)
+    w = 1.0 / np.maximum(
+        fit_least_squares(
+            information, weights="joint", prior=np.zeros(information.base.n_base)
+        ).sigma,
+        quietest,
+    )
     for _ in range(REWEIGHTINGS):
         chi = problem.fit(information.stacked(w)).chi
-        w = 1.0 / np.maximum(np.sqrt(information.residual_energy(information.base.regrouping @ chi) / information.n_samples), quietest)
+        w = 1.0 / np.maximum(
+            np.sqrt(
+                information.residual_energy(information.base.regrouping @ chi)
+                / information.n_samples
+            ),
+            quietest,
+        )
     return w, REWEIGHTINGS
 
 
@@ -229,19 +284,31 @@ def _estimate(
     base = information.base
     free = fit_least_squares(information, weights=weights, prior=base.regrouping @ prior.parameters)
     beta = base.regrouping @ chi
-    belief, root = _belief_and_root(information, prior, weights, chi, WEAKEST_BELIEF if prior_weight <= TINY_PULL else prior_weight)
+    belief, root = _belief_and_root(
+        information,
+        prior,
+        weights,
+        chi,
+        WEAKEST_BELIEF if prior_weight <= TINY_PULL else prior_weight,
+    )
     n_rows = information.n_samples * information.n_joints
     factor = information.stacked(weights)
     error = factor @ np.append(-beta, 1.0)
     energy = float(error @ error)
-    solution: FactorSolution = replace(free.solution, x=beta, inverse_root=root, residual_energy=energy)
+    solution: FactorSolution = replace(
+        free.solution, x=beta, inverse_root=root, residual_energy=energy
+    )
     spent = np.array(
         [
             float(np.sum((w * R[:-1, :-1] @ root[support]) ** 2))
-            for support, R, w in zip(information.support, information.joint_factors, weights, strict=True)
+            for support, R, w in zip(
+                information.support, information.joint_factors, weights, strict=True
+            )
         ]
     )
-    sigma = np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0))
+    sigma = np.sqrt(
+        information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0)
+    )
     part = float(prior.relative_eigenvalues(chi).min())
     return ConsistentEstimate(
         method=method,
@@ -268,7 +335,9 @@ def _estimate(
     )
 
 
-def _belief_and_root(information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float) -> tuple[float, Array]:
+def _belief_and_root(
+    information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
+) -> tuple[float, Array]:
     """Return the belief in CAD and the root (p, p) of the covariance of beta."""
     coordinates = Coordinates.of(information.base)
     free = np.hstack([coordinates.kept, coordinates.dependent])
@@ -281,12 +350,18 @@ def _belief_and_root(information: SquareRootInformation, prior: CadPrior, weight
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
 
     def inverse_root(belief: float) -> Array:
-        triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives])), overwrite_a=True)
-        return np.asarray(solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1])))
+        triangle, _, _, _ = lapack.dgeqrf(
+            np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives])), overwrite_a=True
+        )
+        return np.asarray(
+            solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1]))
+        )
 
     told = inertial - float(np.sum((np.sqrt(weight) * bodies @ inverse_root(weight)) ** 2))
     moved = float(prior.strength @ prior.divergence(chi))
-    belief = min(weight, STRONGEST_BELIEF, max(told, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny))
+    belief = min(
+        weight, STRONGEST_BELIEF, max(told, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny)
+    )
     p = len(R)
     wide = inverse_root(belief)[:p]
     triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)

@@ -39,14 +39,18 @@ def estimate_essential(evidence: Evidence) -> Estimate:
         loss = 0.0
         fixed = start.beta.copy()
         while len(kept) > 1:
-            rest = factor[:, -1] - factor[:, :-1] @ np.where(np.isin(np.arange(base.n_base), kept), 0.0, fixed)
+            rest = factor[:, -1] - factor[:, :-1] @ np.where(
+                np.isin(np.arange(base.n_base), kept), 0.0, fixed
+            )
             r = triangular_factor(np.column_stack([factor[:, kept], rest]))
             scale = np.linalg.norm(r[:-1, :-1], axis=0)
             inverse = np.linalg.inv(r[:-1, :-1] / scale)
             increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
             weakest = int(np.argmin(increase))
             count = len(dropped) + 1
-            if (loss + increase[weakest]) / count * share > variance * fdtri(count, freedom, 1.0 - SIGNIFICANCE):
+            if (loss + increase[weakest]) / count * share > variance * fdtri(
+                count, freedom, 1.0 - SIGNIFICANCE
+            ):
                 break
             loss += float(increase[weakest])
             dropped.append(int(kept[weakest]))
@@ -55,20 +59,37 @@ def estimate_essential(evidence: Evidence) -> Estimate:
         beta = fixed.copy()
         root, solution = start.solution.inverse_root, start.solution
         if dropped:
-            rest = factor[:, -1] - factor[:, :-1] @ np.where(np.isin(np.arange(base.n_base), kept), 0.0, fixed)
-            solution = Weighted.factored(triangular_factor(np.column_stack([factor[:, kept], rest])), n_rows).solve()
+            rest = factor[:, -1] - factor[:, :-1] @ np.where(
+                np.isin(np.arange(base.n_base), kept), 0.0, fixed
+            )
+            solution = Weighted.factored(
+                triangular_factor(np.column_stack([factor[:, kept], rest])), n_rows
+            ).solve()
             beta[kept] = solution.x
             root = np.zeros((base.n_base, solution.rank))
             root[kept] = solution.inverse_root
     names = [base.names[j] for j in sorted(dropped)]
-    listed = ", ".join(names[:MOST_LISTED]) + (f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else "")
+    listed = ", ".join(names[:MOST_LISTED]) + (
+        f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+    )
     note = (
-        f"{len(kept)} of {base.n_base} parameters are essential at the {100 * SIGNIFICANCE:g} % level; set to zero: {listed}."
+        f"{len(kept)} of {base.n_base} parameters are essential at the {100 * SIGNIFICANCE:g} %"
+        f" level; set to zero: {listed}."
         if names
         else "Every parameter is essential."
     )
     conditioned = replace(
-        start.solution, condition_number=solution.condition_number, scaled_condition_number=solution.scaled_condition_number
+        start.solution,
+        condition_number=solution.condition_number,
+        scaled_condition_number=solution.scaled_condition_number,
     )
     without = np.isin(np.arange(base.n_base), dropped)
-    return start.renewed("essential", information, conditioned, beta=beta, inverse_root=root, notes=(note,), dropped=without)
+    return start.renewed(
+        "essential",
+        information,
+        conditioned,
+        beta=beta,
+        inverse_root=root,
+        notes=(note,),
+        dropped=without,
+    )

@@ -65,16 +65,27 @@ def estimate_iv(evidence: Evidence) -> Estimate:
     estimate, moves, iterations = start, np.inf, 0
     hertz = max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches))
     while moves > CONVERGENCE and iterations < MOST_ITERATIONS:
-        simulated = [follow(evidence.model, base, estimate.beta, samples, hertz) for samples in evidence.batches]
+        simulated = [
+            follow(evidence.model, base, estimate.beta, samples, hertz)
+            for samples in evidence.batches
+        ]
         renewed = _instrumented(evidence, start, evidence.rows_of(simulated))
-        moves = float(np.max(np.abs(renewed.beta - estimate.beta) / np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)))
+        moves = float(
+            np.max(
+                np.abs(renewed.beta - estimate.beta)
+                / np.maximum(renewed.std_errors, np.finfo(np.float64).tiny)
+            )
+        )
         estimate, iterations = renewed, iterations + 1
     told = estimate.std_errors > 0
-    shift = np.where(told, np.abs(estimate.beta - start.beta) / np.where(told, estimate.std_errors, 1.0), 0.0)
+    shift = np.where(
+        told, np.abs(estimate.beta - start.beta) / np.where(told, estimate.std_errors, 1.0), 0.0
+    )
     largest = int(np.argmax(shift))
     note = (
-        f"Instruments from {iterations} simulations that follow the recorded positions up to {hertz:.3g} Hz; against wls {base.names[largest]} moved most, "
-        f"{shift[largest]:.2g} textbook standard errors."
+        f"Instruments from {iterations} simulations that follow the recorded positions up to"
+        f" {hertz:.3g} Hz; against wls {base.names[largest]} moved most, {shift[largest]:.2g}"
+        " textbook standard errors."
     )
     return estimate.renewed(
         "iv", estimate.information or information, estimate.solution, sigma=estimate.sigma, own_information=estimate.information,
@@ -82,13 +93,17 @@ def estimate_iv(evidence: Evidence) -> Estimate:
     )  # fmt: skip
 
 
-def follow(model: RobotModel, base: BaseParameters, beta: Array, samples: Samples, bandwidth: float) -> Samples:
+def follow(
+    model: RobotModel, base: BaseParameters, beta: Array, samples: Samples, bandwidth: float
+) -> Samples:
     """Return the samples with the motion of a simulated robot with these base parameters that follows their positions; torques stay.
 
     Linearly implicit Euler steps, many stretches side by side, each led in by a second. Where the mass matrix of beta is not positive
     definite that of the design is taken, and unit inertias where that is not either.
     """
-    links, armature, inertia = _inertia(model, base, beta, samples.q[:: max(1, samples.n_samples // 200)])
+    links, armature, inertia = _inertia(
+        model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
+    )
     w = 2.0 * np.pi * bandwidth
     substeps = max(1, int(np.ceil(w / samples.rate / STEP)))
     h = 1.0 / (samples.rate * substeps)
@@ -103,29 +118,47 @@ def follow(model: RobotModel, base: BaseParameters, beta: Array, samples: Sample
         counts = (step >= lead) & (step < lead + length)
         acceleration = np.zeros_like(state)
         for part in range(substeps if step else 1):
-            target = samples.q[before] + (samples.q[index] - samples.q[before]) * ((part + 1) / substeps)
+            target = samples.q[before] + (samples.q[index] - samples.q[before]) * (
+                (part + 1) / substeps
+            )
             mass = mass_matrix(model, state, parameters=links) + armature * identity
-            wanted = samples.qd[before] + (samples.qd[index] - samples.qd[before]) * ((part + 1) / substeps)
-            force = inertia * (w**2 * (target - state - (h * rate if step else 0.0)) + 2.0 * w * (wanted - rate))
+            wanted = samples.qd[before] + (samples.qd[index] - samples.qd[before]) * (
+                (part + 1) / substeps
+            )
+            force = inertia * (
+                w**2 * (target - state - (h * rate if step else 0.0)) + 2.0 * w * (wanted - rate)
+            )
             lhs = mass + (2.0 * w * h + (w * h) ** 2) * inertia * identity
             acceleration = np.linalg.solve(lhs, force[:, :, None])[:, :, 0]
             if step:
                 rate = rate + h * acceleration
                 state = state + h * rate
-        q[index[counts]], qd[index[counts]], qdd[index[counts]] = state[counts], rate[counts], acceleration[counts]
+        q[index[counts]], qd[index[counts]], qdd[index[counts]] = (
+            state[counts],
+            rate[counts],
+            acceleration[counts],
+        )
     return replace(samples, q=q, qd=qd, qdd=qdd)
 
 
-def _inertia(model: RobotModel, base: BaseParameters, beta: Array, postures: Array) -> tuple[Array, Array, Array]:
+def _inertia(
+    model: RobotModel, base: BaseParameters, beta: Array, postures: Array
+) -> tuple[Array, Array, Array]:
     """Return the inertial parameters and armatures that move, and the mean inertia of each joint."""
     chi = np.zeros(base.n_standard)
     chi[base.columns] = beta
     found = dict(zip(base.standard_names, chi, strict=True))
     armature = np.array([found.get(f"Ia{k + 1}", 0.0) for k in range(model.n_joints)])
-    for links, rotors in ((chi[: 10 * model.n_joints], armature), (model.parameters, np.maximum(armature, 0.0))):
+    for links, rotors in (
+        (chi[: 10 * model.n_joints], armature),
+        (model.parameters, np.maximum(armature, 0.0)),
+    ):
         mass = mass_matrix(model, postures, parameters=links) + rotors * np.eye(model.n_joints)
         inertia = np.diagonal(mass, axis1=1, axis2=2).mean(axis=0)
-        if inertia.min() > 0 and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min() > LEAST_INERTIA:
+        if (
+            inertia.min() > 0
+            and np.linalg.eigvalsh(mass / np.sqrt(np.outer(inertia, inertia))).min() > LEAST_INERTIA
+        ):
             return links, rotors, inertia
     return np.zeros(10 * model.n_joints), np.ones(model.n_joints), np.ones(model.n_joints)
 
@@ -146,8 +179,14 @@ def _bandwidth(samples: Samples) -> float:
     """Return the frequency [Hz] below which 95 % of the velocity's power lies, from the longest segment."""
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
-    power = np.sum(np.abs(np.fft.rfft(velocity / np.maximum(velocity.std(axis=0), 1e-9), axis=0)) ** 2, axis=1)
-    return float(np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[np.searchsorted(np.cumsum(power), 0.95 * power.sum())])
+    power = np.sum(
+        np.abs(np.fft.rfft(velocity / np.maximum(velocity.std(axis=0), 1e-9), axis=0)) ** 2, axis=1
+    )
+    return float(
+        np.fft.rfftfreq(stop - start, 1.0 / samples.rate)[
+            np.searchsorted(np.cumsum(power), 0.95 * power.sum())
+        ]
+    )
 
 
 def _instrumented(evidence: Evidence, start: Estimate, instruments: Rows) -> Estimate:
@@ -160,13 +199,21 @@ def _instrumented(evidence: Evidence, start: Estimate, instruments: Rows) -> Est
         for z, block in zip(instruments, rows, strict=True):
             for k, support in enumerate(rows.support):
                 both = np.zeros((2 * p + 1, block.time.n_samples))
-                both[support], both[p + support], both[-1] = z.rows[k][:-1], block.rows[k][:-1], block.rows[k][-1]
+                both[support], both[p + support], both[-1] = (
+                    z.rows[k][:-1],
+                    block.rows[k][:-1],
+                    block.rows[k][-1],
+                )
                 growing.append(weights[k] * both)
         factor = growing.factor()
         zz, zw = factor[:p, :p], factor[:p, p:]
         told = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
         projection = np.linalg.lstsq(zz[:, told], zw[:, :-1], rcond=1e-12)[0]
-        beta = solve_factor(triangular_factor(zw[told]), information.n_samples * n, prior if prior is not None else np.zeros(p)).x
+        beta = solve_factor(
+            triangular_factor(zw[told]),
+            information.n_samples * n,
+            prior if prior is not None else np.zeros(p),
+        ).x
 
         def projected() -> Iterator[RowBlock]:
             for z, block in zip(instruments, rows, strict=True):
@@ -180,4 +227,9 @@ def _instrumented(evidence: Evidence, start: Estimate, instruments: Rows) -> Est
                 yield RowBlock(tuple(made), block.time, block.seconds)
 
         solved = reduce_rows(base, information.joint_names, [np.arange(p)] * n, projected())
-    return replace(fit_least_squares(solved, weights=weights, prior=evidence.prior, unexcited=evidence.unexcited), information=solved)
+    return replace(
+        fit_least_squares(
+            solved, weights=weights, prior=evidence.prior, unexcited=evidence.unexcited
+        ),
+        information=solved,
+    )

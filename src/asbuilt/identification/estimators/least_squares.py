@@ -86,9 +86,13 @@ class Weighted:
         return cls(factor, start, scale, u[:, :rank], s[:rank], vt[:rank], vt[rank:], s)
 
     @classmethod
-    def of(cls, information: SquareRootInformation, weights: Array, toward: Array | None = None) -> Weighted:
+    def of(
+        cls, information: SquareRootInformation, weights: Array, toward: Array | None = None
+    ) -> Weighted:
         """Decompose the information of all joints, joint k multiplied by `weights[k]`."""
-        return cls.factored(information.stacked(weights), information.n_samples * information.n_joints, toward)
+        return cls.factored(
+            information.stacked(weights), information.n_samples * information.n_joints, toward
+        )
 
     def solve(self, ridge: float = 0.0) -> FactorSolution:
         """Return the solution of least squares, with `ridge |D (x - toward)|^2` added."""
@@ -183,7 +187,11 @@ class Estimate:
             method=method,
             beta=found,
             covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
-            sigma=_deviation(information, found, solution.inverse_root, self.weights) if sigma is None else sigma,
+            sigma=(
+                _deviation(information, found, solution.inverse_root, self.weights)
+                if sigma is None
+                else sigma
+            ),
             solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
             iterations=self.iterations if iterations is None else iterations,
             converged=self.converged if converged is None else converged,
@@ -196,7 +204,10 @@ class Estimate:
 
 def noise_floor(information: SquareRootInformation) -> float:
     """Return the least noise that a joint is taken to have: `SMALLEST_NOISE` of the largest torque RMS, 1 where there is no torque at all."""
-    return SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples)) or 1.0
+    return (
+        SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples))
+        or 1.0
+    )
 
 
 def fit_least_squares(
@@ -217,14 +228,18 @@ def fit_least_squares(
     n, rows = information.n_joints, information.n_samples
     if rows * n <= information.base.n_base:
         raise IdentifiabilityError(
-            f"{rows} samples of {n} joints give {rows * n} torques, too few for {information.base.n_base} parameters of {information.base.robot}; "
-            "record longer, decimate less or choose fewer drive terms"
+            f"{rows} samples of {n} joints give {rows * n} torques, too few for"
+            f" {information.base.n_base} parameters of {information.base.robot}; record longer,"
+            " decimate less or choose fewer drive terms"
         )
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
     floor = noise_floor(information)
     iterated = isinstance(weights, str)
     if iterated and weights != "joint":
-        raise UsageError(f"weights {weights!r} are unknown; give 'joint', None or {n} positive numbers, one per joint")
+        raise UsageError(
+            f"weights {weights!r} are unknown; give 'joint', None or {n} positive numbers, one per"
+            " joint"
+        )
     w = np.ones(n) if weights is None or isinstance(weights, str) else positive_weights(weights, n)
     iterations, converged = 0, True
     with one_blas_thread():
@@ -250,7 +265,9 @@ def fit_least_squares(
         sigma=sigma,
         weights=w,
         solution=solution,
-        undetermined=tuple(combination(direction, information.base.names) for direction in solution.open_directions),
+        undetermined=tuple(
+            combination(direction, information.base.names) for direction in solution.open_directions
+        ),
         determined=np.all(np.abs(solution.open_directions) <= NEGLIGIBLE_COEFFICIENT, axis=0),
         iterations=iterations,
         converged=converged,
@@ -259,12 +276,16 @@ def fit_least_squares(
 
 def estimate_ols(evidence: Evidence) -> Estimate:
     """Estimate by ordinary least squares: every torque counts alike."""
-    return fit_least_squares(evidence.information, prior=evidence.prior, unexcited=evidence.unexcited)
+    return fit_least_squares(
+        evidence.information, prior=evidence.prior, unexcited=evidence.unexcited
+    )
 
 
 def estimate_wls(evidence: Evidence) -> Estimate:
     """Estimate by least squares with a weight per joint."""
-    return fit_least_squares(evidence.information, weights="joint", prior=evidence.prior, unexcited=evidence.unexcited)
+    return fit_least_squares(
+        evidence.information, weights="joint", prior=evidence.prior, unexcited=evidence.unexcited
+    )
 
 
 def combination(direction: Array, names: tuple[str, ...]) -> str:
@@ -298,27 +319,36 @@ def _solved(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Ar
     return solution.x, solution.inverse_root
 
 
-def _deviation(information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array) -> Array:
+def _deviation(
+    information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array
+) -> Array:
     """Return the standard deviation of each joint's residual, shape (n,)."""
     spent = _spent(information, inverse_root, weights)
-    return np.asarray(np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0)))
+    return np.asarray(
+        np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0))
+    )
 
 
 def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:
     """Parameters that each joint spends, shape (n,): the trace of its part of the hat matrix; they add up to the rank."""
     parts = []
-    for support, factor, weight in zip(information.support, information.joint_factors, weights, strict=True):
+    for support, factor, weight in zip(
+        information.support, information.joint_factors, weights, strict=True
+    ):
         part = weight * factor[:-1, :-1] @ inverse_root[support]
         parts.append(float(np.sum(part * part)))
     return np.array(parts)
 
 
 def _refusal(information: SquareRootInformation, solution: FactorSolution) -> str:
-    names = [combination(direction, information.base.names) for direction in solution.open_directions]
+    names = [
+        combination(direction, information.base.names) for direction in solution.open_directions
+    ]
     listed = "; ".join(names[:8]) + (f"; and {len(names) - 8} more" if len(names) > 8 else "")
     return (
-        f"the recording determines {solution.rank} of the {information.base.n_base} parameters of {information.base.robot}; nothing in it tells {listed}. "
-        "Move the joints concerned more (several at once, both directions, changing speed), or give CAD values to lean on"
+        f"the recording determines {solution.rank} of the {information.base.n_base} parameters of"
+        f" {information.base.robot}; nothing in it tells {listed}. Move the joints concerned more"
+        " (several at once, both directions, changing speed), or give CAD values to lean on"
     )
 
 
@@ -344,4 +374,8 @@ def _echelon(null: Array, scale: Array) -> Array:
 
 def _ratio(singular_values: Array, rank: int) -> float:
     p = len(singular_values)
-    return float(singular_values[0] / singular_values[-1]) if rank == p and singular_values[-1] > 0 else np.inf
+    return (
+        float(singular_values[0] / singular_values[-1])
+        if rank == p and singular_values[-1] > 0
+        else np.inf
+    )

@@ -57,10 +57,16 @@ def estimate_ml(evidence: Evidence) -> Estimate:
             errors = stack @ np.append(-beta, 1.0)
             covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
             renewed = solve_triangular(np.linalg.cholesky(covariance), np.eye(n), lower=True)
-            converged = bool(np.max(np.abs(renewed - whitener)) <= CONVERGENCE * np.max(np.abs(renewed)))
+            converged = bool(
+                np.max(np.abs(renewed - whitener)) <= CONVERGENCE * np.max(np.abs(renewed))
+            )
             whitener = renewed
             whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
-            beta = solve_factor(triangular_factor(whitened), n_samples * n, prior if prior is not None else np.zeros(p)).x
+            beta = solve_factor(
+                triangular_factor(whitened),
+                n_samples * n,
+                prior if prior is not None else np.zeros(p),
+            ).x
             iterations += 1
 
         def mixed() -> Iterator[RowBlock]:
@@ -68,16 +74,20 @@ def estimate_ml(evidence: Evidence) -> Estimate:
                 own = np.zeros((n, p + 1, block.time.n_samples))
                 for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
                     own[k, np.append(support, p)] = columns
-                yield RowBlock(tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds)
+                yield RowBlock(
+                    tuple(np.tensordot(whitener, own, axes=1)), block.time, block.seconds
+                )
 
         solved = reduce_rows(base, information.joint_names, [every] * n, mixed())
-    fitted = fit_least_squares(solved, weights=np.ones(n), prior=evidence.prior, unexcited=evidence.unexcited)
+    fitted = fit_least_squares(
+        solved, weights=np.ones(n), prior=evidence.prior, unexcited=evidence.unexcited
+    )
     deviation = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(deviation, deviation) - np.eye(n)
     i, j = divmod(int(np.argmax(np.abs(correlation))), n)
     note = (
-        f"Residuals of the joints are correlated, most those of {information.joint_names[i]} and {information.joint_names[j]} "
-        f"({correlation[i, j]:+.2f}); the estimate allows for that."
+        f"Residuals of the joints are correlated, most those of {information.joint_names[i]} and"
+        f" {information.joint_names[j]} ({correlation[i, j]:+.2f}); the estimate allows for that."
     )
     return fitted.renewed(
         "ml",

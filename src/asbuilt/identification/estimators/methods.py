@@ -32,15 +32,29 @@ class Method:
     def estimate(self, evidence: Evidence) -> Estimate:
         """Return the estimate from the evidence; raises `IdentifiabilityError` where that does not suffice."""
         module, function = self.home.split(":")
-        estimate: Estimate = getattr(import_module(f"asbuilt.identification.estimators.{module}"), function)(evidence)
+        estimate: Estimate = getattr(
+            import_module(f"asbuilt.identification.estimators.{module}"), function
+        )(evidence)
         return estimate
 
 
 methods: dict[str, Method] = {
     method.name: method
     for method in (
-        Method("ols", "ordinary least squares", "every torque counts alike", "information", "least_squares:estimate_ols"),
-        Method("wls", "weighted least squares", "a weight per joint, from its own noise", "information", "least_squares:estimate_wls"),
+        Method(
+            "ols",
+            "ordinary least squares",
+            "every torque counts alike",
+            "information",
+            "least_squares:estimate_ols",
+        ),
+        Method(
+            "wls",
+            "weighted least squares",
+            "a weight per joint, from its own noise",
+            "information",
+            "least_squares:estimate_wls",
+        ),
         Method(
             "auto",
             "picked automatically",
@@ -48,8 +62,20 @@ methods: dict[str, Method] = {
             "samples",
             "auto:estimate_auto",
         ),
-        Method("ridge", "ridge toward CAD", "drawn toward CAD as far as held-out blocks ask for", "information", "ridge:estimate_ridge"),
-        Method("huber", "Huber's robust fit", "outliers pull with bounded force", "samples", "robust:estimate_huber"),
+        Method(
+            "ridge",
+            "ridge toward CAD",
+            "drawn toward CAD as far as held-out blocks ask for",
+            "information",
+            "ridge:estimate_ridge",
+        ),
+        Method(
+            "huber",
+            "Huber's robust fit",
+            "outliers pull with bounded force",
+            "samples",
+            "robust:estimate_huber",
+        ),
         Method(
             "bisquare",
             "Tukey's robust fit",
@@ -72,7 +98,11 @@ methods: dict[str, Method] = {
             "total_least_squares:estimate_total",
         ),
         Method(
-            "iv", "instrumental variables", "noise in the motion, by a simulated motion without it", "simulation", "instruments:estimate_iv"
+            "iv",
+            "instrumental variables",
+            "noise in the motion, by a simulated motion without it",
+            "simulation",
+            "instruments:estimate_iv",
         ),
         Method(
             "essential",

@@ -35,7 +35,11 @@ class WeightChoice:
 
 
 def choose_weight(
-    information: SquareRootInformation, joint_weights: Array, regrouping: Array, fits: Fits, weights: tuple[float, ...] = WEIGHTS
+    information: SquareRootInformation,
+    joint_weights: Array,
+    regrouping: Array,
+    fits: Fits,
+    weights: tuple[float, ...] = WEIGHTS,
 ) -> WeightChoice:
     """Return the strongest trust in CAD that predicts held-out time blocks as well as the best, within one standard error of the difference.
 
@@ -49,12 +53,16 @@ def choose_weight(
             DEFAULT_WEIGHT,
             (DEFAULT_WEIGHT,),
             np.zeros((1, 0)),
-            f"weight of CAD {DEFAULT_WEIGHT:g}, the default: {information.n_blocks} time blocks are too few to choose it",
+            f"weight of CAD {DEFAULT_WEIGHT:g}, the default: {information.n_blocks} time blocks are"
+            " too few to choose it",
         )
     groups = np.array_split(np.arange(information.n_blocks), n_groups)
     held = np.array([information.select(group).stacked(joint_weights) for group in groups])
     factors = _without_each(held)
-    counts = np.array([sum(information.blocks[b].n_samples for b in group) for group in groups]) * information.n_joints
+    counts = (
+        np.array([sum(information.blocks[b].n_samples for b in group) for group in groups])
+        * information.n_joints
+    )
     errors = np.empty((len(weights), n_groups))
     for row, weight in enumerate(weights):
         beta = fits(factors, weight) @ regrouping.T
@@ -70,10 +78,13 @@ def choose_weight(
         why = f"the best of {len(weights)} {judged}, with an error of {means[best]:.3g}"
     else:
         why = (
-            f"the strongest of {len(weights)} whose error {judged}, {means[chosen]:.3g}, lies within one standard error ({standard_error[chosen]:.2g}) of the "
-            f"least, {means[best]:.3g} at {weights[best]:g}"
+            f"the strongest of {len(weights)} whose error {judged}, {means[chosen]:.3g}, lies"
+            f" within one standard error ({standard_error[chosen]:.2g}) of the least,"
+            f" {means[best]:.3g} at {weights[best]:g}"
         )
-    return WeightChoice(weights[chosen], weights, errors, f"weight of CAD {weights[chosen]:g}: {why}")
+    return WeightChoice(
+        weights[chosen], weights, errors, f"weight of CAD {weights[chosen]:g}: {why}"
+    )
 
 
 def _without_each(factors: Array) -> Array:

@@ -67,13 +67,23 @@ class RecursiveIdentification:
         w = np.ones(n) if weights is None else positive_weights(weights, n)
         if not 0.0 < forgetting <= 1.0:
             raise UsageError(
-                f"the forgetting factor must lie above 0 and be at most 1, got {forgetting}; 0.999 remembers about 1000 samples"
+                f"the forgetting factor must lie above 0 and be at most 1, got {forgetting}; 0.999"
+                " remembers about 1000 samples"
             )
         if not 0.0 <= prior_strength < np.inf:
-            raise UsageError(f"the strength of the prior must be a number of samples and not negative, got {prior_strength}")
-        toward = np.zeros(p) if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
+            raise UsageError(
+                "the strength of the prior must be a number of samples and not negative, got"
+                f" {prior_strength}"
+            )
+        toward = (
+            np.zeros(p)
+            if prior is None
+            else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
+        )
         if toward.shape != (p,):
-            raise UsageError(f"the prior of {base.robot} needs {p} base parameters, got shape {toward.shape}")
+            raise UsageError(
+                f"the prior of {base.robot} needs {p} base parameters, got shape {toward.shape}"
+            )
         self.model, self.base, self.forgetting = model, base, float(forgetting)
         self._weights, self._prior, self._strength = w, toward, float(prior_strength)
         self._plan = RegressorPlan.of(model, base.drive, base.columns)
@@ -86,12 +96,17 @@ class RecursiveIdentification:
         p = self.base.n_base
         return np.triu(self._rows[: p + 1])
 
-    def update(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, tau: ArrayLike) -> RecursiveEstimate:
+    def update(
+        self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, tau: ArrayLike
+    ) -> RecursiveEstimate:
         """Add one sample, each (n,), or a few at once, (m, n), and return the estimate after it; raises `IdentifiabilityError` for NaN."""
         arrays = [np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd, tau)]
         n, p = self.model.n_joints, self.base.n_base
         if any(x.shape != (len(arrays[0]), n) for x in arrays):
-            raise UsageError(f"a sample of {self.model.name} needs q, qd, qdd and tau of {n} values each, got {[x.shape for x in arrays]}")
+            raise UsageError(
+                f"a sample of {self.model.name} needs q, qd, qdd and tau of {n} values each, got"
+                f" {[x.shape for x in arrays]}"
+            )
         if not all(np.all(np.isfinite(x)) for x in arrays):
             raise IdentifiabilityError("a sample holds NaN or infinite values; leave it out")
         stack = self._plan.stack(*arrays[:3]).reshape(-1, n, p)
@@ -107,7 +122,9 @@ class RecursiveIdentification:
     def estimate(self) -> RecursiveEstimate:
         """Return the estimate from the samples so far."""
         solution = self.solution()
-        variance = solution.residual_energy / max(self._counted * self.model.n_joints - solution.rank, 1.0)
+        variance = solution.residual_energy / max(
+            self._counted * self.model.n_joints - solution.rank, 1.0
+        )
         root = solution.inverse_root
         return RecursiveEstimate(
             beta=solution.x,

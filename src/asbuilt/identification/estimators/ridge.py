@@ -24,11 +24,18 @@ def estimate_ridge(evidence: Evidence) -> Estimate:
     """
     information = evidence.information
     start = estimate_wls(evidence)
-    prior = np.zeros(evidence.base.n_base) if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+    prior = (
+        np.zeros(evidence.base.n_base)
+        if evidence.prior is None
+        else np.nan_to_num(evidence.prior, nan=0.0)
+    )
     errors = np.zeros(len(RIDGES))
     with one_blas_thread():
         for learnt, judged in folds(information):
-            weighted, test = Weighted.of(learnt, start.weights, prior), judged.stacked(start.weights)
+            weighted, test = (
+                Weighted.of(learnt, start.weights, prior),
+                judged.stacked(start.weights),
+            )
             for i, ridge in enumerate(RIDGES):
                 error = test @ np.append(-weighted.solve(ridge).x, 1.0)
                 errors[i] += error @ error
@@ -36,14 +43,24 @@ def estimate_ridge(evidence: Evidence) -> Estimate:
         note = f"Ridge weight {chosen:.3g} of the squared column length, by held-out blocks"
         if errors.any() and errors[0] > 0:
             note += f" (error {100 * (np.sqrt(errors.min() / errors[0]) - 1):+.2g} % against none)"
-        return start.renewed("ridge", information, Weighted.of(information, start.weights, prior).solve(chosen), notes=(f"{note}.",))
+        return start.renewed(
+            "ridge",
+            information,
+            Weighted.of(information, start.weights, prior).solve(chosen),
+            notes=(f"{note}.",),
+        )
 
 
-def folds(information: SquareRootInformation) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
+def folds(
+    information: SquareRootInformation,
+) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
     """Yield the blocks to learn from and those held out, up to 8 times, runs of neighbouring blocks held out in turn; nothing for one block."""
     count = min(MOST_FOLDS, information.n_blocks)
     if count < 2:
         return
     number = np.arange(information.n_blocks) * count // information.n_blocks
     for fold in range(count):
-        yield information.select(np.flatnonzero(number != fold)), information.select(np.flatnonzero(number == fold))
+        yield (
+            information.select(np.flatnonzero(number != fold)),
+            information.select(np.flatnonzero(number == fold)),
+        )

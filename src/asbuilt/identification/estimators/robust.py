@@ -82,7 +82,9 @@ def estimate_bisquare(evidence: Evidence) -> Estimate:
     return _robust(evidence, "bisquare", bisquare_loss(), start, scale=start.sigma)
 
 
-def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: Array | None = None) -> Estimate:
+def _robust(
+    evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: Array | None = None
+) -> Estimate:
     information, rows = evidence.information, evidence.rows
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
     floor = noise_floor(information)
@@ -91,7 +93,12 @@ def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: A
         while not converged and iterations < MOST_ITERATIONS:
             residuals = _residuals(rows, beta)
             if scale is None and iterations < SCALE_ITERATIONS:
-                sigma = np.array([max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(e)))), floor) for e in residuals])
+                sigma = np.array(
+                    [
+                        max(MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(e)))), floor)
+                        for e in residuals
+                    ]
+                )
             gram, score = np.zeros((root.shape[1],) * 2), np.zeros(root.shape[1])
             for b, block in enumerate(rows):
                 for k, (columns, support) in enumerate(zip(block.rows, rows.support, strict=True)):
@@ -113,25 +120,44 @@ def _robust(evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: A
                 made = []
                 for k, columns in enumerate(block.rows):
                     e = residuals[k][b]
-                    made.append(np.vstack([columns[:-1], columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k]]))
+                    made.append(
+                        np.vstack(
+                            [
+                                columns[:-1],
+                                columns[-1] - e + e * loss.weight(e / sigma[k]) / slope[k],
+                            ]
+                        )
+                    )
                 yield RowBlock(tuple(made), block.time, block.seconds)
 
         solved = reduce_rows(evidence.base, information.joint_names, rows.support, pseudo())
-    fitted = fit_least_squares(solved, weights=np.sqrt(slope) / sigma, prior=evidence.prior, unexcited=evidence.unexcited)
+    fitted = fit_least_squares(
+        solved, weights=np.sqrt(slope) / sigma, prior=evidence.prior, unexcited=evidence.unexcited
+    )
     outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
     worst = int(np.argmax(outlying))
     note = (
-        f"{100 * outlying.mean():.2g} % of the torques lie beyond {OUTLYING:g} robust standard deviations, most on joint "
-        f"{information.joint_names[worst]} ({100 * outlying[worst]:.2g} %), and count for less."
+        f"{100 * outlying.mean():.2g} % of the torques lie beyond {OUTLYING:g} robust standard"
+        f" deviations, most on joint {information.joint_names[worst]} ({100 * outlying[worst]:.2g}"
+        " %), and count for less."
         if outlying.any()
         else f"No torque lies beyond {OUTLYING:g} robust standard deviations."
     )
     return fitted.renewed(
-        name, solved, fitted.solution, sigma=sigma, iterations=iterations, converged=converged, own_information=solved, notes=(note,)
+        name,
+        solved,
+        fitted.solution,
+        sigma=sigma,
+        iterations=iterations,
+        converged=converged,
+        own_information=solved,
+        notes=(note,),
     )
 
 
-def _slope_where_it_counts(rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array) -> float:
+def _slope_where_it_counts(
+    rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array
+) -> float:
     """Return the part of the mean slopes (n,) that the information really has, 1 where outliers are strewn evenly over the motion.
 
     The covariance of an M-estimate is `A^-1 B A^-1` with `A = sum rho''(r) w w^T`. Pseudo-values take `A0 = sum mean(rho'') w w^T` instead: the variance is then too small by the mean of
@@ -155,7 +181,10 @@ def _slope_where_it_counts(rows: Rows, residuals: list[list[Array]], sigma: Arra
 
 def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
     """Return the share of torques beyond 4 robust standard deviations, and the largest residual variance of a joint in robust variances."""
-    standard = [np.concatenate(e) / s for e, s in zip(_residuals(evidence.rows, robust.beta), robust.sigma, strict=True)]
+    standard = [
+        np.concatenate(e) / s
+        for e, s in zip(_residuals(evidence.rows, robust.beta), robust.sigma, strict=True)
+    ]
     share = float(np.mean([np.mean(np.abs(r) > OUTLYING) for r in standard]))
     return share, max(float(np.mean(r**2)) for r in standard)
 
@@ -163,6 +192,10 @@ def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
 def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:
     """Residuals per joint and block."""
     blocks = [
-        [columns[-1] - beta[support] @ columns[:-1] for columns, support in zip(block.rows, rows.support, strict=True)] for block in rows
+        [
+            columns[-1] - beta[support] @ columns[:-1]
+            for columns, support in zip(block.rows, rows.support, strict=True)
+        ]
+        for block in rows
     ]
     return [list(joint) for joint in zip(*blocks, strict=True)]

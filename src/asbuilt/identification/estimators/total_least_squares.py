@@ -26,7 +26,9 @@ def estimate_total(evidence: Evidence) -> Estimate:
     """
     information, base = evidence.information, evidence.base
     start = estimate_wls(evidence)
-    prior = np.zeros(base.n_base) if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+    prior = (
+        np.zeros(base.n_base) if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+    )
     with one_blas_thread():
         factor = information.stacked(start.weights)
         length = np.linalg.norm(factor[:, :-1], axis=0)
@@ -36,20 +38,28 @@ def estimate_total(evidence: Evidence) -> Estimate:
         first = int(exact.sum())
         size = float(np.linalg.norm(factor[:, -1])) or 1.0
         toward = prior[order] * scale[order] / size
-        r = triangular_factor(np.column_stack([factor[:, order] / scale[order], factor[:, -1] / size]))
+        r = triangular_factor(
+            np.column_stack([factor[:, order] / scale[order], factor[:, -1] / size])
+        )
         u, s, vt = np.linalg.svd(r[first:-1, first:-1])
-        kept = s > rank_tolerance(information.n_samples * information.n_joints, base.n_base) * max(s.max(initial=0.0), 1.0)
+        kept = s > rank_tolerance(information.n_samples * information.n_joints, base.n_base) * max(
+            s.max(initial=0.0), 1.0
+        )
         untold = vt[~kept].T
         u, s, v = u[:, kept], s[kept], vt[kept].T
         z = u.T @ r[first:-1, -1]
         left = np.hypot(np.linalg.norm(r[first:-1, -1] - u @ z), r[-1, -1])
         smallest = float(
-            np.linalg.svd(np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)]), compute_uv=False)[-1]
+            np.linalg.svd(
+                np.vstack([np.column_stack([np.diag(s), z]), np.append(np.zeros(len(s)), left)]),
+                compute_uv=False,
+            )[-1]
         )
         if len(s) and smallest > LARGEST_SHARE * s[-1]:
             raise IdentifiabilityError(
-                f"total least squares has no trustworthy solution: the errors ({smallest:.3g} of the torque) are as large as what the weakest "
-                f"combination of parameters of {base.robot} adds ({s[-1]:.3g} of its columns); use wls, or a richer motion"
+                f"total least squares has no trustworthy solution: the errors ({smallest:.3g} of"
+                " the torque) are as large as what the weakest combination of parameters of"
+                f" {base.robot} adds ({s[-1]:.3g} of its columns); use wls, or a richer motion"
             )
         y = toward.copy()
         y[first:] = v @ (s * z / (s**2 - smallest**2)) + untold @ (untold.T @ toward[first:])
@@ -61,5 +71,10 @@ def estimate_total(evidence: Evidence) -> Estimate:
         noisy = root[~exact] * (smallest * scale[~exact])[:, None]
         values, axes = np.linalg.eigh(np.eye(root.shape[1]) - noisy.T @ noisy)
         root = root @ (axes / np.sqrt(np.maximum(values, 1e-6)))
-    note = f"Errors of regressor and torque taken as alike relative to their size: {smallest:.2g}. Standard errors are first order."
-    return start.renewed("total", information, start.solution, beta=beta, inverse_root=root, notes=(note,))
+    note = (
+        f"Errors of regressor and torque taken as alike relative to their size: {smallest:.2g}."
+        " Standard errors are first order."
+    )
+    return start.renewed(
+        "total", information, start.solution, beta=beta, inverse_root=root, notes=(note,)
+    )

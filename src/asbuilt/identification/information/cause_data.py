@@ -61,7 +61,10 @@ class CauseEvidence:
         for support, *factors in zip(self.support, self.fitted, self.judged, strict=True):
             for factor in factors:
                 if factor.shape != (len(support) + 1, len(support) + 1):
-                    raise ResultError(f"a factor of {len(support)} columns and the torque has shape {factor.shape}; identify again")
+                    raise ResultError(
+                        f"a factor of {len(support)} columns and the torque has shape"
+                        f" {factor.shape}; identify again"
+                    )
                 factor.setflags(write=False)
         self.tilt_axes.setflags(write=False)
 
@@ -75,7 +78,9 @@ class CauseEvidence:
         index = {name: j for j, name in enumerate(self.names)}
         missing = [name for name in names if name not in index]
         if missing:
-            raise ResultError(f"the evidence has no column {missing[0]!r}; identify again with this version")
+            raise ResultError(
+                f"the evidence has no column {missing[0]!r}; identify again with this version"
+            )
         return np.array([index[name] for name in names], dtype=np.int64)
 
     def whole(self, factors: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -91,7 +96,9 @@ class CauseEvidence:
         """Return the RMS error (n,) on the data judged by of the torque that named parameters of these values predict, all others zero."""
         places = self.places(names)
         errors = [factor[:, -1] - factor[:, places] @ values for factor in self.whole(self.judged)]
-        return np.asarray([float(np.linalg.norm(error)) for error in errors] / np.sqrt(self.n_judged))
+        return np.asarray(
+            [float(np.linalg.norm(error)) for error in errors] / np.sqrt(self.n_judged)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return texts, numbers and lists, ready for JSON; factors are upper triangles, row by row, as base64 of little-endian doubles."""
@@ -119,8 +126,14 @@ class CauseEvidence:
                 joint_names=tuple(fields["joints"]),
                 names=tuple(fields["columns"]),
                 support=support,
-                fitted=tuple(unpacked_triangle(text, size) for text, size in zip(fields["fitted"], sizes, strict=True)),
-                judged=tuple(unpacked_triangle(text, size) for text, size in zip(fields["judged"], sizes, strict=True)),
+                fitted=tuple(
+                    unpacked_triangle(text, size)
+                    for text, size in zip(fields["fitted"], sizes, strict=True)
+                ),
+                judged=tuple(
+                    unpacked_triangle(text, size)
+                    for text, size in zip(fields["judged"], sizes, strict=True)
+                ),
                 n_fitted=int(fields["n_fitted"]),
                 n_judged=int(fields["n_judged"]),
                 judged_by=str(fields["judged_by"]),
@@ -129,7 +142,10 @@ class CauseEvidence:
         except (KeyError, TypeError, ValueError) as problem:
             if isinstance(problem, ResultError):
                 raise
-            raise ResultError(f"the evidence of causes is damaged ({type(problem).__name__} {problem}); identify again") from problem
+            raise ResultError(
+                f"the evidence of causes is damaged ({type(problem).__name__} {problem}); identify"
+                " again"
+            ) from problem
 
 
 def gather_evidence(
@@ -148,10 +164,17 @@ def gather_evidence(
     drive = base.drive
     known = available_terms()
     for key in (*PLAIN_TERMS, *RICHER_TERMS):
-        if key in known and (key not in drive.keys or key in PLAIN_TERMS):  # at every joint, though the result has it at some
+        if key in known and (
+            key not in drive.keys or key in PLAIN_TERMS
+        ):  # at every joint, though the result has it at some
             drive = drive.with_term(known[key])
     links = 10 * model.n_joints
-    columns = np.concatenate([base.columns[base.columns < links], links + np.arange(model.n_joints * drive.columns_per_joint)])
+    columns = np.concatenate(
+        [
+            base.columns[base.columns < links],
+            links + np.arange(model.n_joints * drive.columns_per_joint),
+        ]
+    )
     names = [base.standard_names[j] for j in base.columns if j < links]
     names += [name for k in range(model.n_joints) for name in drive.names(k + 1)]
     plan = RegressorPlan.of(model, drive, columns, spare_rows=len(TILTS) + 1)
@@ -164,11 +187,14 @@ def gather_evidence(
             sources[stretch.samples.source] = None
             two[1].add(stretch, tilted)
         for number, stretch in enumerate(stretches(model, fitted, block_seconds)):
-            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(stretch, tilted)
+            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(
+                stretch, tilted
+            )
         factors = [reduction.factors() for reduction in two]
     if not two[0].n_samples or not two[1].n_samples:
         raise IdentifiabilityError(
-            f"too few samples of {model.name} to weigh causes: {two[0].n_samples} to fit, {two[1].n_samples} to judge by"
+            f"too few samples of {model.name} to weigh causes: {two[0].n_samples} to fit,"
+            f" {two[1].n_samples} to judge by"
         )
     tilts = np.arange(len(names), len(names) + len(TILTS))
     return CauseEvidence(
@@ -190,13 +216,17 @@ class _Reduction:
 
     def __init__(self, plan: RegressorPlan) -> None:
         self._plan = plan
-        self._growing = [GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support]
+        self._growing = [
+            GrowingFactor(len(support) + plan.spare_rows, ROWS_AT_ONCE) for support in plan.support
+        ]
         self.n_samples = 0
 
     def add(self, stretch: Stretch, tilted: list[RobotModel]) -> None:
         self.n_samples += stretch.n_outputs
         q = stretch.samples.q
-        for piece in stretch.pieces(self._plan, beside=lambda span: [gravity_torque(model, q[span]) for model in tilted]):
+        for piece in stretch.pieces(
+            self._plan, beside=lambda span: [gravity_torque(model, q[span]) for model in tilted]
+        ):
             for growing, rows in zip(self._growing, piece, strict=True):
                 growing.append(rows)
 

@@ -57,6 +57,7 @@ class Evidence:
         """The samples; raises `UsageError` where they are not at hand."""
         if self.samples is None:
             raise UsageError(
-                "this estimator goes over the samples again; call identify with them, or use wls, which needs the information alone"
+                "this estimator goes over the samples again; call identify with them, or use wls,"
+                " which needs the information alone"
             )
         return self.samples

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-
 SINGULAR = 1e-10
 """Variance of a direction, relative to the largest, that only rounding has left: the covariance holds nothing there."""
 

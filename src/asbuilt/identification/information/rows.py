@@ -61,9 +61,13 @@ class Stretch:
         """When it was and how many samples it has."""
         t, parallel = self.samples.t[self.start : self.stop], self.samples.parallel
         t = parallel.times(t) if parallel else t
-        return TimeBlock(self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs)
+        return TimeBlock(
+            self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs
+        )
 
-    def pieces(self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None) -> Iterator[tuple[Array, ...]]:
+    def pieces(
+        self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
+    ) -> Iterator[tuple[Array, ...]]:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a time; good until the next.
 
         `beside` returns further columns of a span of samples, each (L, n), that stand before the torque. `plan` has a spare row for each and one more.
@@ -83,22 +87,33 @@ class Stretch:
             yield tuple(parallel.apply(columns) if parallel else columns for columns in rows)
 
 
-def stretches(model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None) -> Iterator[Stretch]:
+def stretches(
+    model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None
+) -> Iterator[Stretch]:
     """Yield the time blocks of samples, each within one contiguous run; raises `IdentifiabilityError` where the joints are others."""
     for samples in stream:
         if samples.joint_names != model.joint_names:
             raise IdentifiabilityError(
-                f"samples of {samples.source} have joints {', '.join(samples.joint_names)}, {model.name} has {', '.join(model.joint_names)}; "
-                "read the recording with model=..., which matches joints by name"
+                f"samples of {samples.source} have joints {', '.join(samples.joint_names)},"
+                f" {model.name} has {', '.join(model.joint_names)}; read the recording with"
+                " model=..., which matches joints by name"
             )
         rate = samples.parallel.output_rate if samples.parallel else samples.rate
         runs = [
-            (start, stop, samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start)
+            (
+                start,
+                stop,
+                samples.parallel.n_outputs(stop - start) if samples.parallel else stop - start,
+            )
             for start, stop in samples.segments
         ]
         seconds = block_seconds
         if seconds is None:
-            seconds = float(np.clip(sum(n for _, _, n in runs) / rate / USUAL_BLOCKS, SHORTEST_BLOCK, LONGEST_BLOCK))
+            seconds = float(
+                np.clip(
+                    sum(n for _, _, n in runs) / rate / USUAL_BLOCKS, SHORTEST_BLOCK, LONGEST_BLOCK
+                )
+            )
         for start, stop, n in runs:
             if n < 1:
                 continue
@@ -124,7 +139,12 @@ class Rows:
     """
 
     def __init__(
-        self, model: RobotModel, base: BaseParameters, samples: Iterable[Samples], block_seconds: float | None = None, every: int = 1
+        self,
+        model: RobotModel,
+        base: BaseParameters,
+        samples: Iterable[Samples],
+        block_seconds: float | None = None,
+        every: int = 1,
     ) -> None:
         self._plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
         self._samples = samples
@@ -139,9 +159,15 @@ class Rows:
             return
         kept: list[RowBlock] | None = []
         size = 0
-        for stretch in islice(stretches(self._plan.model, self._samples, self._block_seconds), 0, None, self._every):
+        for stretch in islice(
+            stretches(self._plan.model, self._samples, self._block_seconds), 0, None, self._every
+        ):
             pieces = [tuple(rows.copy() for rows in piece) for piece in stretch.pieces(self._plan)]
-            block = RowBlock(tuple(np.hstack(parts) for parts in zip(*pieces, strict=True)), stretch.time, stretch.seconds)
+            block = RowBlock(
+                tuple(np.hstack(parts) for parts in zip(*pieces, strict=True)),
+                stretch.time,
+                stretch.seconds,
+            )
             if kept is not None:
                 size += sum(rows.nbytes for rows in block.rows)
                 kept.append(block)

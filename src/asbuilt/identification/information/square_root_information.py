@@ -62,10 +62,14 @@ class SquareRootInformation:
         for support, factor in zip(self.support, self.factors, strict=True):
             q = len(support) + 1
             if factor.shape != (len(self.blocks), q, q):
-                raise ResultError(f"factors of a joint with {q - 1} columns and {len(self.blocks)} blocks have shape {factor.shape}")
+                raise ResultError(
+                    f"factors of a joint with {q - 1} columns and {len(self.blocks)} blocks have"
+                    f" shape {factor.shape}"
+                )
             if not np.all(np.isfinite(factor)):
                 raise IdentifiabilityError(
-                    "samples hold NaN or infinite values; clean the recording first (asbuilt check says where they are)"
+                    "samples hold NaN or infinite values; clean the recording first (asbuilt check"
+                    " says where they are)"
                 )
             factor.setflags(write=False)
         self.torque_sum.setflags(write=False)
@@ -98,7 +102,9 @@ class SquareRootInformation:
     @cached_property
     def joint_factors(self) -> tuple[Array, ...]:
         """Factor of all blocks together, per joint, shape (p_k + 1, p_k + 1)."""
-        return tuple(triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors)
+        return tuple(
+            triangular_factor(factors.reshape(-1, factors.shape[-1])) for factors in self.factors
+        )
 
     @property
     def torque_energy(self) -> Array:
@@ -127,15 +133,19 @@ class SquareRootInformation:
         for other in others:
             if other.base.names != self.base.names or other.joint_names != self.joint_names:
                 raise IdentifiabilityError(
-                    f"information of {other.base.robot} with drive terms {other.base.drive} ({other.base.n_base} parameters) cannot be merged "
-                    f"with that of {self.base.robot} with drive terms {self.base.drive} ({self.base.n_base} parameters)"
+                    f"information of {other.base.robot} with drive terms {other.base.drive}"
+                    f" ({other.base.n_base} parameters) cannot be merged with that of"
+                    f" {self.base.robot} with drive terms {self.base.drive} ({self.base.n_base}"
+                    " parameters)"
                 )
         parts = (self, *others)
         return SquareRootInformation(
             self.base,
             self.joint_names,
             self.support,
-            tuple(np.concatenate([part.factors[k] for part in parts]) for k in range(self.n_joints)),
+            tuple(
+                np.concatenate([part.factors[k] for part in parts]) for k in range(self.n_joints)
+            ),
             np.concatenate([part.torque_sum for part in parts]),
             tuple(block for part in parts for block in part.blocks),
         )
@@ -162,8 +172,14 @@ class SquareRootInformation:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,); raises `IdentifiabilityError` for a beta of another shape than (p,)."""
         values = np.asarray(beta, dtype=np.float64)
         if values.shape != (self.base.n_base,):
-            raise IdentifiabilityError(f"{self.base.robot} has {self.base.n_base} base parameters, got shape {values.shape}")
-        errors = [factor @ np.append(-values[s], 1.0) for s, factor in zip(self.support, self.joint_factors, strict=True)]
+            raise IdentifiabilityError(
+                f"{self.base.robot} has {self.base.n_base} base parameters, got shape"
+                f" {values.shape}"
+            )
+        errors = [
+            factor @ np.append(-values[s], 1.0)
+            for s, factor in zip(self.support, self.joint_factors, strict=True)
+        ]
         return np.array([float(error @ error) for error in errors])
 
     def to_bytes(self) -> bytes:
@@ -176,7 +192,9 @@ class SquareRootInformation:
         }
         arrays = {
             "torque_sum": self.torque_sum,
-            "header": np.array(json.dumps(header | {"blocks": [asdict(block) for block in self.blocks]})),
+            "header": np.array(
+                json.dumps(header | {"blocks": [asdict(block) for block in self.blocks]})
+            ),
         }
         for k, (support, factors) in enumerate(zip(self.support, self.factors, strict=True)):
             arrays[f"support_{k}"] = support
@@ -204,18 +222,25 @@ class SquareRootInformation:
             names, joints = tuple(header["parameters"]), tuple(header["joints"])
         except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as problem:
             raise ResultError(
-                f"square-root information cannot be read: {type(problem).__name__} {problem}; expected what `to_bytes` wrote"
+                f"square-root information cannot be read: {type(problem).__name__} {problem};"
+                " expected what `to_bytes` wrote"
             ) from problem
         if names != base.names:
             raise ResultError(
-                f"the information belongs to {header['robot']} with drive terms {header['drive']} ({len(names)} parameters), "
-                f"not to {base.robot} with drive terms {base.drive} ({base.n_base} parameters)"
+                f"the information belongs to {header['robot']} with drive terms {header['drive']}"
+                f" ({len(names)} parameters), not to {base.robot} with drive terms {base.drive}"
+                f" ({base.n_base} parameters)"
             )
         return cls(base, joints, tuple(supports), tuple(every), torque_sum, blocks)
 
 
 def accumulate(
-    model: RobotModel, base: BaseParameters, samples: Samples, *, block_seconds: float | None = None, threads: int | None = None
+    model: RobotModel,
+    base: BaseParameters,
+    samples: Samples,
+    *,
+    block_seconds: float | None = None,
+    threads: int | None = None,
 ) -> SquareRootInformation:
     """Reduce samples to their square-root information in one pass.
 
@@ -226,7 +251,12 @@ def accumulate(
 
 
 def accumulate_stream(
-    model: RobotModel, base: BaseParameters, stream: Iterable[Samples], *, block_seconds: float | None = None, threads: int | None = None
+    model: RobotModel,
+    base: BaseParameters,
+    stream: Iterable[Samples],
+    *,
+    block_seconds: float | None = None,
+    threads: int | None = None,
 ) -> SquareRootInformation:
     """Reduce any number of samples, recordings or pieces of one, while they are being read; memory does not grow with their number.
 
@@ -247,14 +277,17 @@ def accumulate_stream(
             gathered.add(pending.popleft().result())
     if not gathered.blocks:
         raise IdentifiabilityError(
-            f"no samples of {model.name} are left to identify from: every contiguous stretch is shorter than the filter needs; "
-            "record longer, raise the cutoff, or filter less"
+            f"no samples of {model.name} are left to identify from: every contiguous stretch is"
+            " shorter than the filter needs; record longer, raise the cutoff, or filter less"
         )
     return gathered.information(base, model.joint_names, plan.support)
 
 
 def reduce_rows(
-    base: BaseParameters, joint_names: tuple[str, ...], support: Sequence[Indices], blocks: Iterable[RowBlock]
+    base: BaseParameters,
+    joint_names: tuple[str, ...],
+    support: Sequence[Indices],
+    blocks: Iterable[RowBlock],
 ) -> SquareRootInformation:
     """Reduce rows that an estimator has made of those of the samples, such as weighted ones; `support[k]` are the columns of joint k's rows."""
     gathered = _Gathering()
@@ -266,7 +299,11 @@ def reduce_rows(
                 growing = GrowingFactor(len(rows), min(ROWS_AT_ONCE, rows.shape[1]))
                 growing.append(rows)
                 factors.append(growing.factor())
-            gathered.add(_Reduced(tuple(factors), np.array([rows[-1].sum() for rows in block.rows]), block.time))
+            gathered.add(
+                _Reduced(
+                    tuple(factors), np.array([rows[-1].sum() for rows in block.rows]), block.time
+                )
+            )
     return gathered.information(base, joint_names, tuple(support))
 
 
@@ -278,7 +315,10 @@ class _Reduced:
 
 
 def _reduced(plan: RegressorPlan, stretch: Stretch) -> _Reduced:
-    growing = [GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, stretch.n_outputs)) for columns in plan.support]
+    growing = [
+        GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, stretch.n_outputs))
+        for columns in plan.support
+    ]
     torque_sum = np.zeros(plan.model.n_joints)
     for piece in stretch.pieces(plan):
         for k, rows in enumerate(piece):
@@ -305,18 +345,40 @@ class _Gathering:
             for each in blocks:
                 self.add(each)
 
-    def information(self, base: BaseParameters, joint_names: tuple[str, ...], support: tuple[Indices, ...]) -> SquareRootInformation:
+    def information(
+        self, base: BaseParameters, joint_names: tuple[str, ...], support: tuple[Indices, ...]
+    ) -> SquareRootInformation:
         """Return all blocks as one."""
-        factors = tuple(np.array([block.factors[k] for block in self.blocks]) for k in range(len(joint_names)))
+        factors = tuple(
+            np.array([block.factors[k] for block in self.blocks]) for k in range(len(joint_names))
+        )
         torque_sum = np.array([block.torque_sum for block in self.blocks])
-        return SquareRootInformation(base, joint_names, support, factors, torque_sum, tuple(block.time for block in self.blocks))
+        return SquareRootInformation(
+            base,
+            joint_names,
+            support,
+            factors,
+            torque_sum,
+            tuple(block.time for block in self.blocks),
+        )
 
 
 def _near(earlier: TimeBlock, later: TimeBlock, seconds: float) -> bool:
-    return earlier.source == later.source and 0.0 < later.stop - earlier.start <= ROUNDED_LENGTH * seconds
+    return (
+        earlier.source == later.source
+        and 0.0 < later.stop - earlier.start <= ROUNDED_LENGTH * seconds
+    )
 
 
 def _merged(earlier: _Reduced, later: _Reduced) -> _Reduced:
-    factors = tuple(triangular_factor(np.vstack(pair)) for pair in zip(earlier.factors, later.factors, strict=True))
-    time = TimeBlock(earlier.time.source, earlier.time.start, later.time.stop, earlier.time.n_samples + later.time.n_samples)
+    factors = tuple(
+        triangular_factor(np.vstack(pair))
+        for pair in zip(earlier.factors, later.factors, strict=True)
+    )
+    time = TimeBlock(
+        earlier.time.source,
+        earlier.time.start,
+        later.time.stop,
+        earlier.time.n_samples + later.time.n_samples,
+    )
     return _Reduced(factors, earlier.torque_sum + later.torque_sum, time)

@@ -22,7 +22,9 @@ def triangular_factor(rows: Array) -> Array:
 
 def packed_triangle(matrix: Array) -> str:
     """Return the upper triangle of a matrix (p, p), row by row, as base64 of little-endian doubles."""
-    return base64.b64encode(matrix[np.triu_indices(len(matrix))].astype("<f8").tobytes()).decode("ascii")
+    return base64.b64encode(matrix[np.triu_indices(len(matrix))].astype("<f8").tobytes()).decode(
+        "ascii"
+    )
 
 
 def unpacked_triangle(text: str, p: int) -> Array:

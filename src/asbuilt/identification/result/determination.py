@@ -81,23 +81,44 @@ class Determination:
     @property
     def in_short(self) -> str:
         """One line for a summary."""
-        total = sum(len(names) for names in (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped))
+        total = sum(
+            len(names)
+            for names in (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped)
+        )
         parts = [
-            f"Determined to {100 * WELL:g} % or better: {len(self.well)} of {total} parameters; to {100 * HARDLY:g} %: {len(self.fairly)}; hardly: {len(self.hardly)}"
-            + (f", {len(self.negligible)} of which make next to no torque in this motion" if self.negligible else "")
+            f"Determined to {100 * WELL:g} % or better: {len(self.well)} of {total} parameters; to"
+            f" {100 * HARDLY:g} %: {len(self.fairly)}; hardly: {len(self.hardly)}"
+            + (
+                f", {len(self.negligible)} of which make next to no torque in this motion"
+                if self.negligible
+                else ""
+            )
         ]
         if self.not_at_all:
             parts.append(f"not at all: {len(self.not_at_all)}")
         if self.dropped:
             parts.append(f"dropped as needless: {len(self.dropped)}")
-        return "; ".join(parts) + "." + (f" What would help: {'; '.join(tip.motion for tip in self.advice[:2])}." if self.advice else "")
+        return (
+            "; ".join(parts)
+            + "."
+            + (
+                f" What would help: {'; '.join(tip.motion for tip in self.advice[:2])}."
+                if self.advice
+                else ""
+            )
+        )
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The whole, in sentences."""
-        found = [f"Determined to {100 * WELL:g} % or better ({len(self.well)}): {_listed(self.well)}."]
+        found = [
+            f"Determined to {100 * WELL:g} % or better ({len(self.well)}): {_listed(self.well)}."
+        ]
         if self.fairly:
-            found.append(f"To between {100 * WELL:g} and {100 * HARDLY:g} % ({len(self.fairly)}): {_listed(self.fairly)}.")
+            found.append(
+                f"To between {100 * WELL:g} and {100 * HARDLY:g} % ({len(self.fairly)}):"
+                f" {_listed(self.fairly)}."
+            )
         if self.hardly:
             text = f"Hardly ({len(self.hardly)}): {_listed(self.hardly)}"
             if self.negligible:
@@ -107,22 +128,29 @@ class Determination:
             found.append(f"Not at all ({len(self.not_at_all)}): {_listed(self.not_at_all)}.")
         if self.dropped:
             found.append(
-                f"Dropped, set to zero because an F-test does not miss them ({len(self.dropped)}): {_listed(self.dropped)}. They have no error; those of the others hold if they are zero."
+                f"Dropped, set to zero because an F-test does not miss them ({len(self.dropped)}):"
+                f" {_listed(self.dropped)}. They have no error; those of the others hold if they"
+                " are zero."
             )
         for each in self.combinations:
             found.append(
-                f"Trade-off: {each.text} hardly changes the torque of this recording; the error of {each.names[0]} is {significant(each.spread, 2)} times "
-                "what it would be if the others were known."
+                f"Trade-off: {each.text} hardly changes the torque of this recording; the error of"
+                f" {each.names[0]} is {significant(each.spread, 2)} times what it would be if the"
+                " others were known."
             )
         for tip in self.advice:
             found.append(
-                f"{tip.motion[0].upper()}{tip.motion[1:]}, for {EXTRA_SECONDS:g} s, would bring the errors of {_listed(tip.names)} to about {share(tip.ratio, 0)} of what they are."
+                f"{tip.motion[0].upper()}{tip.motion[1:]}, for {EXTRA_SECONDS:g} s, would bring the"
+                f" errors of {_listed(tip.names)} to about {share(tip.ratio, 0)} of what they are."
             )
         return tuple(found)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain texts, numbers and lists, ready for JSON."""
-        fields = {name: list(getattr(self, name)) for name in ("well", "fairly", "hardly", "negligible", "not_at_all", "dropped")}
+        fields = {
+            name: list(getattr(self, name))
+            for name in ("well", "fairly", "hardly", "negligible", "not_at_all", "dropped")
+        }
         return fields | {
             "combinations": [asdict(each) for each in self.combinations],
             "advice": [asdict(tip) for tip in self.advice],
@@ -146,7 +174,9 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     well, hardly = told & (error <= WELL * size), told & (error > HARDLY * size)
     with one_blas_thread():
         information = known_information(result)
-        negligible = hardly & ~np.array([parameter.poorly_determined for parameter in result.parameters])
+        negligible = hardly & ~np.array(
+            [parameter.poorly_determined for parameter in result.parameters]
+        )
         combinations = _combinations(result, information, told)
         weak = np.flatnonzero(~well & ~(negligible & told) & ~dropped)
         advice = _advice(result, information, weak) if motions and weak.size else ()
@@ -162,7 +192,9 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
     )
 
 
-def _combinations(result: IdentificationResult, information: Array, told: NDArray[np.bool_]) -> tuple[Combination, ...]:
+def _combinations(
+    result: IdentificationResult, information: Array, told: NDArray[np.bool_]
+) -> tuple[Combination, ...]:
     """Directions of large variance in parameters scaled to unit diagonal information, the largest first, each parameter named first once."""
     seen = np.flatnonzero(told & (np.diag(information) > 0))
     scale = 1.0 / np.sqrt(np.diag(information)[seen])
@@ -177,11 +209,16 @@ def _combinations(result: IdentificationResult, information: Array, told: NDArra
         order = np.argsort(-np.abs(vector), kind="stable")
         part = [int(i) for i in order if abs(vector[i]) >= TAKES_PART * abs(vector[order[0]])]
         spread = float(abs(vector[order[0]]) / np.sqrt(value))
-        if len(part) < 2 or spread < TRADES or any(result.base.names[seen[part[0]]] == each.names[0] for each in found):
+        if (
+            len(part) < 2
+            or spread < TRADES
+            or any(result.base.names[seen[part[0]]] == each.names[0] for each in found)
+        ):
             continue
         listed = [result.base.names[seen[i]] for i in part]
         text = ", ".join(
-            f"{name} {'up' if vector[i] * vector[part[0]] > 0 else 'down'}" for i, name in zip(part[:MOST_NAMED], listed, strict=False)
+            f"{name} {'up' if vector[i] * vector[part[0]] > 0 else 'down'}"
+            for i, name in zip(part[:MOST_NAMED], listed, strict=False)
         )
         if len(part) > MOST_NAMED:
             text += f" and {len(part) - MOST_NAMED} more"
@@ -189,7 +226,9 @@ def _combinations(result: IdentificationResult, information: Array, told: NDArra
     return tuple(found)
 
 
-def _advice(result: IdentificationResult, information: Array, weak: NDArray[np.int64]) -> tuple[Advice, ...]:
+def _advice(
+    result: IdentificationResult, information: Array, weak: NDArray[np.int64]
+) -> tuple[Advice, ...]:
     """Return the motions that would help the weak parameters, the gentlest first: slow poses, then one joint at a time, then all at once."""
     independent = result.effective_samples / max(result.duration, 1e-9) * EXTRA_SECONDS
     before, ceiling = _errors(information, weak)
@@ -209,12 +248,16 @@ def _advice(result: IdentificationResult, information: Array, weak: NDArray[np.i
             continue
         row = table[some][best]
         mean = float(np.exp(np.mean(np.log(np.maximum(row[served[best]], 1e-6)))))
-        found.append(Advice(texts[some][best], tuple(result.base.names[j] for j in weak[served[best]]), mean))
+        found.append(
+            Advice(texts[some][best], tuple(result.base.names[j] for j in weak[served[best]]), mean)
+        )
         left &= ~served[best]
     return tuple(found)
 
 
-def _errors(information: Array, weak: NDArray[np.int64], scale: Array | None = None) -> tuple[Array, Array]:
+def _errors(
+    information: Array, weak: NDArray[np.int64], scale: Array | None = None
+) -> tuple[Array, Array]:
     """Return the standard errors of the weak parameters, and the scaling used; what nothing tells has an error as large as the scaling allows."""
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
@@ -244,15 +287,27 @@ def _motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]]:
     for k, name in enumerate(model.joint_names):
         alone = np.zeros(n)
         alone[k] = 1.0
-        yield f"steady travel of {name} from slow to its fastest, both ways", q, slow + alone * speed * bounds.velocity, still
+        yield (
+            f"steady travel of {name} from slow to its fastest, both ways",
+            q,
+            slow + alone * speed * bounds.velocity,
+            still,
+        )
         yield (
             f"accelerating {name} hard, the others in changing poses",
             q,
             slow + alone * speed * bounds.velocity,
             alone * acceleration * bounds.acceleration,
         )
-    yield "accelerating all joints hard, at once and all over their ranges", q, speed * bounds.velocity, acceleration * bounds.acceleration
+    yield (
+        "accelerating all joints hard, at once and all over their ranges",
+        q,
+        speed * bounds.velocity,
+        acceleration * bounds.acceleration,
+    )
 
 
 def _listed(names: tuple[str, ...], most: int = 14) -> str:
-    return (", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")) or "none"
+    return (
+        ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+    ) or "none"

@@ -31,10 +31,14 @@ class FreeValues:
 
     def __post_init__(self) -> None:
         p = len(self.estimates)
-        if self.covariance.shape != (p, p) or self.textbook_std_errors.shape != (p,) or self.determined.shape != (p,):
+        if (
+            self.covariance.shape != (p, p)
+            or self.textbook_std_errors.shape != (p,)
+            or self.determined.shape != (p,)
+        ):
             raise ResultError(
-                f"{p} free values need as many errors, got {self.covariance.shape}, {self.textbook_std_errors.shape} and {self.determined.shape}; "
-                "identify again"
+                f"{p} free values need as many errors, got {self.covariance.shape},"
+                f" {self.textbook_std_errors.shape} and {self.determined.shape}; identify again"
             )
         for values in (self.estimates, self.covariance, self.textbook_std_errors, self.determined):
             values.setflags(write=False)
@@ -60,18 +64,31 @@ class FreeValues:
             estimates = np.array(fields["estimates"], dtype=np.float64)
             upper = unpacked_triangle(fields["covariance"], len(estimates))
             textbook = np.array(fields["textbook_std_errors"], dtype=np.float64)
-            return cls(estimates, upper + np.triu(upper, 1).T, textbook, np.array(fields["determined"], dtype=np.bool_))
+            return cls(
+                estimates,
+                upper + np.triu(upper, 1).T,
+                textbook,
+                np.array(fields["determined"], dtype=np.bool_),
+            )
         except (KeyError, TypeError, ValueError) as problem:
             if isinstance(problem, ResultError):
                 raise
-            raise ResultError(f"the free values are damaged ({type(problem).__name__} {problem}); identify again") from problem
+            raise ResultError(
+                f"the free values are damaged ({type(problem).__name__} {problem}); identify again"
+            ) from problem
 
 
-def free_values(information: SquareRootInformation, toward: ArrayLike, beside: Array | None = None) -> FreeValues:
+def free_values(
+    information: SquareRootInformation, toward: ArrayLike, beside: Array | None = None
+) -> FreeValues:
     """Fit by `wls` with errors from time blocks; what the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined.
 
     `beside` (p, p) is the covariance that fitted shapes of drive terms add.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
-    covariance = block_uncertainty(information, fitted).covariance + (0.0 if beside is None else beside)
-    return FreeValues(fitted.beta, 0.5 * (covariance + covariance.T), fitted.std_errors, fitted.determined)
+    covariance = block_uncertainty(information, fitted).covariance + (
+        0.0 if beside is None else beside
+    )
+    return FreeValues(
+        fitted.beta, 0.5 * (covariance + covariance.T), fitted.std_errors, fitted.determined
+    )

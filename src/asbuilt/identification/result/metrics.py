@@ -39,7 +39,8 @@ class TorqueMetrics:
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != (len(self.joint_names),):
                 raise ResultError(
-                    f"{name} of {self.source!r} must have one value for each of {len(self.joint_names)} joints, got shape {values.shape}"
+                    f"{name} of {self.source!r} must have one value for each of"
+                    f" {len(self.joint_names)} joints, got shape {values.shape}"
                 )
             values.setflags(write=False)
             object.__setattr__(self, name, values)
@@ -77,7 +78,8 @@ class TorqueMetrics:
             if isinstance(problem, ResultError):
                 raise
             raise ResultError(
-                f"torque metrics cannot be read: {type(problem).__name__} {problem}; expected the fields of `as_dict`"
+                f"torque metrics cannot be read: {type(problem).__name__} {problem}; expected the"
+                " fields of `as_dict`"
             ) from problem
 
 
@@ -99,7 +101,8 @@ class TorqueTally:
         hat = np.asarray(predicted, dtype=np.float64)
         if tau.shape != hat.shape or tau.ndim != 2 or tau.shape[1] != len(self.joint_names):
             raise ResultError(
-                f"measured torque has shape {tau.shape} and predicted {hat.shape}; both must be (n_samples, {len(self.joint_names)})"
+                f"measured torque has shape {tau.shape} and predicted {hat.shape}; both must be"
+                f" (n_samples, {len(self.joint_names)})"
             )
         if len(tau) == 0:
             return self
@@ -117,7 +120,10 @@ class TorqueTally:
     def metrics(self, source: str) -> TorqueMetrics:
         """Return the metrics of everything added so far; raises `ResultError` where that is nothing."""
         if self._n == 0:
-            raise ResultError(f"no samples to measure the prediction of {source!r} on; is the recording shorter than the filter's edges?")
+            raise ResultError(
+                f"no samples to measure the prediction of {source!r} on; is the recording shorter"
+                " than the filter's edges?"
+            )
         energy = self._spread + self._n * self._mean**2
         with np.errstate(divide="ignore", invalid="ignore"):
             constant = self._spread <= 1e-24 * energy
@@ -136,14 +142,18 @@ class TorqueTally:
         )
 
 
-def torque_metrics(measured: ArrayLike, predicted: ArrayLike, source: str, joint_names: Iterable[str] | None = None) -> TorqueMetrics:
+def torque_metrics(
+    measured: ArrayLike, predicted: ArrayLike, source: str, joint_names: Iterable[str] | None = None
+) -> TorqueMetrics:
     """Measure `predicted` against `measured`, both (n_samples, n_joints); joints are numbered from 1 where no names are given.
 
     >>> torque_metrics([[3.0], [-4.0]], [[3.0], [-3.0]], "bench").rms.round(4).tolist()
     [0.7071]
     """
     n = np.asarray(measured).shape[-1]
-    names = tuple(joint_names) if joint_names is not None else tuple(f"joint {k + 1}" for k in range(n))
+    names = (
+        tuple(joint_names) if joint_names is not None else tuple(f"joint {k + 1}" for k in range(n))
+    )
     return TorqueTally(names).add(measured, predicted).metrics(source)
 
 

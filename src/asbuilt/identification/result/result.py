@@ -133,17 +133,31 @@ class IdentificationResult:
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints
-        shapes = {"covariance": (p, p), "textbook_covariance": (p, p), "sigma": (n,), "singular_values": (p,)}
+        shapes = {
+            "covariance": (p, p),
+            "textbook_covariance": (p, p),
+            "sigma": (n,),
+            "singular_values": (p,),
+        }
         for name, shape in shapes.items():
             values = np.array(getattr(self, name), dtype=np.float64)
             if values.shape != shape:
-                raise ResultError(f"{name} must have shape {shape} for {n} joints and {p} base parameters, got {values.shape}")
+                raise ResultError(
+                    f"{name} must have shape {shape} for {n} joints and {p} base parameters, got"
+                    f" {values.shape}"
+                )
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         if len(self.parameters) != p:
-            raise ResultError(f"a result for {p} base parameters needs as many parameters, got {len(self.parameters)}")
+            raise ResultError(
+                f"a result for {p} base parameters needs as many parameters, got"
+                f" {len(self.parameters)}"
+            )
         if self.free is not None and len(self.free.estimates) != p:
-            raise ResultError(f"a result for {p} base parameters needs as many free values, got {len(self.free.estimates)}")
+            raise ResultError(
+                f"a result for {p} base parameters needs as many free values, got"
+                f" {len(self.free.estimates)}"
+            )
 
     @property
     def robot(self) -> str:
@@ -201,7 +215,9 @@ class IdentificationResult:
 
     def predict_cad(self, samples: Samples) -> Prediction:
         """Predict the torque of a recording from the values by design; terms on which the description is silent add nothing."""
-        return predict_torque(self.model, self.base, np.nan_to_num(self.cad_values, nan=0.0), samples)
+        return predict_torque(
+            self.model, self.base, np.nan_to_num(self.cad_values, nan=0.0), samples
+        )
 
     def summary(self) -> Summary:
         """Return the result as text, HTML or CSV."""
@@ -226,7 +242,10 @@ class IdentificationResult:
             "scaled_condition_number": _finite(self.scaled_condition_number),
             "joints": list(self.joint_names),
             "sigma": self.sigma.tolist(),
-            "parameters": [{name: _finite(value) for name, value in asdict(parameter).items()} for parameter in self.parameters],
+            "parameters": [
+                {name: _finite(value) for name, value in asdict(parameter).items()}
+                for parameter in self.parameters
+            ],
             "undetermined": list(self.undetermined),
             "train": self.train.as_dict(),
             "validation": [metrics.as_dict() for metrics in self.validation],
@@ -241,10 +260,16 @@ class IdentificationResult:
     def to_json(self) -> str:
         """Return the whole result, robot and covariances included, as JSON that `from_json` reads back to the last bit."""
         whole = {"format": FORMAT, "version": FORMAT_VERSION} | self.as_dict()
-        whole |= {name: getattr(self, name).tolist() for name in ("singular_values", "covariance", "textbook_covariance")}
+        whole |= {
+            name: getattr(self, name).tolist()
+            for name in ("singular_values", "covariance", "textbook_covariance")
+        }
         whole |= {"evidence": None if self.evidence is None else self.evidence.as_dict()}
         whole |= {"free": None if self.free is None else self.free.as_dict()}
-        return json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1) + "\n"
+        return (
+            json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1)
+            + "\n"
+        )
 
     @classmethod
     def from_json(cls, text: str) -> IdentificationResult:
@@ -252,11 +277,20 @@ class IdentificationResult:
         try:
             whole = json.loads(text)
         except ValueError as problem:
-            raise ResultError(f"this is not a stored result, not even JSON ({problem}); expected the file that identify wrote") from problem
+            raise ResultError(
+                f"this is not a stored result, not even JSON ({problem}); expected the file that"
+                " identify wrote"
+            ) from problem
         if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
-            raise ResultError(f"this JSON is not a stored result: its format should be {FORMAT!r}; expected the file that identify wrote")
+            raise ResultError(
+                f"this JSON is not a stored result: its format should be {FORMAT!r}; expected the"
+                " file that identify wrote"
+            )
         if whole.get("version") != FORMAT_VERSION:
-            raise ResultError(f"this result has format version {whole.get('version')}, this program reads {FORMAT_VERSION}; identify again")
+            raise ResultError(
+                f"this result has format version {whole.get('version')}, this program reads"
+                f" {FORMAT_VERSION}; identify again"
+            )
         try:
             model = model_from_document(whole["model"])
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
@@ -265,7 +299,8 @@ class IdentificationResult:
             if ids != base.ids.tolist():
                 odd = sorted(set(ids) ^ set(base.ids.tolist())) or ids
                 raise ResultError(
-                    f"the result of {model.name} has {len(ids)} base parameters, the robot has {base.n_base}; they differ in {odd[:10]}; identify again"
+                    f"the result of {model.name} has {len(ids)} base parameters, the robot has"
+                    f" {base.n_base}; they differ in {odd[:10]}; identify again"
                 )
             return cls(
                 model=model,
@@ -286,22 +321,34 @@ class IdentificationResult:
                 scaled_condition_number=_number(whole["scaled_condition_number"]),
                 undetermined=tuple(whole["undetermined"]),
                 train=TorqueMetrics.from_dict(whole["train"]),
-                validation=tuple(TorqueMetrics.from_dict(metrics) for metrics in whole["validation"]),
+                validation=tuple(
+                    TorqueMetrics.from_dict(metrics) for metrics in whole["validation"]
+                ),
                 cad=TorqueMetrics.from_dict(whole["cad"]),
                 physically_consistent=whole["physically_consistent"],
                 consistency_margin=whole["consistency_margin"],
                 warnings=tuple(IdentificationWarning(**warning) for warning in whole["warnings"]),
                 provenance=tuple(whole["provenance"]),
                 notes=tuple(whole.get("notes", ())),
-                evidence=None if whole.get("evidence") is None else CauseEvidence.from_dict(whole["evidence"]),
+                evidence=(
+                    None
+                    if whole.get("evidence") is None
+                    else CauseEvidence.from_dict(whole["evidence"])
+                ),
                 errors=ErrorBasis.from_dict(whole.get("errors") or {}),
                 free=None if whole.get("free") is None else FreeValues.from_dict(whole["free"]),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as problem:
             if isinstance(problem, ResultError):
                 raise
-            reason = str(problem) if isinstance(problem, AsbuiltError) else f"{type(problem).__name__} {problem}"
-            raise ResultError(f"the stored result is damaged: {reason}; identify again") from problem
+            reason = (
+                str(problem)
+                if isinstance(problem, AsbuiltError)
+                else f"{type(problem).__name__} {problem}"
+            )
+            raise ResultError(
+                f"the stored result is damaged: {reason}; identify again"
+            ) from problem
 
 
 def _finite(value: Any) -> Any:
@@ -310,8 +357,15 @@ def _finite(value: Any) -> Any:
 
 def _parameter(item: Mapping[str, Any], method: str) -> IdentifiedParameter:
     """Return a parameter as stored; files of versions that gave dropped parameters an error of zero are read as they are meant."""
-    numbers = {name: np.nan if item[name] is None else float(item[name]) for name in ("cad", "estimate", "std_error", "textbook_std_error")}
-    if "dropped" not in item and method == "essential" and numbers["estimate"] == 0.0 == numbers["std_error"]:
+    numbers = {
+        name: np.nan if item[name] is None else float(item[name])
+        for name in ("cad", "estimate", "std_error", "textbook_std_error")
+    }
+    if (
+        "dropped" not in item
+        and method == "essential"
+        and numbers["estimate"] == 0.0 == numbers["std_error"]
+    ):
         numbers |= {"std_error": np.nan, "textbook_std_error": np.nan, "dropped": True}
     return IdentifiedParameter(**{**item, **numbers})
 

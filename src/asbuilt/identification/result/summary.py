@@ -57,16 +57,29 @@ class Summary:
             lines.append(f"{label:<13}{text:<{width}}{second:<19}{other}".rstrip())
         body, joints = self.parameters.as_text().splitlines(), self.joints.as_text().splitlines()
         rule = "-" * max(len(line) for line in body + lines)
-        lines += [rule, body[0], *[line for line in body[1:] if not line.startswith("---")], rule, *joints]
+        lines += [
+            rule,
+            body[0],
+            *[line for line in body[1:] if not line.startswith("---")],
+            rule,
+            *joints,
+        ]
         lines += [f"[{number}] {note}" for number, note in enumerate(self.notes, start=1)]
         return "\n".join(lines) + "\n"
 
     def as_html(self) -> str:
         """Return a fragment: heading, both tables and the notes; every text is escaped."""
-        pairs = "".join(f"<dt>{html.escape(label)}</dt><dd>{html.escape(text)}</dd>" for label, text in self.heading)
+        pairs = "".join(
+            f"<dt>{html.escape(label)}</dt><dd>{html.escape(text)}</dd>"
+            for label, text in self.heading
+        )
         notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
         tables = self.parameters.as_html("parameters") + "\n" + self.joints.as_html("joints")
-        return f'<section class="summary"><h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n{tables}\n<ol class="notes">{notes}</ol></section>\n'
+        return (
+            "<section"
+            f' class="summary"><h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n{tables}\n<ol'
+            f' class="notes">{notes}</ol></section>\n'
+        )
 
     def as_csv(self) -> str:
         """Return the table of parameters as CSV, numbers in full."""
@@ -78,12 +91,17 @@ def summarise(result: IdentificationResult) -> Summary:
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_joints))
     method = method_title(result.method)
     drives = f" + {n_drive} drive" if n_drive else ""
-    held_out = f" (held out {', '.join(share(metrics.relative_error) for metrics in result.validation)})" if result.validation else ""
+    held_out = (
+        f" (held out {', '.join(share(metrics.relative_error) for metrics in result.validation)})"
+        if result.validation
+        else ""
+    )
     pushing = ", ".join(pushing_drives(result.base, result.estimates))
     impossible = f"{pushing} BELOW ZERO" if pushing else "IMPOSSIBLE FOR REAL BODIES"
     consistency = {True: "OK", False: impossible, None: "not decided"}[result.physically_consistent]
     condition = (
-        f"{significant(result.condition_number)} (scaled {significant(result.scaled_condition_number)})"
+        f"{significant(result.condition_number)} (scaled"
+        f" {significant(result.scaled_condition_number)})"
         if np.isfinite(result.condition_number)
         else "infinite"
     )
@@ -147,13 +165,24 @@ def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
         Shown(parameter.estimate, estimate),
         Shown(parameter.std_error, error),
         Shown(100.0 * parameter.relative_error, percent(parameter.estimate, parameter.std_error)),
-        Shown(sigmas, DROPPED if parameter.dropped else deviation(sigmas) if parameter.determined else "NOT EXCITED"),
+        Shown(
+            sigmas,
+            (
+                DROPPED
+                if parameter.dropped
+                else deviation(sigmas)
+                if parameter.determined
+                else "NOT EXCITED"
+            ),
+        ),
     )
 
 
 def _joint_table(result: IdentificationResult) -> Table:
     held_out = [
-        Column(f"RMS held out {i}" if len(result.validation) > 1 else "RMS held out", align="decimal")
+        Column(
+            f"RMS held out {i}" if len(result.validation) > 1 else "RMS held out", align="decimal"
+        )
         for i in range(1, len(result.validation) + 1)
     ]
     cad = "RMS CAD" if result.cad.source == result.train.source else "RMS CAD held out"
@@ -166,8 +195,18 @@ def _joint_table(result: IdentificationResult) -> Table:
     )
     rows: list[tuple[Cell, ...]] = []
     for k, name in enumerate(result.joint_names):
-        errors = [result.train.rms[k], *[metrics.rms[k] for metrics in result.validation], result.cad.rms[k]]
-        rows.append((name, *[Shown(float(error), significant(float(error))) for error in errors], float(result.train.r_squared[k])))
+        errors = [
+            result.train.rms[k],
+            *[metrics.rms[k] for metrics in result.validation],
+            result.cad.rms[k],
+        ]
+        rows.append(
+            (
+                name,
+                *[Shown(float(error), significant(float(error))) for error in errors],
+                float(result.train.r_squared[k]),
+            )
+        )
     return Table(columns, tuple(rows))
 
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
     """Hold measured and predicted torque, both (N, n), at the times `t` (N,) of the filtered and decimated grid."""
@@ -48,7 +47,12 @@ def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> Robo
 
 
 def predict_torque(
-    model: RobotModel, base: BaseParameters, values: ArrayLike, samples: Samples, *, added: Array | None = None
+    model: RobotModel,
+    base: BaseParameters,
+    values: ArrayLike,
+    samples: Samples,
+    *,
+    added: Array | None = None,
 ) -> Prediction:
     """Predict `F(Y_b beta)` beside `F(tau)`, F being the parallel filter of the samples, if any.
 
@@ -58,10 +62,14 @@ def predict_torque(
     """
     beta = np.asarray(values, dtype=np.float64)
     if beta.shape != (base.n_base,):
-        raise ResultError(f"{base.robot} with drive terms {base.drive} has {base.n_base} base parameters, got shape {beta.shape}")
+        raise ResultError(
+            f"{base.robot} with drive terms {base.drive} has {base.n_base} base parameters, got"
+            f" shape {beta.shape}"
+        )
     if samples.joint_names != model.joint_names:
         raise ResultError(
-            f"samples of {samples.source} have joints {list(samples.joint_names)}, {model.name} has {list(model.joint_names)}"
+            f"samples of {samples.source} have joints {list(samples.joint_names)}, {model.name} has"
+            f" {list(model.joint_names)}"
         )
     chi = np.zeros(base.n_standard)
     chi[base.columns] = beta
@@ -70,5 +78,19 @@ def predict_torque(
         links = links + added
     torque = inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
     if base.drive:
-        torque = torque + drive_torque(base.drive, drives, samples.q, samples.qd, samples.qdd, load=torque, shares=model.motor_shares)
-    return Prediction(samples.filtered_times, samples.filtered_torque, samples.filtered(torque), model.joint_names, samples.source)
+        torque = torque + drive_torque(
+            base.drive,
+            drives,
+            samples.q,
+            samples.qd,
+            samples.qdd,
+            load=torque,
+            shares=model.motor_shares,
+        )
+    return Prediction(
+        samples.filtered_times,
+        samples.filtered_torque,
+        samples.filtered(torque),
+        model.joint_names,
+        samples.source,
+    )

@@ -81,43 +81,93 @@ class Attribution:
         heads = (
             Column("joint", width=20),
             Column("unit"),
-            *(Column(name, align="decimal") for name in ("torque", "CAD off by", "as built off by")),
+            *(
+                Column(name, align="decimal")
+                for name in ("torque", "CAD off by", "as built off by")
+            ),
             Column("why CAD is off"),
         )
         rows: list[tuple[Cell, ...]] = []
-        for name, unit, *rms, why in zip(self.joint_names, self.units, self.torque, self.rms_cad, as_built, self.reasons, strict=True):
-            rows.append((name, unit, *(Shown(float(value), significant(float(value))) for value in rms), why))
+        for name, unit, *rms, why in zip(
+            self.joint_names,
+            self.units,
+            self.torque,
+            self.rms_cad,
+            as_built,
+            self.reasons,
+            strict=True,
+        ):
+            rows.append(
+                (
+                    name,
+                    unit,
+                    *(Shown(float(value), significant(float(value))) for value in rms),
+                    why,
+                )
+            )
         return Table(heads, tuple(rows), title=f"Joint by joint, RMS on {self.judged_by}")
 
     @property
     def tilt(self) -> float:
         """Angle [rad] by which the robot seems to stand askew, zero where that is not among the causes chosen."""
-        return float(np.linalg.norm([self.values.get(name, 0.0) for name in TILTS])) if "mounting" in self.chosen else 0.0
+        return (
+            float(np.linalg.norm([self.values.get(name, 0.0) for name in TILTS]))
+            if "mounting" in self.chosen
+            else 0.0
+        )
 
     def share_table(self) -> Table:
         """Return, joint by joint, the RMS torque and error of CAD, the share of every cause in its square, what is left, and the error then."""
-        heads = [Column("joint", width=20), Column("unit"), Column("torque", align="decimal"), Column("CAD off by", align="decimal")]
+        heads = [
+            Column("joint", width=20),
+            Column("unit"),
+            Column("torque", align="decimal"),
+            Column("CAD off by", align="decimal"),
+        ]
         heads += [Column(SHORT.get(each.cause, each.cause), align="right") for each in self.shares]
         heads += [Column("unexplained", align="right"), Column("left", align="decimal")]
         rows: list[tuple[Cell, ...]] = []
         for k, (name, unit) in enumerate(zip(self.joint_names, self.units, strict=True)):
             parts = [*(float(each.share[k]) for each in self.shares), float(self.unexplained[k])]
-            torque, off, left = (Shown(float(rms[k]), significant(float(rms[k]))) for rms in (self.torque, self.rms_cad, self.rms_chosen))
-            rows.append((name, unit, torque, off, *(Shown(part, percentage(part, 0)) for part in parts), left))
+            torque, off, left = (
+                Shown(float(rms[k]), significant(float(rms[k])))
+                for rms in (self.torque, self.rms_cad, self.rms_chosen)
+            )
+            rows.append(
+                (
+                    name,
+                    unit,
+                    torque,
+                    off,
+                    *(Shown(part, percentage(part, 0)) for part in parts),
+                    left,
+                )
+            )
         return Table(
             tuple(heads),
             tuple(rows),
             title="What the error of CAD is made of, shares of its square",
             notes=(
-                f"RMS on {self.judged_by}. The shares of a joint and what is unexplained add up to 100 %; one below 0 works against the others.",
+                (
+                    f"RMS on {self.judged_by}. The shares of a joint and what is unexplained add up"
+                    " to 100 %; one below 0 works against the others."
+                ),
             ),
         )
 
     def step_table(self) -> Table:
         """Return the nested models: parameters told, F-test of each step, BIC, RMS error of every joint on held-out data."""
-        heads = [Column("model"), Column("parameters", align="right"), Column("F", align="decimal"), Column("p", align="right")]
+        heads = [
+            Column("model"),
+            Column("parameters", align="right"),
+            Column("F", align="decimal"),
+            Column("p", align="right"),
+        ]
         heads.append(Column("BIC", align="right"))
-        heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)]
+        heads += [
+            Column(name, unit, "decimal", width=16)
+            for name, unit in zip(self.joint_names, self.units, strict=True)
+        ]
         rows: list[tuple[Cell, ...]] = []
         for number, step in enumerate(self.steps):
             errors = [Shown(float(error), significant(float(error))) for error in step.rms]
@@ -127,20 +177,34 @@ class Attribution:
                     "CAD" if number == 0 else f"+ {CAUSES[step.cause]}",
                     step.parameters,
                     Shown(step.f, significant(step.f)) if tested else None,
-                    Shown(step.probability, f"{step.probability:.1g}" if step.probability else "below 1e-300") if tested else None,
+                    (
+                        Shown(
+                            step.probability,
+                            f"{step.probability:.1g}" if step.probability else "below 1e-300",
+                        )
+                        if tested
+                        else None
+                    ),
                     Shown(step.bic, f"{step.bic:.0f}"),
                     *errors,
                 )
             )
         note = (
-            "Each model has the causes above it too. F: what the step explains of the data used against what the last model leaves, with as many samples as are independent; BIC is of "
-            "the data used, errors are those on data held out and may rise."
+            "Each model has the causes above it too. F: what the step explains of the data used"
+            " against what the last model leaves, with as many samples as are independent; BIC is"
+            " of the data used, errors are those on data held out and may rise."
         )
-        return Table(tuple(heads), tuple(rows), title="Nested models, held-out RMS error", notes=(note,))
+        return Table(
+            tuple(heads), tuple(rows), title="Nested models, held-out RMS error", notes=(note,)
+        )
 
     def as_text(self) -> str:
         """Return sentences and both tables for a terminal."""
-        said = ["Why CAD is off:", *(f"  {line}" for line in self.sentences), *(f"  {line}" for line in self.findings)]
+        said = [
+            "Why CAD is off:",
+            *(f"  {line}" for line in self.sentences),
+            *(f"  {line}" for line in self.findings),
+        ]
         return "\n".join(said) + "\n\n" + stacked([self.share_table(), self.step_table()])
 
     def as_document(self) -> dict[str, Any]:
@@ -191,7 +255,9 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     """
     if result.evidence is None:
         raise ResultError(
-            f"this result of {result.robot} carries no evidence of causes, which `asbuilt identify` and `run_study` gather from recordings of some seconds at least; identify again with either"
+            f"this result of {result.robot} carries no evidence of causes, which `asbuilt identify`"
+            " and `run_study` gather from recordings of some seconds at least; identify again with"
+            " either"
         )
     with one_blas_thread():
         return _attributed(CauseFits(result, result.evidence, cad), result)
@@ -223,7 +289,8 @@ def _attributed(fits: CauseFits, result: IdentificationResult) -> Attribution:
         joint_names=e.joint_names,
         units=torque_units(result.model),
         judged_by=recording_name(e.judged_by),
-        torque=np.array([np.linalg.norm(factor[:, -1]) for factor in e.judged]) / np.sqrt(e.n_judged),
+        torque=np.array([np.linalg.norm(factor[:, -1]) for factor in e.judged])
+        / np.sqrt(e.n_judged),
         rms_cad=cad.rms,
         rms_chosen=whole.rms,
         steps=fits.steps(),
@@ -233,7 +300,9 @@ def _attributed(fits: CauseFits, result: IdentificationResult) -> Attribution:
         unexplained=unexplained,
         alike=alike,
         findings=findings(fits, alike),
-        sentences=tuple(sentence(fits, k, divided, float(unexplained[k])) for k in range(e.n_joints)),
+        sentences=tuple(
+            sentence(fits, k, divided, float(unexplained[k])) for k in range(e.n_joints)
+        ),
         reasons=tuple(reason(fits, k, divided, float(unexplained[k])) for k in range(e.n_joints)),
         values=values,
     )

@@ -83,12 +83,16 @@ class Step:
 class CauseFits:
     """Fit combinations of causes, each once."""
 
-    def __init__(self, result: IdentificationResult, evidence: CauseEvidence, cad: RobotModel | None) -> None:
+    def __init__(
+        self, result: IdentificationResult, evidence: CauseEvidence, cad: RobotModel | None
+    ) -> None:
         self.result, self.evidence = result, evidence
         self.model = result.model if cad is None else cad
         n, p = evidence.n_joints, len(evidence.names)
         base = result.base
-        design = np.nan_to_num(result.cad_values if cad is None else design_values(result, cad), nan=0.0)
+        design = np.nan_to_num(
+            result.cad_values if cad is None else design_values(result, cad), nan=0.0
+        )
         x = np.zeros(p)
         x[evidence.places(base.names)] = design
         self.design = np.concatenate([x, np.zeros(n + 10)])
@@ -96,22 +100,33 @@ class CauseFits:
         self.rigid = evidence.places(links)
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
         self.non_negative: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        self.names = (*evidence.names, *(f"gain {k + 1}" for k in range(n)), *(f"payload {i}" for i in range(10)))
+        self.names = (
+            *evidence.names,
+            *(f"gain {k + 1}" for k in range(n)),
+            *(f"payload {i}" for i in range(10)),
+        )
         self.fitted, self.judged = (
             [self._widened(factor, x, K, k) for k, factor in enumerate(evidence.whole(factors))]
             for factors in (evidence.fitted, evidence.judged)
         )
-        floor = NOISE_FLOOR * np.sqrt([float(f[:, -1] @ f[:, -1]) / evidence.n_fitted for f in evidence.fitted])
+        floor = NOISE_FLOOR * np.sqrt(
+            [float(f[:, -1] @ f[:, -1]) / evidence.n_fitted for f in evidence.fitted]
+        )
         self.floor = np.maximum(floor, np.finfo(float).tiny)
         self.weights = 1.0 / np.maximum(result.sigma, self.floor)
         self.independent = evidence.n_fitted * min(1.0, result.effective_samples / result.n_samples)
         self.independent_judged = self.independent * evidence.n_judged / evidence.n_fitted
-        stacked = triangular_factor(np.vstack([w * rows for w, rows in zip(self.weights, self.fitted, strict=True)]))
+        stacked = triangular_factor(
+            np.vstack([w * rows for w, rows in zip(self.weights, self.fitted, strict=True)])
+        )
         length = np.linalg.norm(stacked[:, :-1], axis=0)
         self.present = length > 1e-9 * length.max(initial=0.0)
         self.columns = self._columns()
         self.belief = np.zeros(len(self.names))
-        self.belief[self.columns["gain"]], self.belief[self.columns["mounting"]] = 1.0 / USUAL_GAIN, 1.0 / USUAL_TILT
+        self.belief[self.columns["gain"]], self.belief[self.columns["mounting"]] = (
+            1.0 / USUAL_GAIN,
+            1.0 / USUAL_TILT,
+        )
         belief = self.belief * np.sqrt(evidence.n_fitted / self.independent)
         self.length = np.where(self.present, np.hypot(length, belief), 1.0)
         scaled, belief = stacked[:, :-1] / self.length, belief / self.length
@@ -133,20 +148,26 @@ class CauseFits:
         found["links"] = self.rigid.tolist()
         for term in self.evidence.drive.terms:
             letters = [f"{letter}{k + 1}" for k in range(n) for letter in term.letters]
-            found[CAUSE_OF_TERM.get(term.key, "richer friction")] += [names.index(letter) for letter in letters]
+            found[CAUSE_OF_TERM.get(term.key, "richer friction")] += [
+                names.index(letter) for letter in letters
+            ]
         found["mounting"] = [names.index(name) for name in TILTS]
         found["gain"] = [names.index(f"gain {k + 1}") for k in range(n)]
         found["payload"] = [names.index(f"payload {i}") for i in range(10)]
         self.non_negative = np.zeros(len(names), dtype=bool)
         for term in self.evidence.drive.terms:
             if CAUSE_OF_TERM.get(term.key) in ("friction", "armature"):
-                self.non_negative[[names.index(f"{letter}{k + 1}") for k in range(n) for letter in term.letters]] = True
+                self.non_negative[
+                    [names.index(f"{letter}{k + 1}") for k in range(n) for letter in term.letters]
+                ] = True
         return {cause: np.array(sorted(places), dtype=np.int64) for cause, places in found.items()}
 
     def fit(self, causes: Subset) -> CauseModel:
         """Fit a combination."""
         if causes not in self._known:
-            places = np.concatenate([np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))])
+            places = np.concatenate(
+                [np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))]
+            )
             places = places[self.present[places]]
             x, spread, rank, told = np.zeros(len(self.names)), np.zeros(len(self.names)), 0, 0
             free, bounded = np.ones(places.size, dtype=bool), self.non_negative[places]
@@ -165,7 +186,11 @@ class CauseFits:
                 if not (out | back).any():
                     break
                 free ^= out | back
-            x[places] = (np.where(bounded, np.maximum(y, 0.0), y) + floor) / self.length[places] if places.size else 0.0
+            x[places] = (
+                (np.where(bounded, np.maximum(y, 0.0), y) + floor) / self.length[places]
+                if places.size
+                else 0.0
+            )
             if places.size:
                 spread[some] = np.sqrt(np.sum(V**2 / eigenvalues[kept], axis=1)) / self.length[some]
             self._known[causes] = self._judged(causes, x, spread, rank, told)
@@ -175,23 +200,33 @@ class CauseFits:
         e = self.evidence
         rms_fitted = _rms(self.fitted, x, e.n_fitted)
         n_rows = self.independent * e.n_joints
-        energy = float(np.sum((self.weights * np.maximum(rms_fitted, self.floor)) ** 2)) * self.independent
+        energy = (
+            float(np.sum((self.weights * np.maximum(rms_fitted, self.floor)) ** 2))
+            * self.independent
+        )
         noise = energy / max(n_rows - rank, 1.0) * e.n_fitted / self.independent
         rms = _rms(self.judged, x, e.n_judged)
         return CauseModel(
             causes=causes,
             rms=rms,
             score=float(
-                2.0 * self.independent_judged * np.sum(np.log(np.maximum(rms, self.floor))) + rank + np.sum((self.belief * x) ** 2)
+                2.0 * self.independent_judged * np.sum(np.log(np.maximum(rms, self.floor)))
+                + rank
+                + np.sum((self.belief * x) ** 2)
             ),
             rms_fitted=rms_fitted,
             rank=rank,
             told=told,
             weighted_energy=energy,
-            bic=float(2.0 * self.independent * np.sum(np.log(np.maximum(rms_fitted, self.floor))) + rank * np.log(max(n_rows, 2.0))),
+            bic=float(
+                2.0 * self.independent * np.sum(np.log(np.maximum(rms_fitted, self.floor)))
+                + rank * np.log(max(n_rows, 2.0))
+            ),
             values=x,
             std_errors=spread * np.sqrt(noise),
-            possible="payload" not in causes or "links" in causes or self._is_body(x[self.columns["payload"]]),
+            possible="payload" not in causes
+            or "links" in causes
+            or self._is_body(x[self.columns["payload"]]),
         )
 
     @staticmethod
@@ -208,17 +243,33 @@ class CauseFits:
         for cause, (before, now) in zip(self.causes, pairwise(models), strict=True):
             more, f, probability = now.told - before.told, np.nan, np.nan
             if more > 0 and left > 0 and whole.weighted_energy > 0 and now.told <= whole.told:
-                f = max(0.0, (before.weighted_energy - now.weighted_energy) / more / (whole.weighted_energy / left))
+                f = max(
+                    0.0,
+                    (before.weighted_energy - now.weighted_energy)
+                    / more
+                    / (whole.weighted_energy / left),
+                )
                 probability = float(fdtrc(more, left, f))
-            found.append(Step(cause, now.rms, now.rms_fitted, now.told, now.bic, float(f), probability))
+            found.append(
+                Step(cause, now.rms, now.rms_fitted, now.told, now.bic, float(f), probability)
+            )
         return tuple(found)
 
     @cached_property
     def rivals(self) -> tuple[CauseModel, ...]:
         """All combinations that could be, the best first: a payload is a body, and beside free links, to which it adds nothing, in none."""
-        every = (frozenset(some) for size in range(len(self.causes) + 1) for some in combinations(self.causes, size))
+        every = (
+            frozenset(some)
+            for size in range(len(self.causes) + 1)
+            for some in combinations(self.causes, size)
+        )
         fits = [self.fit(some) for some in every if not {"payload", "links"} <= some]
-        return tuple(sorted((fit for fit in fits if fit.possible), key=lambda fit: (round(fit.score, 6), len(fit.causes))))
+        return tuple(
+            sorted(
+                (fit for fit in fits if fit.possible),
+                key=lambda fit: (round(fit.score, 6), len(fit.causes)),
+            )
+        )
 
     @cached_property
     def chosen(self) -> CauseModel:
@@ -247,8 +298,16 @@ class CauseFits:
     def possible_payload(self) -> tuple[CauseModel, float, float, Array]:
         """The fit with a payload in place of free links, its mass and error [kg] and its centre [m]."""
         fit = self.fit((self.chosen.causes - {"links"}) | {"payload"})
-        body, mass_error = fit.values[self.columns["payload"]], float(fit.std_errors[self.columns["payload"]][9])
-        return fit, float(body[9]), mass_error, body[6:9] / body[9] if body[9] else np.full(3, np.inf)
+        body, mass_error = (
+            fit.values[self.columns["payload"]],
+            float(fit.std_errors[self.columns["payload"]][9]),
+        )
+        return (
+            fit,
+            float(body[9]),
+            mass_error,
+            body[6:9] / body[9] if body[9] else np.full(3, np.inf),
+        )
 
     @cached_property
     def weighed(self) -> tuple[str, ...]:
@@ -266,7 +325,9 @@ class CauseFits:
 
         Richer friction is what remains of it beside the plain friction nearest to the whole, joint by joint; links what remains beside the payload.
         """
-        inside = {cause: np.isin(np.arange(len(self.names)), self.columns[cause]) for cause in weighed}
+        inside = {
+            cause: np.isin(np.arange(len(self.names)), self.columns[cause]) for cause in weighed
+        }
         found = {cause: np.where(inside[cause], self.chosen.values, 0.0) for cause in weighed}
         if {"payload", "links"} <= set(weighed):
             found["payload"] = np.where(inside["payload"], self.possible_payload[0].values, 0.0)
@@ -274,10 +335,13 @@ class CauseFits:
         if {"friction", "richer friction"} <= set(weighed):
             for rows in self.fitted:
                 plain, rich = (
-                    np.flatnonzero(inside[cause] & (np.abs(rows[:, :-1]) > 0).any(axis=0)) for cause in ("friction", "richer friction")
+                    np.flatnonzero(inside[cause] & (np.abs(rows[:, :-1]) > 0).any(axis=0))
+                    for cause in ("friction", "richer friction")
                 )
                 if plain.size and rich.size:
-                    moved = np.linalg.lstsq(rows[:, plain], rows[:, rich] @ self.chosen.values[rich], rcond=None)[0]
+                    moved = np.linalg.lstsq(
+                        rows[:, plain], rows[:, rich] @ self.chosen.values[rich], rcond=None
+                    )[0]
                     found["friction"][plain] += moved
                     found["richer friction"][plain] -= moved
         return found
@@ -304,14 +368,25 @@ class CauseFits:
         causes = frozenset(total)
 
         def lost(*without: str) -> float:
-            return float(self.weights**2 @ (self.fit(causes - set(without)).rms ** 2 - self.fit(causes).rms ** 2))
+            return float(
+                self.weights**2
+                @ (self.fit(causes - set(without)).rms ** 2 - self.fit(causes).rms ** 2)
+            )
 
         worth = WORTH_TELLING * sum(size)
         found = []
         for one, two in combinations(total, 2):
-            if BEFORE.get(two) == one or BEFORE.get(one) == two or min(total[one], total[two]) < worth:
+            if (
+                BEFORE.get(two) == one
+                or BEFORE.get(one) == two
+                or min(total[one], total[two]) < worth
+            ):
                 continue
-            if lost(one) < OWN * total[one] and lost(two) < OWN * total[two] and lost(one, two) > 2.0 * (lost(one) + lost(two)):
+            if (
+                lost(one) < OWN * total[one]
+                and lost(two) < OWN * total[two]
+                and lost(one, two) > 2.0 * (lost(one) + lost(two))
+            ):
                 found.append((one, two))
         return tuple(found)
 

@@ -46,7 +46,10 @@ def shapley_values(causes: tuple[str, ...], worth: Callable[[Subset], Array]) ->
     return {
         cause: np.asarray(
             sum(
-                ways_to[some] * ways_from[some | {cause}] / ways_to[frozenset(causes)] * (values[some | {cause}] - values[some])
+                ways_to[some]
+                * ways_from[some | {cause}]
+                / ways_to[frozenset(causes)]
+                * (values[some | {cause}] - values[some])
                 for some in ways_to
                 if cause not in some and some | {cause} in ways_to
             )

@@ -44,7 +44,10 @@ class CadTolerance:
         for what in ("mass", "centre", "inertia"):
             value = getattr(self, what)
             if not 0.0 <= value < np.inf:
-                raise UsageError(f"a tolerance of CAD must be a fraction of at least 0, such as 0.05 or 5%, got {value:g} for {what}")
+                raise UsageError(
+                    "a tolerance of CAD must be a fraction of at least 0, such as 0.05 or 5%, got"
+                    f" {value:g} for {what}"
+                )
 
     @classmethod
     def parse(cls, text: str) -> CadTolerance:
@@ -54,12 +57,17 @@ class CadTolerance:
         CadTolerance(mass=0.02, centre=0.05, inertia=0.1)
         """
         try:
-            values = [float(part.strip().removesuffix("%")) / (100.0 if part.strip().endswith("%") else 1.0) for part in text.split(",")]
+            values = [
+                float(part.strip().removesuffix("%"))
+                / (100.0 if part.strip().endswith("%") else 1.0)
+                for part in text.split(",")
+            ]
         except ValueError:
             values = []
         if len(values) not in (1, 3) or any(value >= 1.0 for value in values):
             raise UsageError(
-                f"a tolerance of CAD is one fraction below 1, such as 5% or 0.05, or three for mass, centre of mass and inertia; got {text!r}"
+                "a tolerance of CAD is one fraction below 1, such as 5% or 0.05, or three for"
+                f" mass, centre of mass and inertia; got {text!r}"
             )
         return cls(*(values * 3 if len(values) == 1 else values))
 
@@ -80,15 +88,20 @@ class CadTolerance:
         """
         moment = float(np.trace(inertia.inertia_about_com))
         gyration = np.sqrt(max(moment, 0.0) / (2.0 * inertia.mass))
-        places, weights = (np.array(list(product(*[axis] * 4))) for axis in zip(*NODES, strict=True))
+        places, weights = (
+            np.array(list(product(*[axis] * 4))) for axis in zip(*NODES, strict=True)
+        )
         mass = inertia.mass * (1.0 + self.mass * places[:, 0])
         centre = inertia.com + self.centre * gyration * places[:, 1:]
-        about_origin = np.einsum("s,sc,sc->s", mass, centre, centre)[:, None, None] * np.eye(3) - np.einsum(
-            "s,sa,sb->sab", mass, centre, centre
-        )
+        about_origin = np.einsum("s,sc,sc->s", mass, centre, centre)[:, None, None] * np.eye(
+            3
+        ) - np.einsum("s,sa,sb->sab", mass, centre, centre)
         about_origin += inertia.inertia_about_com
         upper = np.triu_indices(3)
-        moved = np.column_stack([about_origin[:, upper[0], upper[1]], mass[:, None] * centre, mass]) - inertia.parameters
+        moved = (
+            np.column_stack([about_origin[:, upper[0], upper[1]], mass[:, None] * centre, mass])
+            - inertia.parameters
+        )
         found = moved.T @ (weights.prod(axis=1)[:, None] * moved)
         found[range(6), range(6)] += (self.inertia * moment / 3.0) ** 2
         return np.asarray(found)
@@ -125,13 +138,21 @@ def check_tolerance(
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
 
     def claimed(factor: float) -> Array:
-        return np.asarray(np.asarray(covariance)[own] + tolerance.scaled(factor).covariance(model, base)[own])
+        return np.asarray(
+            np.asarray(covariance)[own] + tolerance.scaled(factor).covariance(model, base)[own]
+        )
 
     held = chi_square(d, claimed(1.0))
-    exceeded = benjamini_hochberg(two_sided_probability(d / np.sqrt(np.diag(claimed(1.0))))) <= level
+    exceeded = (
+        benjamini_hochberg(two_sided_probability(d / np.sqrt(np.diag(claimed(1.0))))) <= level
+    )
     return ToleranceTest(
         chi_square=held,
-        needed=None if held.probability > level else _widening(lambda factor: chi_square(d, claimed(factor)).probability - level),
+        needed=(
+            None
+            if held.probability > level
+            else _widening(lambda factor: chi_square(d, claimed(factor)).probability - level)
+        ),
         beyond=tuple(base.names[j] for j, out in zip(chosen, exceeded, strict=True) if out),
     )
 

@@ -59,7 +59,11 @@ class ComparedParameter:
     @property
     def interval(self) -> tuple[float, float] | None:
         """The 95 % interval of the value as built."""
-        return None if self.std_error is None else (self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error)
+        return (
+            None
+            if self.std_error is None
+            else (self.estimate - 1.96 * self.std_error, self.estimate + 1.96 * self.std_error)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and texts, ready for JSON."""
@@ -72,7 +76,12 @@ class ComparedParameter:
 
 
 def parameter_table(
-    parameters: Sequence[ComparedParameter], *, level: float, errors: str = "", units: Sequence[str] = (), width: int | None = 28
+    parameters: Sequence[ComparedParameter],
+    *,
+    level: float,
+    errors: str = "",
+    units: Sequence[str] = (),
+    width: int | None = 28,
 ) -> Table:
     """Return the table of compared parameters, with how their `errors` were judged below; text cuts expressions at `width` characters, HTML and CSV have them whole."""
     with_torque = any(parameter.torque_total is not None for parameter in parameters)
@@ -89,11 +98,20 @@ def parameter_table(
     ]
     if with_torque:
         unit = "N m" if set(units) <= {"N m"} else "N m, N"
-        heads += [Column("torque", unit, "decimal"), Column("its own", align="right"), Column("joint", align="right"), Column("matters")]
+        heads += [
+            Column("torque", unit, "decimal"),
+            Column("its own", align="right"),
+            Column("joint", align="right"),
+            Column("matters"),
+        ]
     rows = []
     for parameter in parameters:
         shown, error = rounded(parameter.estimate, parameter.std_error)
-        cad = None if parameter.cad is None else Shown(parameter.cad, beside(parameter.cad, parameter.std_error))
+        cad = (
+            None
+            if parameter.cad is None
+            else Shown(parameter.cad, beside(parameter.cad, parameter.std_error))
+        )
         outcome = _outcome(parameter)
         relative = None
         if parameter.std_error is not None and parameter.estimate:
@@ -113,13 +131,17 @@ def parameter_table(
             row += _torque_cells(parameter)
         rows.append(tuple(row))
     notes = [
-        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini and Hochberg).{f' {errors}' if errors else ''}"
+        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini"
+        f" and Hochberg).{f' {errors}' if errors else ''}"
     ]
     if with_torque:
         notes.append(
-            "torque: RMS over all joints that the difference costs on the motion judged by; its own: the part of it that no other parameter could make up for; joint: "
-            f"the one that notices most. A difference matters where its own part costs a joint {share(MATTERS, 0)} or more of the error left as built. Shared: only the "
-            "whole costs as much, and the parameters named could make up for the rest; this recording hardly tells them apart."
+            "torque: RMS over all joints that the difference costs on the motion judged by; its"
+            " own: the part of it that no other parameter could make up for; joint: the one that"
+            " notices most. A difference matters where its own part costs a joint"
+            f" {share(MATTERS, 0)} or more of the error left as built. Shared: only the whole costs"
+            " as much, and the parameters named could make up for the rest; this recording hardly"
+            " tells them apart."
         )
     return Table(tuple(heads), tuple(rows), title="Base parameters", notes=tuple(notes))
 
@@ -140,7 +162,9 @@ def _torque_cells(parameter: ComparedParameter) -> list[Cell]:
 def _outcome(parameter: ComparedParameter) -> str:
     if parameter.verdict == "differs":
         return "DIFFERS"
-    return deviation(parameter.sigmas, np.inf) if parameter.verdict == "agrees" else parameter.verdict
+    return (
+        deviation(parameter.sigmas, np.inf) if parameter.verdict == "agrees" else parameter.verdict
+    )
 
 
 def matters_text(matters: bool | None, shared_with: Sequence[str]) -> str:

@@ -73,26 +73,47 @@ class Comparison:
     def n_mattering(self) -> int | None:
         """Number of parameters that differ and matter; None where the torque is unknown."""
         known = [parameter for parameter in self.parameters if parameter.matters is not None]
-        return sum(bool(parameter.matters) and parameter.verdict == "differs" for parameter in known) if known else None
+        return (
+            sum(bool(parameter.matters) and parameter.verdict == "differs" for parameter in known)
+            if known
+            else None
+        )
 
     @property
     def ranked(self) -> tuple[ComparedParameter, ...]:
         """The parameters, those that cost the most torque first; by id where that is unknown."""
         if all(parameter.torque_total is None for parameter in self.parameters):
             return self.parameters
-        return tuple(sorted(self.parameters, key=lambda parameter: (-(parameter.torque_total or 0.0), parameter.id)))
+        return tuple(
+            sorted(
+                self.parameters,
+                key=lambda parameter: (-(parameter.torque_total or 0.0), parameter.id),
+            )
+        )
 
     def verdict(self) -> str:
         """Return the outcome in a sentence or two."""
-        text = f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ ({self.rule()})."
+        text = (
+            f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ"
+            f" ({self.rule()})."
+        )
         if self.n_mattering is not None:
-            text = f"{text[:-1]}; {self.n_mattering} of them matter{'s' if self.n_mattering == 1 else ''} to the torque."
+            text = (
+                f"{text[:-1]}; {self.n_mattering} of them"
+                f" matter{'s' if self.n_mattering == 1 else ''} to the torque."
+            )
         if not self.torque:
             return text
         cad, built = self.torque[0]
         if cad is None:
-            return f"{text} Torque error as built {share(built.relative_error)} on {recording_name(built.source)}."
-        return f"{text} Torque error on {recording_name(built.source)}: CAD {share(cad.relative_error)}, as built {share(built.relative_error)}."
+            return (
+                f"{text} Torque error as built {share(built.relative_error)} on"
+                f" {recording_name(built.source)}."
+            )
+        return (
+            f"{text} Torque error on {recording_name(built.source)}: CAD"
+            f" {share(cad.relative_error)}, as built {share(built.relative_error)}."
+        )
 
     def rule(self) -> str:
         """Return the rule by which parameters are said to differ."""
@@ -104,15 +125,29 @@ class Comparison:
         if self.chi_square is not None and self.chi_square.degrees:
             found.append(f"CAD as a whole against the data: {_chi_square(self.chi_square)}.")
         if self.chi_square_tolerance is not None and self.tolerance is not None:
-            claimed = f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of the centre, {share(self.tolerance.inertia, 0)} of inertia"
-            outcome = (
-                "CAD is within its tolerances" if self.chi_square_tolerance.probability > self.level else "CAD is beyond its tolerances"
+            claimed = (
+                f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of the"
+                f" centre, {share(self.tolerance.inertia, 0)} of inertia"
             )
-            found.append(f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)}; {outcome}.")
+            outcome = (
+                "CAD is within its tolerances"
+                if self.chi_square_tolerance.probability > self.level
+                else "CAD is beyond its tolerances"
+            )
+            found.append(
+                f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)};"
+                f" {outcome}."
+            )
             if self.tolerance_needed is not None:
-                found.append(f"They would have to be {significant(self.tolerance_needed, 2)} times as wide to hold what was found.")
+                found.append(
+                    f"They would have to be {significant(self.tolerance_needed, 2)} times as wide"
+                    " to hold what was found."
+                )
             if self.beyond_tolerance:
-                found.append(f"Beyond their tolerances one by one ({self.rule()}): {', '.join(self.beyond_tolerance)}.")
+                found.append(
+                    f"Beyond their tolerances one by one ({self.rule()}):"
+                    f" {', '.join(self.beyond_tolerance)}."
+                )
         return tuple(found)
 
     def parameter_table(self) -> Table:
@@ -122,23 +157,42 @@ class Comparison:
     def torque_table(self) -> Table:
         """Return Table 3: RMS torque error of each joint, CAD and as built, for each recording."""
         heads = [Column("recording", width=40), Column("parameters")]
-        heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(self.joint_names, self.units, strict=True)]
+        heads += [
+            Column(name, unit, "decimal", width=16)
+            for name, unit in zip(self.joint_names, self.units, strict=True)
+        ]
         heads.append(Column("relative error", align="decimal"))
         rows: list[tuple[Cell, ...]] = []
         for cad, built in self.torque:
             for what, metrics in (("CAD", cad), ("as built", built)):
                 if metrics is not None:
                     rms = [Shown(float(value), significant(float(value))) for value in metrics.rms]
-                    rows.append((recording_name(metrics.source), what, *rms, Shown(metrics.relative_error, share(metrics.relative_error))))
+                    rows.append(
+                        (
+                            recording_name(metrics.source),
+                            what,
+                            *rms,
+                            Shown(metrics.relative_error, share(metrics.relative_error)),
+                        )
+                    )
         return Table(tuple(heads), tuple(rows), title="RMS torque error")
 
     def as_text(self) -> str:
         """Return verdict and both tables for a terminal."""
-        return self.heading() + "\n" + stacked([*([self.torque_table()] if self.torque else []), self.parameter_table()])
+        return (
+            self.heading()
+            + "\n"
+            + stacked([*([self.torque_table()] if self.torque else []), self.parameter_table()])
+        )
 
     def heading(self) -> str:
         """Return the verdict and the tests of all parameters, line by line."""
-        return "\n".join([f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]) + "\n"
+        return (
+            "\n".join(
+                [f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]
+            )
+            + "\n"
+        )
 
     def as_csv(self) -> str:
         """Return the parameter table as CSV."""
@@ -158,12 +212,17 @@ class Comparison:
             "judged_by": self.judged_by,
             "errors": self.errors,
             "chi_square": None if self.chi_square is None else asdict(self.chi_square),
-            "chi_square_tolerance": None if self.chi_square_tolerance is None else asdict(self.chi_square_tolerance),
+            "chi_square_tolerance": (
+                None if self.chi_square_tolerance is None else asdict(self.chi_square_tolerance)
+            ),
             "tolerance": None if self.tolerance is None else asdict(self.tolerance),
             "tolerance_needed": self.tolerance_needed,
             "beyond_tolerance": list(self.beyond_tolerance),
             "parameters": [parameter.as_dict() for parameter in self.ranked],
-            "torque": [{"cad": None if cad is None else cad.as_dict(), "as_built": built.as_dict()} for cad, built in self.torque],
+            "torque": [
+                {"cad": None if cad is None else cad.as_dict(), "as_built": built.as_dict()}
+                for cad, built in self.torque
+            ],
         }
 
 
@@ -182,17 +241,29 @@ def compare(
     believed to know.
     """
     values = result.cad_values if cad is None else design_values(result, cad)
-    determined = np.array([p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters])
+    determined = np.array(
+        [p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters]
+    )
     tested = determined & np.isfinite(values)
     difference = np.where(tested, result.estimates - values, np.nan)
     sigmas = difference[tested] / result.std_errors[tested]
     p_values = two_sided_probability(sigmas)
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
-    cost = None if result.evidence is None else torque_cost(result.evidence, result.base, result.estimates - values)
-    left = None if result.evidence is None else result.evidence.error_of(result.base.names, result.estimates)
+    cost = (
+        None
+        if result.evidence is None
+        else torque_cost(result.evidence, result.base, result.estimates - values)
+    )
+    left = (
+        None
+        if result.evidence is None
+        else result.evidence.error_of(result.base.names, result.estimates)
+    )
     words = in_words(result.base)
     compared, place = [], 0
-    for j, (parameter, by_design) in enumerate(zip(result.parameters, values.tolist(), strict=True)):
+    for j, (parameter, by_design) in enumerate(
+        zip(result.parameters, values.tolist(), strict=True)
+    ):
         known = by_design if np.isfinite(by_design) else None
         found = ComparedParameter(
             id=parameter.id,
@@ -201,9 +272,19 @@ def compare(
             unit=parameter.unit,
             cad=known,
             estimate=parameter.estimate,
-            std_error=parameter.std_error if np.isfinite(parameter.std_error) and parameter.std_error > 0 else None,
+            std_error=(
+                parameter.std_error
+                if np.isfinite(parameter.std_error) and parameter.std_error > 0
+                else None
+            ),
             sigmas=None,
-            verdict="dropped" if parameter.dropped else "no CAD value" if determined[j] else "not determined",
+            verdict=(
+                "dropped"
+                if parameter.dropped
+                else "no CAD value"
+                if determined[j]
+                else "not determined"
+            ),
             words=words[j],
         )
         if tested[j]:
@@ -229,7 +310,15 @@ def compare(
     held = (
         None
         if tolerance is None
-        else check_tolerance(tolerance, cad or result.model, result.base, difference, result.covariance, tested, level=level)
+        else check_tolerance(
+            tolerance,
+            cad or result.model,
+            result.base,
+            difference,
+            result.covariance,
+            tested,
+            level=level,
+        )
     )
     return Comparison(
         robot=result.robot,
@@ -239,7 +328,11 @@ def compare(
         parameters=tuple(compared),
         torque=_paired(result, cad, values, validation),
         level=level,
-        chi_square=chi_square(difference[tested], result.covariance[np.ix_(tested, tested)]) if tested.any() else None,
+        chi_square=(
+            chi_square(difference[tested], result.covariance[np.ix_(tested, tested)])
+            if tested.any()
+            else None
+        ),
         chi_square_tolerance=None if held is None else held.chi_square,
         tolerance=tolerance,
         tolerance_needed=None if held is None else held.needed,
@@ -250,7 +343,10 @@ def compare(
 
 
 def _chi_square(test: ChiSquare) -> str:
-    return f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p {probability_text(test.probability)}"
+    return (
+        f"chi-square {significant(test.statistic)} with {test.degrees} degrees of freedom, p"
+        f" {probability_text(test.probability)}"
+    )
 
 
 def recording_name(source: str) -> str:
@@ -263,26 +359,39 @@ def recording_name(source: str) -> str:
 
 
 def _paired(
-    result: IdentificationResult, cad: RobotModel | None, values: Array, validation: Validation | Sequence[Validation] | None
+    result: IdentificationResult,
+    cad: RobotModel | None,
+    values: Array,
+    validation: Validation | Sequence[Validation] | None,
 ) -> tuple[tuple[TorqueMetrics | None, TorqueMetrics], ...]:
     if validation is not None:
         several = [validation] if isinstance(validation, Validation) else list(validation)
         return tuple((item.metrics_cad, item.metrics_as_built) for item in several)
     measured = result.validation or (result.train,)
     if cad is None:
-        return tuple((result.cad if metrics.source == result.cad.source else None, metrics) for metrics in measured)
+        return tuple(
+            (result.cad if metrics.source == result.cad.source else None, metrics)
+            for metrics in measured
+        )
     if result.evidence is None or not result.validation:
         return tuple((None, metrics) for metrics in measured)
     return (
-        (_evident_metrics(result, result.evidence, np.nan_to_num(values, nan=0.0), measured[0]), measured[0]),
+        (
+            _evident_metrics(result, result.evidence, np.nan_to_num(values, nan=0.0), measured[0]),
+            measured[0],
+        ),
         *((None, m) for m in measured[1:]),
     )
 
 
-def _evident_metrics(result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics) -> TorqueMetrics:
+def _evident_metrics(
+    result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics
+) -> TorqueMetrics:
     """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell them."""
     rms = evidence.error_of(result.base.names, beta)
-    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(evidence.n_judged)
+    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(
+        evidence.n_judged
+    )
     unknown = np.full(len(rms), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return TorqueMetrics(

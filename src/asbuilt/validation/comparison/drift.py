@@ -107,13 +107,22 @@ class Drift:
     @property
     def ranked(self) -> tuple[ParameterChange, ...]:
         """The parameters, those whose change makes the most torque first."""
-        return tuple(sorted(self.parameters, key=lambda change: (-(change.torque_total or 0.0), change.id)))
+        return tuple(
+            sorted(self.parameters, key=lambda change: (-(change.torque_total or 0.0), change.id))
+        )
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         compared = sum(parameter.sigmas is not None for parameter in self.parameters)
-        together = f"all at once: chi-square {significant(self.chi_square.statistic)} with {self.chi_square.degrees} degrees of freedom, p {probability_text(self.chi_square.probability)}"
-        return f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate {percentage(self.level, 0)}); {together}."
+        together = (
+            f"all at once: chi-square {significant(self.chi_square.statistic)} with"
+            f" {self.chi_square.degrees} degrees of freedom, p"
+            f" {probability_text(self.chi_square.probability)}"
+        )
+        return (
+            f"{self.n_changed} of {compared} parameters {self._changed} (false discovery rate"
+            f" {percentage(self.level, 0)}); {together}."
+        )
 
     @property
     def _changed(self) -> str:
@@ -126,7 +135,10 @@ class Drift:
             Column("parameter", width=28),
             Column("what it is"),
             Column("unit"),
-            *(Column(name, align="decimal") for name in ((self.before, self.after) if self.of_models else ("before", "after"))),
+            *(
+                Column(name, align="decimal")
+                for name in ((self.before, self.after) if self.of_models else ("before", "after"))
+            ),
             Column("std err", align="decimal"),
             Column("difference" if self.of_models else "change", align="right"),
             Column("torque", align="decimal"),
@@ -142,11 +154,13 @@ class Drift:
             outcome = (
                 beyond_doubt
                 if each.changed
-                else DROPPED
-                if each.dropped
-                else "not determined"
-                if each.sigmas is None
-                else deviation(each.sigmas, np.inf)
+                else (
+                    DROPPED
+                    if each.dropped
+                    else "not determined"
+                    if each.sigmas is None
+                    else deviation(each.sigmas, np.inf)
+                )
             )
             rows.append(
                 (
@@ -165,8 +179,11 @@ class Drift:
             )
         change, judged = ("difference", "second") if self.of_models else ("change", "later")
         note = (
-            f"std err: of the difference, both errors together; torque: RMS over all joints that the {change} makes on the motion the {judged} result was judged by; joint: the one that "
-            f"notices most. A {change} matters where it is beyond doubt and its own part is noticed; shared: those named could make up for the rest, and this recording hardly tells them apart."
+            "std err: of the difference, both errors together; torque: RMS over all joints that"
+            f" the {change} makes on the motion the {judged} result was judged by; joint: the one"
+            f" that notices most. A {change} matters where it is beyond doubt and its own part is"
+            " noticed; shared: those named could make up for the rest, and this recording hardly"
+            " tells them apart."
         )
         title = {
             None: "Base parameters",
@@ -177,11 +194,24 @@ class Drift:
 
     def as_text(self) -> str:
         """Return verdict, sentences and table for a terminal."""
-        head = [f"{self.robot}: {self.after} against {self.before}", self.verdict(), *self.sentences]
+        head = [
+            f"{self.robot}: {self.after} against {self.before}",
+            self.verdict(),
+            *self.sentences,
+        ]
         return (
             "\n".join(head)
             + "\n\n"
-            + stacked([*([joint_table(self.joints, self.level, of_models=self.of_models)] if self.joints else []), self.table()])
+            + stacked(
+                [
+                    *(
+                        [joint_table(self.joints, self.level, of_models=self.of_models)]
+                        if self.joints
+                        else []
+                    ),
+                    self.table(),
+                ]
+            )
         )
 
     def as_document(self) -> dict[str, Any]:
@@ -197,7 +227,9 @@ class Drift:
             "verdict": self.verdict(),
             "sentences": list(self.sentences),
             "torque": [asdict(joint) for joint in self.joints],
-            "parameters": [asdict(change) | {"shared_with": list(change.shared_with)} for change in self.ranked],
+            "parameters": [
+                asdict(change) | {"shared_with": list(change.shared_with)} for change in self.ranked
+            ],
         }
 
 
@@ -221,10 +253,15 @@ def compare_results(
     for i, j in zip(one, two, strict=True):
         if before.base.expressions[i] != after.base.expressions[j]:
             raise ResultError(
-                f"{before.base.names[i]} stands for {before.base.expressions[i]} in one result and for {after.base.expressions[j]} in the other; "
-                "identify both with the same drive terms"
+                f"{before.base.names[i]} stands for {before.base.expressions[i]} in one result and"
+                f" for {after.base.expressions[j]} in the other; identify both with the same drive"
+                " terms"
             )
-    first, second, terms = (ComparedValues.own(before), ComparedValues.own(after), ()) if of_models else on_equal_terms(before, after)
+    first, second, terms = (
+        (ComparedValues.own(before), ComparedValues.own(after), ())
+        if of_models
+        else on_equal_terms(before, after)
+    )
     difference = second.estimates[two] - first.estimates[one]
     covariance = first.covariance[np.ix_(one, one)] + second.covariance[np.ix_(two, two)]
     together = first.even_covariance[np.ix_(one, one)] + second.even_covariance[np.ix_(two, two)]
@@ -264,16 +301,26 @@ def compare_results(
             false_discovery=_number(tests[2, place]),
             holm=_number(tests[3, place]),
             torque_total=None if cost is None else float(cost.total[j]),
-            felt_at=None if cost is None or not cost.torque[j].any() else 1 + int(np.argmax(cost.torque[j])),
+            felt_at=(
+                None
+                if cost is None or not cost.torque[j].any()
+                else 1 + int(np.argmax(cost.torque[j]))
+            ),
             changed=bool(changed[place]),
             matters=None if cost is None else bool(changed[place] and own[place]),
             words=words[j],
             dropped=bool(dropped[place]),
-            shared_with=() if cost is None or left is None or not changed[place] else cost.shared_with(int(j), left, after.base.names),
+            shared_with=(
+                ()
+                if cost is None or left is None or not changed[place]
+                else cost.shared_with(int(j), left, after.base.names)
+            ),
         )
         for place, (name, i, j) in enumerate(zip(names, one, two, strict=True))
     )
-    said = labels or tuple(", ".join(recording_name(source) for source in result.sources) for result in (before, after))
+    said = labels or tuple(
+        ", ".join(recording_name(source) for source in result.sources) for result in (before, after)
+    )
     return Drift(
         robot=after.robot,
         before=said[0],
@@ -295,15 +342,26 @@ def compare_results(
     )
 
 
-def _other_drives(before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]) -> tuple[str, ...]:
+def _other_drives(
+    before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
+) -> tuple[str, ...]:
     """Say first of all where the two have other drive terms, or the same with other shapes or at other joints: each makes up for what it lacks with what it has."""
-    one, two = ({term.key: str(term) for term in result.base.drive.terms} for result in (before, after))
+    one, two = (
+        {term.key: str(term) for term in result.base.drive.terms} for result in (before, after)
+    )
     if one == two:
         return ()
-    alone = [(label, [key for key in own if key not in others]) for label, own, others in zip(labels, (one, two), (two, one), strict=True)]
+    alone = [
+        (label, [key for key in own if key not in others])
+        for label, own, others in zip(labels, (one, two), (two, one), strict=True)
+    ]
     parts = [f"only {label} has {', '.join(keys)}" for label, keys in alone if keys]
     reshaped = [key for key, term in one.items() if two.get(key, term) != term]
-    parts += [f"both have {', '.join(reshaped)}, with other shapes or at other joints"] if reshaped else []
+    parts += (
+        [f"both have {', '.join(reshaped)}, with other shapes or at other joints"]
+        if reshaped
+        else []
+    )
     left_out = (
         "Terms that only one has are left out here, and the others make up for them"
         if len(parts) > len(reshaped[:1])
@@ -311,8 +369,11 @@ def _other_drives(before: IdentificationResult, after: IdentificationResult, lab
     )
     richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
     return (
-        f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}. {left_out}: all that follows may be the choice of terms and no change of the robot. "
-        f"Identify both with the same: --drive {richer}",
+        (
+            f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}. {left_out}: all that follows may be the"
+            " choice of terms and no change of the robot. Identify both with the same: --drive"
+            f" {richer}"
+        ),
     )
 
 
@@ -321,12 +382,19 @@ def _dropping(dropped: NDArray[np.bool_]) -> tuple[str, ...]:
     if not dropped.any():
         return ()
     return (
-        f"{np.count_nonzero(dropped)} parameters were dropped as needless in one result or both: they are not tested, and the torque that dropping them costs "
-        "counts as change, beyond what errors allow.",
+        (
+            f"{np.count_nonzero(dropped)} parameters were dropped as needless in one result or"
+            " both: they are not tested, and the torque that dropping them costs counts as change,"
+            " beyond what errors allow."
+        ),
     )
 
 
-def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...], models: tuple[str, ...] | None) -> tuple[str, ...]:
+def _friction(
+    result: IdentificationResult,
+    changes: tuple[ParameterChange, ...],
+    models: tuple[str, ...] | None,
+) -> tuple[str, ...]:
     """Say of every joint how its drive terms changed, or in which of two named models they are what."""
     by_name = {change.name: change for change in changes}
     words = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
@@ -337,10 +405,21 @@ def _friction(result: IdentificationResult, changes: tuple[ParameterChange, ...]
             change = by_name.get(f"{letter}{k + 1}")
             if change is None or not change.changed:
                 continue
-            growth = change.after / change.before - 1 if change.before > 3 * change.before_error else np.inf
+            growth = (
+                change.after / change.before - 1
+                if change.before > 3 * change.before_error
+                else np.inf
+            )
             relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= TELLING_GROWTH else ""
-            traded = f", some of which {' and '.join(change.shared_with)} could make up for" if change.shared_with else ""
-            before, after = _shown(change.before, change.before_error), _shown(change.after, change.after_error)
+            traded = (
+                f", some of which {' and '.join(change.shared_with)} could make up for"
+                if change.shared_with
+                else ""
+            )
+            before, after = (
+                _shown(change.before, change.before_error),
+                _shown(change.after, change.after_error),
+            )
             values = (
                 f"{before} to {after} {change.unit}"
                 if models is None

@@ -11,7 +11,12 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
 
-DRIVE_WORDS = {"armature": "armature", "viscous": "viscous friction", "coulomb": "Coulomb friction", "offset": "torque offset"}
+DRIVE_WORDS = {
+    "armature": "armature",
+    "viscous": "viscous friction",
+    "coulomb": "Coulomb friction",
+    "offset": "torque offset",
+}
 """Drive terms whose key is not their name; the others are called by their key."""
 
 
@@ -29,9 +34,15 @@ def in_words(base: BaseParameters) -> tuple[str, ...]:
     >>> in_words(base)[-1]
     'Coulomb friction, joint 7'
     """
-    inertial = len(PARAMETER_NAMES) * (base.n_standard // (len(PARAMETER_NAMES) + base.drive.columns_per_joint))
+    inertial = len(PARAMETER_NAMES) * (
+        base.n_standard // (len(PARAMETER_NAMES) + base.drive.columns_per_joint)
+    )
     return tuple(
-        _of_link(base, row, int(column), inertial) if column < inertial else _of_drive(base, int(column) - inertial)
+        (
+            _of_link(base, row, int(column), inertial)
+            if column < inertial
+            else _of_drive(base, int(column) - inertial)
+        )
         for row, column in enumerate(base.columns)
     )
 
@@ -46,12 +57,23 @@ def drive_in_words(drive: DriveSet) -> str:
 
 
 def _term_in_words(term: DriveTerm) -> str:
-    stated = {shape.name: getattr(term, shape.name) for shape in term.shapes if getattr(term, shape.name) is not None}
+    stated = {
+        shape.name: getattr(term, shape.name)
+        for shape in term.shapes
+        if getattr(term, shape.name) is not None
+    }
     several = [len(values) for values in stated.values() if isinstance(values, tuple)]
     if several:
-        inside = "; ".join(f"joint {number}: {_shapes(term.at(number - 1), stated)}" for number in term.joints or range(1, several[0] + 1))
+        inside = "; ".join(
+            f"joint {number}: {_shapes(term.at(number - 1), stated)}"
+            for number in term.joints or range(1, several[0] + 1)
+        )
     else:
-        where = [] if term.joints is None else [f"joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))}"]
+        where = (
+            []
+            if term.joints is None
+            else [f"joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))}"]
+        )
         inside = "; ".join([*where, *([_shapes(term, stated)] if stated else [])])
     return _term_name(term) + (f" ({inside})" if inside else "")
 
@@ -70,7 +92,13 @@ def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
     entries = np.flatnonzero(base.regrouping[row])
     own = {PARAMETER_NAMES[j % per_link] for j in entries if j // per_link == link and j < inertial}
     last = max(int(j) // per_link for j in entries if j < inertial)
-    said = "mass" if name == "m" else f"first moment along {name[1]}" if name[0] == "m" else _moment(name, own)
+    said = (
+        "mass"
+        if name == "m"
+        else f"first moment along {name[1]}"
+        if name[0] == "m"
+        else _moment(name, own)
+    )
     where = f"link {link + 1}" if last == link else f"links {link + 1} to {last + 1}"
     return f"{said}, {where}{' with rotors' if entries[-1] >= inertial else ''}"
 
@@ -78,7 +106,9 @@ def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
 def _moment(name: str, own: set[str]) -> str:
     if name[1] != name[2]:
         return f"product of inertia {name[1:]}"
-    less = sorted(other for other in own if other != name and other[0] == "I" and other[1] == other[2])
+    less = sorted(
+        other for other in own if other != name and other[0] == "I" and other[1] == other[2]
+    )
     return f"inertia about {name[1]}" + "".join(f" less {other[1]}" for other in less)
 
 

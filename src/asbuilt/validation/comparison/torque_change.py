@@ -37,18 +37,28 @@ class JointChange:
     holm: float
 
 
-def joint_changes(result: IdentificationResult, names: Sequence[str], difference: Array, covariance: Array) -> tuple[JointChange, ...]:
+def joint_changes(
+    result: IdentificationResult, names: Sequence[str], difference: Array, covariance: Array
+) -> tuple[JointChange, ...]:
     """Return what differences of named parameters, of that covariance, do to the torque of every joint on the motion that a result was judged by.
 
     Raises ResultError where the result carries no evidence.
     """
     evidence = result.evidence
     if evidence is None:
-        raise ResultError(f"the result of {result.robot} carries no evidence of its recordings; identify again")
+        raise ResultError(
+            f"the result of {result.robot} carries no evidence of its recordings; identify again"
+        )
     places = evidence.places(names)
-    rows = [factor[:, [*places, -1]] / np.sqrt(evidence.n_judged) for factor in evidence.whole(evidence.judged)]
+    rows = [
+        factor[:, [*places, -1]] / np.sqrt(evidence.n_judged)
+        for factor in evidence.whole(evidence.judged)
+    ]
     spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
-    chances = [size_probability(row[:, :-1] @ difference, spread) for row, spread in zip(rows, spreads, strict=True)]
+    chances = [
+        size_probability(row[:, :-1] @ difference, spread)
+        for row, spread in zip(rows, spreads, strict=True)
+    ]
     strict = holm(chances)
     return tuple(
         JointChange(
@@ -61,22 +71,36 @@ def joint_changes(result: IdentificationResult, names: Sequence[str], difference
             holm=float(adjusted),
         )
         for name, unit, row, spread, chance, adjusted in zip(
-            result.joint_names, torque_units(result.model), rows, spreads, chances, strict, strict=True
+            result.joint_names,
+            torque_units(result.model),
+            rows,
+            spreads,
+            chances,
+            strict,
+            strict=True,
         )
     )
 
 
-def torque_sentence(joints: tuple[JointChange, ...], level: float, *, of_models: bool = False) -> tuple[str, ...]:
+def torque_sentence(
+    joints: tuple[JointChange, ...], level: float, *, of_models: bool = False
+) -> tuple[str, ...]:
     """Say at which joints the torque changed beyond doubt."""
     if not joints:
         return ()
     said = [
-        f"{each.joint} by {significant(each.torque)} {each.unit} RMS (by chance {significant(each.by_chance)})"
+        f"{each.joint} by {significant(each.torque)} {each.unit} RMS (by chance"
+        f" {significant(each.by_chance)})"
         for each in joints
         if each.holm <= level
     ]
     changed = "differs" if of_models else "changed"
-    return (f"The torque of the same motion {changed}{': ' + ', '.join(said) if said else ' at no joint beyond doubt'}.",)
+    return (
+        (
+            "The torque of the same motion"
+            f" {changed}{': ' + ', '.join(said) if said else ' at no joint beyond doubt'}."
+        ),
+    )
 
 
 def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool = False) -> Table:
@@ -91,7 +115,10 @@ def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool 
     )
     rows: list[tuple[Cell, ...]] = []
     for each in joints:
-        rms = (Shown(value, significant(value)) for value in (each.torque_of_motion, each.torque, each.by_chance))
+        rms = (
+            Shown(value, significant(value))
+            for value in (each.torque_of_motion, each.torque, each.by_chance)
+        )
         rows.append(
             (
                 each.joint,
@@ -102,7 +129,10 @@ def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool 
             )
         )
     note = (
-        f"RMS on the motion the {'second' if of_models else 'later'} result was judged by. {change}: how far the two results predict differently there; by chance: how far their "
-        "errors alone would let them; p allows for the number of joints (Holm). What neither model has, such as a tilt or other friction, can read as change where the motions differ."
+        f"RMS on the motion the {'second' if of_models else 'later'} result was judged by."
+        f" {change}: how far the two results predict differently there; by chance: how far their"
+        " errors alone would let them; p allows for the number of joints (Holm). What neither"
+        " model has, such as a tilt or other friction, can read as change where the motions"
+        " differ."
     )
     return Table(heads, tuple(rows), title=f"Torque that the {change}s make", notes=(note,))

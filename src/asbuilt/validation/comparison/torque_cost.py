@@ -76,7 +76,11 @@ def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array
     variance = np.sum(vectors[:, kept] ** 2 / eigenvalues[kept], axis=1)
     hidden = np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6
     own = np.zeros(len(d))
-    own[present] = np.where(hidden, 0.0, length[present] * np.abs(d[present]) / np.sqrt(n * np.maximum(variance, 1e-300)))
+    own[present] = np.where(
+        hidden,
+        0.0,
+        length[present] * np.abs(d[present]) / np.sqrt(n * np.maximum(variance, 1e-300)),
+    )
     return TorqueCost(
         torque=torque,
         total=np.sqrt(np.sum(torque**2, axis=1)),
@@ -101,7 +105,12 @@ def _partners(present: NDArray[np.int64], gram: Array, p: int) -> tuple[tuple[in
             likeness[[j, *chosen]] = 0.0
             best = int(np.argmax(likeness))
             together = [*chosen, best]
-            remaining = 1.0 - float(gram[j, together] @ np.linalg.lstsq(gram[np.ix_(together, together)], gram[together, j], rcond=None)[0])
+            remaining = 1.0 - float(
+                gram[j, together]
+                @ np.linalg.lstsq(gram[np.ix_(together, together)], gram[together, j], rcond=None)[
+                    0
+                ]
+            )
             if left - remaining < ABLE * left:
                 break
             chosen, left = together, remaining

@@ -30,11 +30,15 @@ BEHIND_CAD = 1.05
 
 
 def with_findings(
-    result: IdentificationResult, checks: Sequence[RecordingCheck], validations: Sequence[Validation]
+    result: IdentificationResult,
+    checks: Sequence[RecordingCheck],
+    validations: Sequence[Validation],
 ) -> IdentificationResult:
     """Return the result with its held-out metrics, the findings of the checks and the verdict on generalisation among its warnings."""
     found = [
-        IdentificationWarning(finding.code, f"{recording_name(check.source)}: {finding.message}. {finding.cure}.")
+        IdentificationWarning(
+            finding.code, f"{recording_name(check.source)}: {finding.message}. {finding.cure}."
+        )
         for check in checks
         for finding in check.warnings
     ]
@@ -44,7 +48,8 @@ def with_findings(
         found.append(
             IdentificationWarning(
                 "nothing_held_out",
-                "No recording was held out: errors are those of the data used and flatter the fit. Give --validate LOG or --holdout blocks:5s:3.",
+                "No recording was held out: errors are those of the data used and flatter the fit."
+                " Give --validate LOG or --holdout blocks:5s:3.",
             )
         )
     return replace(
@@ -55,13 +60,17 @@ def with_findings(
     )
 
 
-def with_repeats(result: IdentificationResult, fitted: Sequence[Samples], held_out: Sequence[Samples]) -> IdentificationResult:
+def with_repeats(
+    result: IdentificationResult, fitted: Sequence[Samples], held_out: Sequence[Samples]
+) -> IdentificationResult:
     """Return the result with a warning for held-out data whose motion is that of the data used."""
     found = [
         IdentificationWarning(
             "held_out_repeats",
-            f"{recording_name(samples.source)} repeats the motion fitted ({100 * share:.0f} % of its states were there before): its errors say how well the robot repeats itself, not how "
-            "well the model predicts another motion. Judge by another motion (--validate), or hold out part of a motion that does not come again.",
+            f"{recording_name(samples.source)} repeats the motion fitted ({100 * share:.0f} % of"
+            " its states were there before): its errors say how well the robot repeats itself, not"
+            " how well the model predicts another motion. Judge by another motion (--validate), or"
+            " hold out part of a motion that does not come again.",
         )
         for samples in held_out
         if (share := repeated_share(fitted, samples)) > REPEATED
@@ -76,22 +85,29 @@ def _standstill(validation: Validation) -> list[IdentificationWarning]:
     if not held.size:
         return []
     listed = "; ".join(
-        f"{errors.joint_names[k]}: {100 * errors.energy[k]:.0f} % of the squared error in the {100 * errors.time[k]:.0f} % of the time it stands, RMS {errors.standing[k]:.3g} there and "
-        f"{errors.moving[k]:.3g} ({100 * errors.relative_moving[k]:.1f} %) while it moves"
+        f"{errors.joint_names[k]}: {100 * errors.energy[k]:.0f} % of the squared error in the"
+        f" {100 * errors.time[k]:.0f} % of the time it stands, RMS {errors.standing[k]:.3g} there"
+        f" and {errors.moving[k]:.3g} ({100 * errors.relative_moving[k]:.1f} %) while it moves"
         for k in held
     )
     return [
         IdentificationWarning(
             "error_at_standstill",
-            f"On {recording_name(validation.source)} static friction holds joints that stand while others move, and may take any value up to break-away, which no friction "
-            f"law in velocity predicts. {listed}. Judge these joints by their motion.",
+            f"On {recording_name(validation.source)} static friction holds joints that stand while"
+            " others move, and may take any value up to break-away, which no friction law in"
+            f" velocity predicts. {listed}. Judge these joints by their motion.",
         )
     ]
 
 
 def _held(errors: StandingErrors) -> NDArray[np.bool_]:
     """Tell the joints (n,) most of whose error is that of static friction at standstill, which says nothing of how the fit carries over."""
-    return np.asarray((errors.energy > STANDING_ERROR) & (errors.standing > 2.0 * errors.moving) & (errors.time > 0.05), dtype=np.bool_)
+    return np.asarray(
+        (errors.energy > STANDING_ERROR)
+        & (errors.standing > 2.0 * errors.moving)
+        & (errors.time > 0.05),
+        dtype=np.bool_,
+    )
 
 
 def _generalisation(train: TorqueMetrics, validation: Validation) -> list[IdentificationWarning]:
@@ -99,23 +115,32 @@ def _generalisation(train: TorqueMetrics, validation: Validation) -> list[Identi
     found = []
     standing = standing_errors(validation)
     error = np.where(_held(standing), standing.moving, built.rms)
-    worse = np.flatnonzero((error > OVERFIT * train.rms) & (built.relative_error_per_joint > NOTICEABLE))
+    worse = np.flatnonzero(
+        (error > OVERFIT * train.rms) & (built.relative_error_per_joint > NOTICEABLE)
+    )
     if worse.size:
-        listed = ", ".join(f"{built.joint_names[k]} {error[k]:.3g} against {train.rms[k]:.3g}" for k in worse)
+        listed = ", ".join(
+            f"{built.joint_names[k]} {error[k]:.3g} against {train.rms[k]:.3g}" for k in worse
+        )
         found.append(
             IdentificationWarning(
                 "does_not_generalise",
-                f"Torque errors on {recording_name(built.source)} are more than {OVERFIT:g} times those of the data used ({listed}): the recording is too short or too "
-                "little varied for so many parameters. Record longer, add recordings, or use fewer drive terms.",
+                f"Torque errors on {recording_name(built.source)} are more than {OVERFIT:g} times"
+                f" those of the data used ({listed}): the recording is too short or too little"
+                " varied for so many parameters. Record longer, add recordings, or use fewer drive"
+                " terms.",
             )
         )
     behind = np.flatnonzero(built.rms > BEHIND_CAD * cad.rms)
     if behind.size:
-        listed = ", ".join(f"{built.joint_names[k]} {built.rms[k]:.3g} against {cad.rms[k]:.3g}" for k in behind)
+        listed = ", ".join(
+            f"{built.joint_names[k]} {built.rms[k]:.3g} against {cad.rms[k]:.3g}" for k in behind
+        )
         found.append(
             IdentificationWarning(
                 "cad_predicts_better",
-                f"On {recording_name(built.source)} the CAD values predict these joints better than the fit: {listed}.",
+                f"On {recording_name(built.source)} the CAD values predict these joints better than"
+                f" the fit: {listed}.",
             )
         )
     return found

@@ -41,14 +41,24 @@ def with_hidden_causes(
     `tilt` [rad] is by how much nested models would turn gravity, None where that was not asked; `stands` how the robot was found to stand, where it was.
     Where real bodies fit badly, mounting and springs are looked for in the samples it was learnt from, unless these are long.
     """
-    searched = any(warning.code in BADLY_FITTING for warning in result.warnings) and sum(len(samples.t) for samples in learning) <= SEARCHED
+    searched = (
+        any(warning.code in BADLY_FITTING for warning in result.warnings)
+        and sum(len(samples.t) for samples in learning) <= SEARCHED
+    )
     if tilt is not None:
         stands = _mounting(result, learning, drive, block_seconds) if searched else None
         result = _mounting_doubted(result, tilt, stands)
-    return _springs_suspected(result, stands, learning, drive, block_seconds) if searched else result
+    return (
+        _springs_suspected(result, stands, learning, drive, block_seconds) if searched else result
+    )
 
 
-def _mounting(result: IdentificationResult, learning: Sequence[Samples], drive: DriveSet, block_seconds: float | None) -> Mounting | None:
+def _mounting(
+    result: IdentificationResult,
+    learning: Sequence[Samples],
+    drive: DriveSet,
+    block_seconds: float | None,
+) -> Mounting | None:
     """Find how the robot stands; None where the samples do not tell, or there is no gravity to point anywhere."""
     try:
         return find_mounting(result.model, learning, drive=drive, block_seconds=block_seconds)
@@ -56,24 +66,34 @@ def _mounting(result: IdentificationResult, learning: Sequence[Samples], drive: 
         return None
 
 
-def _mounting_doubted(result: IdentificationResult, tilt: float, stands: Mounting | None) -> IdentificationResult:
+def _mounting_doubted(
+    result: IdentificationResult, tilt: float, stands: Mounting | None
+) -> IdentificationResult:
     if stands is not None and stands.is_askew and stands.relief > RELIEF:
         message = (
-            f"The robot seems to stand askew by {np.rad2deg(stands.angle):.1f} deg, which values that no bodies have imitate and real bodies cannot follow: {stands.sentence}. "
-            "Check the mounting or identify with --mounting estimate."
+            f"The robot seems to stand askew by {np.rad2deg(stands.angle):.1f} deg, which values"
+            f" that no bodies have imitate and real bodies cannot follow: {stands.sentence}. Check"
+            " the mounting or identify with --mounting estimate."
         )
     elif tilt >= ASKEW:
         message = (
-            f"The robot seems to stand askew by {np.rad2deg(tilt):.1f} deg, which its description does not know and links then have to imitate. Check the mounting "
-            "or identify with --mounting estimate."
+            f"The robot seems to stand askew by {np.rad2deg(tilt):.1f} deg, which its description"
+            " does not know and links then have to imitate. Check the mounting or identify with"
+            " --mounting estimate."
         )
     else:
         return result
-    return replace(result, warnings=(*result.warnings, IdentificationWarning("mounting_askew", message)))
+    return replace(
+        result, warnings=(*result.warnings, IdentificationWarning("mounting_askew", message))
+    )
 
 
 def _springs_suspected(
-    result: IdentificationResult, stands: Mounting | None, learning: Sequence[Samples], drive: DriveSet, block_seconds: float | None
+    result: IdentificationResult,
+    stands: Mounting | None,
+    learning: Sequence[Samples],
+    drive: DriveSet,
+    block_seconds: float | None,
 ) -> IdentificationResult:
     """Say where springs that no file describes would explain what real bodies cannot follow, on a robot that stands as it was found to."""
     askew = stands is not None and stands.is_askew
@@ -81,15 +101,20 @@ def _springs_suspected(
     springs = suspected_springs(model, learning, drive, block_seconds=block_seconds)
     if not springs:
         return result
-    described = [number for term in drive.terms if term.key == Spring.key for number in term.joints or ()]
+    described = [
+        number for term in drive.terms if term.key == Spring.key for number in term.joints or ()
+    ]
     joints = "/".join(map(str, sorted([*described, *(spring.joint + 1 for spring in springs)])))
     terms = ",".join((*drive.without(Spring.key).specifications, f"{Spring.key}:joints={joints}"))
     message = (
-        f"A spring would explain what real bodies cannot follow at {', '.join(map(str, springs))}: cables or hoses that wind up there, or a sensor that drifts with position. "
-        f"{_in_step(model, learning, [spring.joint for spring in springs])}"
-        f"Where that can be, identify with {'--mounting estimate ' if askew else ''}--drive {terms}."
+        f"A spring would explain what real bodies cannot follow at {', '.join(map(str, springs))}:"
+        " cables or hoses that wind up there, or a sensor that drifts with position."
+        f" {_in_step(model, learning, [spring.joint for spring in springs])}Where that can be,"
+        f" identify with {'--mounting estimate ' if askew else ''}--drive {terms}."
     )
-    return replace(result, warnings=(*result.warnings, IdentificationWarning("spring_suspected", message)))
+    return replace(
+        result, warnings=(*result.warnings, IdentificationWarning("spring_suspected", message))
+    )
 
 
 def _in_step(model: RobotModel, learning: Sequence[Samples], suspects: Sequence[int]) -> str:
@@ -101,11 +126,16 @@ def _in_step(model: RobotModel, learning: Sequence[Samples], suspects: Sequence[
     alike = np.abs(likeness.correlations(moving)) > IN_STEP
     told = []
     for k in (joint for joint in suspects if joint in moving):
-        others = [model.joint_names[j] for j, same in zip(moving, alike[moving.index(k)], strict=True) if same and j != k]
+        others = [
+            model.joint_names[j]
+            for j, same in zip(moving, alike[moving.index(k)], strict=True)
+            if same and j != k
+        ]
         if others:
             told.append(f"{model.joint_names[k]} moves in step with {', '.join(others)}")
     return (
-        f"In this motion {'; '.join(told)}: what looks like a spring may go with any of these, which only another motion can tell. "
+        f"In this motion {'; '.join(told)}: what looks like a spring may go with any of these,"
+        " which only another motion can tell. "
         if told
         else ""
     )

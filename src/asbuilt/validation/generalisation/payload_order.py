@@ -22,7 +22,9 @@ AUDIBLE = 4.0
 """Squared error per torque, in noise variances of the result, below which all is well as it is."""
 
 
-def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], link: int, placement: Array) -> None:
+def refuse_exchanged(
+    result: IdentificationResult, loaded: Sequence[Samples], link: int, placement: Array
+) -> None:
     """Raise RecordingError where the arm of the result and some body at `placement` (4, 4) on `link` explain torques under load far better once two are exchanged or one is turned.
 
     CAD tells the order of joints that gravity loads; this tells that of wrists, whose friction the result knows. Each recording is judged alone.
@@ -35,8 +37,12 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
         for i in range(10):
             links = np.zeros(10 * n)
             links[10 * link : 10 * link + 10] = shift[:, i]
-            columns[:, :, i] = samples.filtered(inverse_dynamics(result.model, samples.q, samples.qd, samples.qdd, parameters=links))
-        basis, lengths, _ = np.linalg.svd((columns * weights[:, None]).reshape(-1, 10), full_matrices=False)
+            columns[:, :, i] = samples.filtered(
+                inverse_dynamics(result.model, samples.q, samples.qd, samples.qdd, parameters=links)
+            )
+        basis, lengths, _ = np.linalg.svd(
+            (columns * weights[:, None]).reshape(-1, 10), full_matrices=False
+        )
         basis = basis[:, lengths > np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)]
         as_logged = _left((arm.measured - arm.predicted) * weights, basis)
         if as_logged < AUDIBLE:
@@ -50,7 +56,10 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
                 (
                     _left((arm.measured[:, order] - arm.predicted) * weights, basis),
                     pair,
-                    "Check the order of the torque columns; name them in a recording sheet: [columns] torque = [...]",
+                    (
+                        "Check the order of the torque columns; name them in a recording sheet:"
+                        " [columns] torque = [...]"
+                    ),
                 )
             )
         for k in range(n):
@@ -66,8 +75,10 @@ def refuse_exchanged(result: IdentificationResult, loaded: Sequence[Samples], li
         best, what, cure = min(tried)
         if best < DECISIVE * as_logged:
             raise RecordingError(
-                f"{samples.source}: the torques do not fit the arm of the result with any body at its flange; {what} (error {significant(np.sqrt(as_logged), 2)} times the noise of the "
-                f"result as logged, {significant(np.sqrt(best), 2)} times then). {cure}; --unchecked takes the recording as it is"
+                f"{samples.source}: the torques do not fit the arm of the result with any body at"
+                f" its flange; {what} (error {significant(np.sqrt(as_logged), 2)} times the noise"
+                f" of the result as logged, {significant(np.sqrt(best), 2)} times then). {cure};"
+                " --unchecked takes the recording as it is"
             )
 
 

@@ -24,12 +24,21 @@ def repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
         return 0.0
     before, after = np.concatenate([_states(samples) for samples in fitted]), _states(held_out)
     joints = before.shape[1] // 2
-    size = np.concatenate([NEAR_POSITION * np.ptp(before[:, :joints], axis=0), NEAR_VELOCITY * np.abs(before[:, joints:]).max(axis=0)])
+    size = np.concatenate(
+        [
+            NEAR_POSITION * np.ptp(before[:, :joints], axis=0),
+            NEAR_VELOCITY * np.abs(before[:, joints:]).max(axis=0),
+        ]
+    )
     moving = size > 0.0
     if not moving[:joints].sum() >= FEWEST_JOINTS:
         return 0.0
     tree = KDTree((before[:: _step(len(before))] / np.where(moving, size, 1.0))[:, moving])
-    distance, _ = tree.query((after[:: _step(len(after))] / np.where(moving, size, 1.0))[:, moving], p=np.inf, distance_upper_bound=1.0)
+    distance, _ = tree.query(
+        (after[:: _step(len(after))] / np.where(moving, size, 1.0))[:, moving],
+        p=np.inf,
+        distance_upper_bound=1.0,
+    )
     return float(np.mean(np.isfinite(distance)))
 
 

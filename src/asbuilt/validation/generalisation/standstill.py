@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from asbuilt.validation.prediction import Validation
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingErrors:
     """Divide the torque error of each joint, all (n,), into where it stands still and where it moves.
@@ -35,7 +34,9 @@ def standing_errors(validation: Validation) -> StandingErrors:
     still, error = validation.velocity == 0.0, validation.error
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = error**2
-        standing, moving = (np.where(mask, squares, 0.0).sum(axis=0) / mask.sum(axis=0) for mask in (still, ~still))
+        standing, moving = (
+            np.where(mask, squares, 0.0).sum(axis=0) / mask.sum(axis=0) for mask in (still, ~still)
+        )
         torque = np.where(still, 0.0, validation.measured**2).sum(axis=0) / (~still).sum(axis=0)
         return StandingErrors(
             joint_names=validation.joint_names,

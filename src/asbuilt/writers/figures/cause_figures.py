@@ -59,12 +59,28 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
                 linewidth=0.6,
                 label=CAUSES[each.cause],
             )
-            axis.bar(place, 100 * down, bottom=100 * below, width=0.68, color=CAUSE_COLOURS[each.cause], edgecolor="white", linewidth=0.6)
+            axis.bar(
+                place,
+                100 * down,
+                bottom=100 * below,
+                width=0.68,
+                color=CAUSE_COLOURS[each.cause],
+                edgecolor="white",
+                linewidth=0.6,
+            )
             dark = each.cause in ("friction", "payload", "links", "mounting")
             for k, part in enumerate(each.share):
                 if abs(part) >= LABELLED:
                     middle = (above[k] if part > 0 else below[k]) + part / 2
-                    axis.text(k, 100 * middle, f"{100 * part:.0f}", ha="center", va="center", fontsize=7.5, color="white" if dark else INK)
+                    axis.text(
+                        k,
+                        100 * middle,
+                        f"{100 * part:.0f}",
+                        ha="center",
+                        va="center",
+                        fontsize=7.5,
+                        color="white" if dark else INK,
+                    )
             above, below = above + up, below + down
         axis.bar(
             place,
@@ -89,15 +105,25 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
         if below.min() < -0.02:
             axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
             figure.supxlabel(
-                "A cause below 0 works against the others at that joint; the shares of a joint add up to 100 %.", fontsize=7.5, color=QUIET
+                "A cause below 0 works against the others at that joint; the shares of a joint add"
+                " up to 100 %.",
+                fontsize=7.5,
+                color=QUIET,
             )
         axis.axhline(0.0, color=INK, linewidth=0.6)
-        axis.set_xticks(place, [broken(name, 14) for name in attribution.joint_names], rotation=0 if n <= 8 else 30)
+        axis.set_xticks(
+            place,
+            [broken(name, 14) for name in attribution.joint_names],
+            rotation=0 if n <= 8 else 30,
+        )
         axis.set_ylim(min(0.0, 115 * float(below.min())), 1.1 * top)
         axis.set_ylabel("share of the squared CAD error [%]")
         axis.grid(axis="x", visible=False)
         figure.legend(loc="outside right upper", reverse=True)
-        headline(figure, title or f"{attribution.robot}: what the torque error of CAD is made of (RMS on top)")
+        headline(
+            figure,
+            title or f"{attribution.robot}: what the torque error of CAD is made of (RMS on top)",
+        )
     return figure
 
 
@@ -107,7 +133,11 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
     Those below a fiftieth of the largest are left out.
     """
     largest = max((each.torque_total or 0.0 for each in comparison.parameters), default=0.0)
-    shown = [each for each in comparison.ranked if each.torque_total and each.torque_total >= 0.02 * largest][:most]
+    shown = [
+        each
+        for each in comparison.ranked
+        if each.torque_total and each.torque_total >= 0.02 * largest
+    ][:most]
     with styled():
         figure = blank_figure(7.6, 0.24 * max(len(shown), 1) + 1.2)
         axis = figure.subplots()
@@ -115,11 +145,23 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
         total = np.array([each.torque_total or 0.0 for each in shown])
         own = np.array([each.torque_own or 0.0 for each in shown])
         differs = [each.verdict == "differs" for each in shown]
-        axis.barh(place, total, height=0.7, color=[AS_BUILT if each else GREY for each in differs], alpha=0.35)
+        axis.barh(
+            place,
+            total,
+            height=0.7,
+            color=[AS_BUILT if each else GREY for each in differs],
+            alpha=0.35,
+        )
         axis.barh(place, own, height=0.7, color=[AS_BUILT if each else GREY for each in differs])
         for k, each in enumerate(shown):
             felt = f"joint {1 + int(np.argmax(each.torque))}" if each.torque else ""
-            remark = f", shared with {' and '.join(each.shared_with)}" if each.shared_with else "" if each.matters else ", matters little"
+            remark = (
+                f", shared with {' and '.join(each.shared_with)}"
+                if each.shared_with
+                else ""
+                if each.matters
+                else ", matters little"
+            )
             axis.text(
                 total[k] + 0.01 * total.max(),
                 k,
@@ -135,6 +177,8 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
         axis.grid(axis="y", visible=False)
         for colour, label in ((AS_BUILT, "differs"), (GREY, "within errors")):
             axis.bar([0], [0], color=colour, label=label)
-        axis.legend(loc="lower right", title="pale: what others could make up for", title_fontsize=8)
+        axis.legend(
+            loc="lower right", title="pale: what others could make up for", title_fontsize=8
+        )
         headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
     return figure

@@ -52,7 +52,13 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
             upper.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             upper.yaxis.set_major_formatter(ScalarFormatter())
             upper.yaxis.set_minor_locator(NullLocator())
-        lower.plot(cutoffs, [trial.durbin_watson for trial in sweep.trials], color=BLUE, marker="o", markersize=4)
+        lower.plot(
+            cutoffs,
+            [trial.durbin_watson for trial in sweep.trials],
+            color=BLUE,
+            marker="o",
+            markersize=4,
+        )
         share = lower.twinx()
         share.plot(
             cutoffs,

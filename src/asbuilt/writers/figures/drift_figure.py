@@ -27,8 +27,18 @@ def drift_figure(drift: Drift, *, title: str = "") -> Figure:
     joints = drift.joints
     place = np.arange(len(joints))
     bars = {
-        f"{change}, beyond doubt": (-0.2, 0.38, AS_BUILT, [each.torque if each.holm <= drift.level else np.nan for each in joints]),
-        f"{change}, within errors": (-0.2, 0.38, GREY, [np.nan if each.holm <= drift.level else each.torque for each in joints]),
+        f"{change}, beyond doubt": (
+            -0.2,
+            0.38,
+            AS_BUILT,
+            [each.torque if each.holm <= drift.level else np.nan for each in joints],
+        ),
+        f"{change}, within errors": (
+            -0.2,
+            0.38,
+            GREY,
+            [np.nan if each.holm <= drift.level else each.torque for each in joints],
+        ),
         "errors alone": (0.17, 0.28, CHANCE, [each.by_chance for each in joints]),
     }
     longest = max((max(each.torque, each.by_chance) for each in joints), default=0.0) or 1.0
@@ -38,17 +48,32 @@ def drift_figure(drift: Drift, *, title: str = "") -> Figure:
         for label, (shift, height, colour, lengths) in bars.items():
             if np.all(np.isnan(lengths)):
                 continue
-            axis.barh(place + shift, np.nan_to_num(lengths), height=height, color=colour, label=label)
+            axis.barh(
+                place + shift, np.nan_to_num(lengths), height=height, color=colour, label=label
+            )
             for k, length in enumerate(lengths):
                 if np.isfinite(length):
                     size = 7.5 if height > 0.3 else 6.5
                     text = f"{significant(length)} {joints[k].unit}"
-                    axis.text(length + 0.008 * longest, k + shift, text, va="center", fontsize=size, color=QUIET)
+                    axis.text(
+                        length + 0.008 * longest,
+                        k + shift,
+                        text,
+                        va="center",
+                        fontsize=size,
+                        color=QUIET,
+                    )
         axis.set_yticks(place, [broken(each.joint, 20) for each in joints])
         axis.set_ylim(len(joints) - 0.4, -0.6)
         axis.set_xlim(0.0, 1.12 * longest)
-        axis.set_xlabel(f"RMS on the same motion [{', '.join(sorted({each.unit for each in joints}, reverse=True))}]")
+        axis.set_xlabel(
+            "RMS on the same motion"
+            f" [{', '.join(sorted({each.unit for each in joints}, reverse=True))}]"
+        )
         axis.grid(axis="y", visible=False)
         figure.legend(loc="outside lower right", ncols=3)
-        headline(figure, title or f"{drift.robot}: {change} of torque beside what errors alone would make")
+        headline(
+            figure,
+            title or f"{drift.robot}: {change} of torque beside what errors alone would make",
+        )
     return figure

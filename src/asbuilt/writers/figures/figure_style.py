@@ -21,7 +21,15 @@ from asbuilt.errors import UsageError
 from asbuilt.tables import shortened
 from asbuilt.writers.files import atomic_write
 
-BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = "#0072B2", "#D55E00", "#009E73", "#E69F00", "#8A8F98", "#22262B", "#5F656D"
+BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#E69F00",
+    "#8A8F98",
+    "#22262B",
+    "#5F656D",
+)
 MEASURED, AS_BUILT, CAD = BLUE, VERMILION, GREY
 
 FORMATS = ("png", "svg", "pdf")
@@ -80,9 +88,14 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160)
     """Write a figure whole, as PNG, SVG or PDF after its suffix; equal figures give equal bytes."""
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in FORMATS:
-        raise UsageError(f"cannot tell the format of figure {str(path)!r} from its suffix; use .{', .'.join(FORMATS)}")
+        raise UsageError(
+            f"cannot tell the format of figure {str(path)!r} from its suffix; use"
+            f" .{', .'.join(FORMATS)}"
+        )
     stream = io.BytesIO()
-    dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[suffix]
+    dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[
+        suffix
+    ]
     with styled():
         figure.savefig(stream, format=suffix, dpi=dpi, metadata=dateless)
     return atomic_write(path, stream.getvalue())

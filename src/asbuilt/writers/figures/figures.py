@@ -63,16 +63,42 @@ def torque_figure(
             curves = [measured[:, k], predicted[:, k]] + ([] if cad is None else [cad[:, k]])
             instants, *thin = thinned(t, *curves, points=POINTS)
             left.plot(instants, thin[0], color=MEASURED, linewidth=1.5, label="measured")
-            left.plot(instants, thin[1], color=AS_BUILT, linewidth=0.9, linestyle=(0, (4, 1.6)), label=f"predicted, {label}")
+            left.plot(
+                instants,
+                thin[1],
+                color=AS_BUILT,
+                linewidth=0.9,
+                linestyle=(0, (4, 1.6)),
+                label=f"predicted, {label}",
+            )
             left.set_ylabel(f"{broken(names[k], 14)}\n[{kinds[k]}]")
             differences = [measured[:, k] - curve for curve in curves[1:]]
             instants, *thin = thinned(t, *differences, points=POINTS)
             if cad is not None:
-                right.plot(instants, thin[1], color=CAD, linewidth=0.8, label=f"CAD, RMS {_rms(differences[1])}")
-            right.plot(instants, thin[0], color=GREEN, linewidth=0.9, label=f"{label}, RMS {_rms(differences[0])}")
+                right.plot(
+                    instants,
+                    thin[1],
+                    color=CAD,
+                    linewidth=0.8,
+                    label=f"CAD, RMS {_rms(differences[1])}",
+                )
+            right.plot(
+                instants,
+                thin[0],
+                color=GREEN,
+                linewidth=0.9,
+                label=f"{label}, RMS {_rms(differences[0])}",
+            )
             right.axhline(0.0, color=INK, linewidth=0.5)
             _head_room(right, 0.45)
-            right.legend(loc="upper left", ncols=2, handlelength=1.2, columnspacing=1.2, borderaxespad=0.1, fontsize=7.5)
+            right.legend(
+                loc="upper left",
+                ncols=2,
+                handlelength=1.2,
+                columnspacing=1.2,
+                borderaxespad=0.1,
+                fontsize=7.5,
+            )
             for axis in (left, right):
                 axis.yaxis.set_major_locator(MaxNLocator(4))
                 axis.margins(x=0.01)
@@ -114,9 +140,22 @@ def parameter_figure(
             place = np.arange(len(members))
             axis.axvline(0.0, color="#9AA0A6", linewidth=0.7)
             axis.hlines(
-                place, np.nan_to_num(cad[members] / scale[members]), estimate[members] / scale[members], color="#D5D9DE", linewidth=0.8
+                place,
+                np.nan_to_num(cad[members] / scale[members]),
+                estimate[members] / scale[members],
+                color="#D5D9DE",
+                linewidth=0.8,
             )
-            axis.plot(cad[members] / scale[members], place, "o", color="white", markeredgecolor=INK, markersize=4.2, label="CAD", zorder=3)
+            axis.plot(
+                cad[members] / scale[members],
+                place,
+                "o",
+                color="white",
+                markeredgecolor=INK,
+                markersize=4.2,
+                label="CAD",
+                zorder=3,
+            )
             axis.errorbar(
                 estimate[members] / scale[members],
                 place,
@@ -129,7 +168,10 @@ def parameter_figure(
                 label="as built, 95 % interval",
                 zorder=4,
             )
-            labels = [f"{ids[i]}  {shortened(names[i], 30)}" if len(ids) else shortened(names[i], 30) for i in members]
+            labels = [
+                f"{ids[i]}  {shortened(names[i], 30)}" if len(ids) else shortened(names[i], 30)
+                for i in members
+            ]
             axis.set_yticks(place, labels, fontsize=7)
             axis.set_ylim(rows - 0.4, -0.6)
             axis.set_xlim(-1.35, 1.35)
@@ -139,14 +181,24 @@ def parameter_figure(
             for row, i in zip(place, members, strict=True):
                 unit = f" {units[i].replace('^2', '²')}" if len(units) else ""
                 text = f"{plus_minus(float(estimate[i]), float(std_error[i]))}{unit}"
-                axis.text(1.02, float(row), text, transform=axis.get_yaxis_transform(), fontsize=6.5, va="center", color=QUIET)
+                axis.text(
+                    1.02,
+                    float(row),
+                    text,
+                    transform=axis.get_yaxis_transform(),
+                    fontsize=6.5,
+                    va="center",
+                    color=QUIET,
+                )
             axis.set_xlabel("value / largest magnitude of the row")
         _legend_above(axes[0])
         headline(figure, title)
     return figure
 
 
-def singular_value_figure(singular_values: Array, *, rank: int | None = None, title: str = "") -> Figure:
+def singular_value_figure(
+    singular_values: Array, *, rank: int | None = None, title: str = ""
+) -> Figure:
     """Draw singular values (p,), largest first, on a logarithmic axis; those beyond `rank` are marked as lost."""
     s = np.asarray(singular_values, dtype=np.float64)
     kept = len(s) if rank is None else rank
@@ -155,13 +207,32 @@ def singular_value_figure(singular_values: Array, *, rank: int | None = None, ti
     with styled():
         figure = blank_figure(6.0, 3.0)
         axis = figure.subplots()
-        axis.semilogy(number[:kept], np.fmax(s[:kept], floor), "o", color=BLUE, markersize=4, label=f"determined ({kept})")
+        axis.semilogy(
+            number[:kept],
+            np.fmax(s[:kept], floor),
+            "o",
+            color=BLUE,
+            markersize=4,
+            label=f"determined ({kept})",
+        )
         if kept < len(s):
             axis.semilogy(
-                number[kept:], np.fmax(s[kept:], floor), "x", color=AS_BUILT, markersize=5, label=f"not determined ({len(s) - kept})"
+                number[kept:],
+                np.fmax(s[kept:], floor),
+                "x",
+                color=AS_BUILT,
+                markersize=5,
+                label=f"not determined ({len(s) - kept})",
             )
         if kept:
-            axis.text(0.99, 0.96, f"largest / smallest = {significant(s[0] / s[kept - 1])}", transform=axis.transAxes, ha="right", va="top")
+            axis.text(
+                0.99,
+                0.96,
+                f"largest / smallest = {significant(s[0] / s[kept - 1])}",
+                transform=axis.transAxes,
+                ha="right",
+                va="top",
+            )
         axis.set_xlabel("number")
         axis.set_ylabel("singular value")
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -171,7 +242,9 @@ def singular_value_figure(singular_values: Array, *, rank: int | None = None, ti
     return figure
 
 
-def residual_figure(residual: Array, analysis: ResidualAnalysis, *, units: Sequence[str] = (), title: str = "") -> Figure:
+def residual_figure(
+    residual: Array, analysis: ResidualAnalysis, *, units: Sequence[str] = (), title: str = ""
+) -> Figure:
     """Draw each joint's torque error (N, n): histogram beside the normal curve of equal mean and RMS, autocorrelation, spectrum."""
     n = residual.shape[1]
     kinds = list(units) or ["N m"] * n
@@ -184,22 +257,45 @@ def residual_figure(residual: Array, analysis: ResidualAnalysis, *, units: Seque
             histogram, correlation, spectrum = axes[k]
             mean, spread = float(analysis.mean[k]), float(np.std(residual[:, k])) or 1.0
             z = (residual[:, k] - mean) / spread
-            histogram.hist(np.clip(z, -5, 5), bins=np.linspace(-5, 5, 61), density=True, color="#9CC7E3", linewidth=0)
+            histogram.hist(
+                np.clip(z, -5, 5),
+                bins=np.linspace(-5, 5, 61),
+                density=True,
+                color="#9CC7E3",
+                linewidth=0,
+            )
             grid = np.linspace(-5, 5, 201)
-            histogram.plot(grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=INK, linewidth=0.9)
+            histogram.plot(
+                grid, np.exp(-0.5 * grid**2) / np.sqrt(2 * np.pi), color=INK, linewidth=0.9
+            )
             histogram.set_yticks([])
             histogram.set_ylabel(broken(names[k], 14))
             note = f"{significant(mean, 2)} +/- {significant(spread, 2)} {kinds[k]}"
-            histogram.text(0.99, 0.97, note, transform=histogram.transAxes, ha="right", va="top", fontsize=7.5)
+            histogram.text(
+                0.99, 0.97, note, transform=histogram.transAxes, ha="right", va="top", fontsize=7.5
+            )
             correlation.fill_between(analysis.lags, -band, band, color="#E4E7EB", linewidth=0)
             correlation.plot(analysis.lags, analysis.autocorrelation[:, k], color=BLUE)
             correlation.axhline(0.0, color=INK, linewidth=0.5)
             correlation.set_ylim(-0.6, 1.05)
-            worth = f"worth {significant(analysis.effective_samples[k])} of {analysis.n_samples} samples"
-            correlation.text(0.99, 0.97, worth, transform=correlation.transAxes, ha="right", va="top", fontsize=7.5)
+            worth = (
+                f"worth {significant(analysis.effective_samples[k])} of {analysis.n_samples}"
+                " samples"
+            )
+            correlation.text(
+                0.99,
+                0.97,
+                worth,
+                transform=correlation.transAxes,
+                ha="right",
+                va="top",
+                fontsize=7.5,
+            )
             density = analysis.spectrum[1:, k]
             if np.any(density > 0):
-                spectrum.loglog(analysis.frequencies[1:], np.sqrt(density), color=BLUE, linewidth=0.8)
+                spectrum.loglog(
+                    analysis.frequencies[1:], np.sqrt(density), color=BLUE, linewidth=0.8
+                )
             _plain_log(spectrum.xaxis)
             _plain_log(spectrum.yaxis)
             spectrum.set_ylabel(f"{kinds[k]} / √Hz")
@@ -243,12 +339,32 @@ def friction_figure(
                 axis.set_visible(False)
                 continue
             keep = slice(None, None, max(1, len(qd) // 3000))
-            axis.plot(qd[keep, k], torque[keep, k], ".", color="#B9D7EA", markersize=1.4, rasterized=True, label="samples")
+            axis.plot(
+                qd[keep, k],
+                torque[keep, k],
+                ".",
+                color="#B9D7EA",
+                markersize=1.4,
+                rasterized=True,
+                label="samples",
+            )
             curve = curves[k]
             for side in (curve.velocity < 0, curve.velocity > 0):
-                axis.fill_between(curve.velocity[side], curve.lower[side], curve.upper[side], color=BLUE, alpha=0.3, linewidth=0, zorder=3)
+                axis.fill_between(
+                    curve.velocity[side],
+                    curve.lower[side],
+                    curve.upper[side],
+                    color=BLUE,
+                    alpha=0.3,
+                    linewidth=0,
+                    zorder=3,
+                )
                 axis.plot(
-                    curve.velocity[side], curve.median[side], color=BLUE, linewidth=1.4, label="median, quartiles" if side[-1] else None
+                    curve.velocity[side],
+                    curve.median[side],
+                    color=BLUE,
+                    linewidth=1.4,
+                    label="median, quartiles" if side[-1] else None,
                 )
             if model is not None:
                 order = np.argsort(qd[:, k])
@@ -257,7 +373,14 @@ def friction_figure(
                     pick = np.unique(np.linspace(0, max(int(sign.sum()) - 1, 0), 200).astype(int))
                     if sign.any():
                         label = "identified" if sign[-1] else None
-                        axis.plot(speed[sign][pick], law[sign][pick], color=AS_BUILT, linewidth=1.3, linestyle=(0, (5, 1.5)), label=label)
+                        axis.plot(
+                            speed[sign][pick],
+                            law[sign][pick],
+                            color=AS_BUILT,
+                            linewidth=1.3,
+                            linestyle=(0, (5, 1.5)),
+                            label=label,
+                        )
             low, high_torque = np.percentile(torque[:, k], [0.5, 99.5])
             room = 0.35 * (high_torque - low) or 1.0
             axis.set_ylim(low - room, high_torque + room)
@@ -278,20 +401,37 @@ def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
         figure = blank_figure(8.5, 5.2)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=(2, 3))
         colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, model.n_joints))
-        for name, positions, colour in zip(model.joint_names, (motion.q - motion.q[0]).T, colours, strict=True):
-            above.plot(*thinned(t, positions, points=POINTS), color=colour, label=shortened(name, 20))
-        above.set_ylabel(f"moved [{'rad' if all(turning) else 'm' if not any(turning) else 'rad, m'}]")
+        for name, positions, colour in zip(
+            model.joint_names, (motion.q - motion.q[0]).T, colours, strict=True
+        ):
+            above.plot(
+                *thinned(t, positions, points=POINTS), color=colour, label=shortened(name, 20)
+            )
+        above.set_ylabel(
+            f"moved [{'rad' if all(turning) else 'm' if not any(turning) else 'rad, m'}]"
+        )
         above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), handlelength=1.2)
         curves = [
             (motion.kinetic, BLUE, "-", "kinetic"),
             (motion.potential, GREEN, "-", "potential, 0 at the start"),
             (motion.total, INK, "-", "kinetic + potential"),
-            (motion.total[0] + motion.work - motion.dissipated, ORANGE, (0, (3, 2)), "start + work - friction"),
+            (
+                motion.total[0] + motion.work - motion.dissipated,
+                ORANGE,
+                (0, (3, 2)),
+                "start + work - friction",
+            ),
             (motion.dissipated, VERMILION, "-", "taken by friction"),
         ]
         for values, colour, style, label in curves:
             wide = 1.8 if label == "kinetic + potential" else 1.2
-            below.plot(*thinned(t, values, points=POINTS), color=colour, linestyle=style, linewidth=wide, label=label)
+            below.plot(
+                *thinned(t, values, points=POINTS),
+                color=colour,
+                linestyle=style,
+                linewidth=wide,
+                label=label,
+            )
         below.set_ylabel("energy [J]")
         below.set_xlabel("time [s]")
         below.margins(x=0.01)

@@ -20,7 +20,9 @@ def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     share = points / max(len(t), 1)
     gap = np.array([np.nan])
     for start, stop in contiguous_runs(t):
-        index = start + _extremes([curve[start:stop] for curve in curves], max(2, int(share * (stop - start))))
+        index = start + _extremes(
+            [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))
+        )
         t_out += [t[index], gap]
         for curve, parts in zip(curves, kept, strict=True):
             parts += [curve[index], gap]

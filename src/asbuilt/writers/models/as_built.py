@@ -43,11 +43,20 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
 
     Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose torque on the data used differs least, joints weighted by their noise.
     """
-    found = standard_parameters(result.model, result.base, result.estimates, nearest=nearest, information=_torque_information(result))
+    found = standard_parameters(
+        result.model,
+        result.base,
+        result.estimates,
+        nearest=nearest,
+        information=_torque_information(result),
+    )
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
     sources = ", ".join(result.sources)
     note = f"identified ({result.method}) from {sources}; {found.verdict}"
-    return AsBuilt(found, replace(robot, notes=(*result.model.notes, note), source=f"identified from {sources}"))
+    return AsBuilt(
+        found,
+        replace(robot, notes=(*result.model.notes, note), source=f"identified from {sources}"),
+    )
 
 
 def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
@@ -62,13 +71,20 @@ def _torque_information(result: IdentificationResult) -> Array:
         quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
         rows = [
             factor[:, places] / max(float(sigma), quietest)
-            for factor, sigma in zip(result.evidence.whole(result.evidence.fitted), result.sigma, strict=True)
+            for factor, sigma in zip(
+                result.evidence.whole(result.evidence.fitted), result.sigma, strict=True
+            )
         ]
         return np.asarray(sum(R.T @ R for R in rows))
     covariance = np.array(result.textbook_covariance)
     size = np.sqrt(np.diag(covariance))
     size[size == 0.0] = 1.0
-    return np.asarray(np.linalg.pinv(covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True) / np.outer(size, size))
+    return np.asarray(
+        np.linalg.pinv(
+            covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True
+        )
+        / np.outer(size, size)
+    )
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
@@ -77,7 +93,9 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
     robot = model.with_parameters(parameters[:rigid])
     drives = np.array(parameters[rigid:])
     bounded = non_negative_columns(model.n_joints, drive) - rigid
-    drives[bounded] = np.where(drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded])
+    drives[bounded] = np.where(
+        drives[bounded] > -ROUNDING_OF_DRIVES, np.maximum(drives[bounded], 0.0), drives[bounded]
+    )
     values = drives.reshape(model.n_joints, -1)
     turned = np.any(model.motor_shares, axis=1)
     joints = []
@@ -90,20 +108,36 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
             if term.key in PLAIN_TERMS and term.is_at(k):
                 plain[term.key] = own[0]
             elif term.is_at(k) and (turned[k] or not term.of_motor):
-                terms[term.key] = dict(zip(term.letters, own, strict=True)) | {shape.name: term.value(shape.name) for shape in term.shapes}
-        joints.append(replace(joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=terms)))
+                terms[term.key] = dict(zip(term.letters, own, strict=True)) | {
+                    shape.name: term.value(shape.name) for shape in term.shapes
+                }
+        joints.append(
+            replace(
+                joint, drive=DriveValues(**plain, gear_ratio=joint.drive.gear_ratio, terms=terms)
+            )
+        )
     return replace(robot, joints=tuple(joints), drives_by_design=True)
 
 
-def keeping_described_drives(robot: RobotModel, described: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
+def keeping_described_drives(
+    robot: RobotModel, described: RobotModel
+) -> tuple[RobotModel, tuple[str, ...]]:
     """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants, and what is to be said of them.
 
     Where a richer term was identified in the place of a plain one (`power` in that of `viscous`), the described value would count the same friction twice: it is zero there.
     """
     joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()
     for joint, before in zip(robot.joints, described.joints, strict=True):
-        richer = {stood_for: key for key in joint.drive.terms if (stood_for := available_terms()[key].stands_for) is not None}
-        kept = {key: value for key in PLAIN_TERMS if getattr(joint.drive, key) is None and (value := getattr(before.drive, key))}
+        richer = {
+            stood_for: key
+            for key in joint.drive.terms
+            if (stood_for := available_terms()[key].stands_for) is not None
+        }
+        kept = {
+            key: value
+            for key in PLAIN_TERMS
+            if getattr(joint.drive, key) is None and (value := getattr(before.drive, key))
+        }
         for key in kept:
             if key in richer:
                 kept[key] = 0.0
@@ -112,13 +146,18 @@ def keeping_described_drives(robot: RobotModel, described: RobotModel) -> tuple[
                 as_described.add(key)
         joints.append(replace(joint, drive=replace(joint.drive, **kept)))
     notes = (
-        [f"not identified, and as described: {', '.join(key for key in PLAIN_TERMS if key in as_described)} of the drives"]
+        [
+            "not identified, and as described:"
+            f" {', '.join(key for key in PLAIN_TERMS if key in as_described)} of the drives"
+        ]
         if as_described
         else []
     )
     for (key, richer_key), names in replaced.items():
         at = "" if len(names) == robot.n_joints else f" at {', '.join(names)}"
-        notes.append(f"{key} of the description is left out{at}: {richer_key} was identified in its place")
+        notes.append(
+            f"{key} of the description is left out{at}: {richer_key} was identified in its place"
+        )
     return replace(robot, joints=tuple(joints)), tuple(notes)
 
 
@@ -137,6 +176,8 @@ def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
     torques = []
     for chi in (together, built.parameters.parameters):
         load = inverse_dynamics(built.model, q, qd, qdd, parameters=chi[:rigid])
-        torques.append(load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares))
+        torques.append(
+            load + drive_torque(drive, chi[rigid:], q, qd, qdd, load=load, shares=shares)
+        )
     apart = float(np.abs(torques[1] - torques[0]).max())
     return apart if apart > SAME_TORQUE else 0.0

@@ -93,12 +93,15 @@ def export_result(
         If no file is asked for, or options do not go together.
     """
     if all(place is None for place in (urdf, mjcf, toml, c)):
-        raise UsageError("nothing to export: name at least one file with --urdf, --mjcf, --toml or --c")
+        raise UsageError(
+            "nothing to export: name at least one file with --urdf, --mjcf, --toml or --c"
+        )
     if original is not None and urdf is None:
         raise UsageError("--original is the URDF to edit, so it needs --urdf FILE to write")
     if force and not nearest:
         raise UsageError(
-            "--force writes the nearest possible robot whatever it costs, so it needs --nearest; an impossible robot is never written"
+            "--force writes the nearest possible robot whatever it costs, so it needs --nearest; an"
+            " impossible robot is never written"
         )
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
@@ -108,9 +111,14 @@ def export_result(
         refuse_bad_stand_in(result, found.beta, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
-    (in_simulators, kept), load = keeping_described_drives(model, result.model), load_note(result, built)
+    (in_simulators, kept), load = (
+        keeping_described_drives(model, result.model),
+        load_note(result, built),
+    )
     if c is not None:
-        files["c"], files["header"] = write_c(c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :])
+        files["c"], files["header"] = write_c(
+            c, model, drive=result.base.drive, drive_values=found.parameters[10 * model.n_joints :]
+        )
         notes["c"] = load
     if urdf is not None:
         edited, missing = urdf_to_edit(result.model, original)
@@ -123,21 +131,34 @@ def export_result(
         files["toml"] = write_robot_toml(toml, model)
         notes["toml"] = load
     said_of = {kind: said for kind, said in notes.items() if said}
-    return Export(result.robot, found.verdict, files, said_of, cost, "" if found.exact else _beyond(result, found))
+    return Export(
+        result.robot,
+        found.verdict,
+        files,
+        said_of,
+        cost,
+        "" if found.exact else _beyond(result, found),
+    )
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
     """Say how far apart the identified model and the one written are in random motion, and how sure the identified one is of itself there."""
     W = random_motion_rows(result.model, result.base)
     unsure = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
-    apart, of = (float(np.sqrt(np.mean(torque**2))) for torque in (found.torque_rms, found.torque_rms_of_motion))
+    apart, of = (
+        float(np.sqrt(np.mean(torque**2)))
+        for torque in (found.torque_rms, found.torque_rms_of_motion)
+    )
     return (
-        f"In random motion, where no recording was, the two are {significant(apart, 2)} N m RMS apart (of {significant(of)}); the standard error of the identified one "
-        f"is {significant(float(unsure), 2)} N m there."
+        f"In random motion, where no recording was, the two are {significant(apart, 2)} N m RMS"
+        f" apart (of {significant(of)}); the standard error of the identified one is"
+        f" {significant(float(unsure), 2)} N m there."
     )
 
 
-def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | None, tuple[str, ...]]:
+def urdf_to_edit(
+    model: RobotModel, given: Place | None = None
+) -> tuple[Path | None, tuple[str, ...]]:
     """Return the URDF to edit: the one given, else the one that the robot was read from, None where there is none, with a note where there was one."""
     place = Path(given if given is not None else model.source)
     if given is not None or place.is_file():
@@ -145,10 +166,15 @@ def urdf_to_edit(model: RobotModel, given: Place | None = None) -> tuple[Path | 
         if outermost_tag(content) == "robot":
             return place, ()
         if given is not None:
-            raise DescriptionError(f"{source} is no URDF; --original takes the URDF that the robot was identified with")
+            raise DescriptionError(
+                f"{source} is no URDF; --original takes the URDF that the robot was identified with"
+            )
         return None, ()
     if place.suffix.lower() == ".urdf":
-        said = f"the URDF it was identified with, {place}, is not there any more, so a fresh one without shapes was written; name it with --original"
+        said = (
+            f"the URDF it was identified with, {place}, is not there any more, so a fresh one"
+            " without shapes was written; name it with --original"
+        )
         return None, (said,)
     return None, ()
 
@@ -159,5 +185,9 @@ def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
     if not apart:
         return ()
     return (
-        f"load-dependent friction sees the load of the links alone; in the result the load counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque in random motion",
+        (
+            "load-dependent friction sees the load of the links alone; in the result the load"
+            f" counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque in"
+            " random motion"
+        ),
     )

@@ -63,7 +63,15 @@ def _add_motors(root: Element, model: RobotModel) -> None:
         )
         if not shares.any() or not any((armature, viscous, coulomb)):
             continue
-        tendon = SubElement(tendons, "fixed", {"name": f"motor of {joint.name}", "armature": repr(armature), "damping": repr(viscous)})
+        tendon = SubElement(
+            tendons,
+            "fixed",
+            {
+                "name": f"motor of {joint.name}",
+                "armature": repr(armature),
+                "damping": repr(viscous),
+            },
+        )
         if coulomb:
             tendon.attrib.update(_dry_friction(coulomb))
         for k in np.flatnonzero(shares):
@@ -80,14 +88,25 @@ def _dry_friction(size: float) -> dict[str, str]:
 def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
     """Return a note for what changes torques and has no place in MJCF, or one where it is easily overlooked."""
     plain = in_plain_friction(model)
-    offsets = [f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset]
+    offsets = [
+        f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset
+    ]
     notes = left_out_drives(plain, CARRIED, "MJCF")
     if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
-        notes = ("MuJoCo has smooth Coulomb friction as dry friction: the same torque where a joint moves faster than its width", *notes)
+        notes = (
+            (
+                "MuJoCo has smooth Coulomb friction as dry friction: the same torque where a joint"
+                " moves faster than its width"
+            ),
+            *notes,
+        )
     if not offsets:
         return notes
     return (
-        f"the offsets of the drives are the bias of the actuators, so mj_inverse does not count them (Fo [N m, or N where it slides]: {', '.join(offsets)})",
+        (
+            "the offsets of the drives are the bias of the actuators, so mj_inverse does not count"
+            f" them (Fo [N m, or N where it slides]: {', '.join(offsets)})"
+        ),
         *notes,
     )
 

@@ -22,8 +22,10 @@ from asbuilt.validation.nearest_consistent import BADLY, StandIn
 UNKNOWN = 100.0
 """Standard error of a parameter that was dropped, in values that it has in CAD, beside which it counts as unknown."""
 CURES = (
-    "Identify with real bodies imposed (identify --method consistent, or entropic), which the report then judges; let it find how the robot stands "
-    "(--mounting estimate), for free links imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate what those lack"
+    "Identify with real bodies imposed (identify --method consistent, or entropic), which the"
+    " report then judges; let it find how the robot stands (--mounting estimate), for free links"
+    " imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate"
+    " what those lack"
 )
 
 
@@ -34,7 +36,11 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
         for name in ("armature", "viscous", "coulomb"):
             value = getattr(joint.drive, name)
             if value is not None and value < 0.0:
-                what = {"armature": "armature", "viscous": "viscous friction", "coulomb": "Coulomb friction"}[name]
+                what = {
+                    "armature": "armature",
+                    "viscous": "viscous friction",
+                    "coulomb": "Coulomb friction",
+                }[name]
                 reasons.append(f"joint {number}: {what} is {value:.4g}; it must not be negative")
         reasons += [
             f"joint {number}: {key} {letter} is {numbers[letter]:.4g}; it must not be negative"
@@ -51,7 +57,10 @@ def in_plain_friction(model: RobotModel) -> RobotModel:
     joints = []
     for joint in model.joints:
         drive, terms = joint.drive, dict(joint.drive.terms)
-        asymmetric, smooth = terms.pop("asymmetric_coulomb", None), terms.pop("smooth_coulomb", None)
+        asymmetric, smooth = (
+            terms.pop("asymmetric_coulomb", None),
+            terms.pop("smooth_coulomb", None),
+        )
         if asymmetric is not None:
             forwards, backwards = asymmetric["Fcp"], asymmetric["Fcn"]
             drive = replace(
@@ -74,9 +83,15 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
                 joints.setdefault(key, []).append(joint.name)
     if not joints:
         return ()
-    said = ", ".join(key if len(names) == model.n_joints else f"{key} ({', '.join(names)})" for key, names in joints.items())
+    said = ", ".join(
+        key if len(names) == model.n_joints else f"{key} ({', '.join(names)})"
+        for key, names in joints.items()
+    )
     return (
-        f"{kind} has no place for the drive terms {said}; they are left out, and its torques lack them (robot files of asbuilt, --toml, carry all)",
+        (
+            f"{kind} has no place for the drive terms {said}; they are left out, and its torques"
+            " lack them (robot files of asbuilt, --toml, carry all)"
+        ),
     )
 
 
@@ -85,8 +100,9 @@ def refuse_impossible(model: RobotModel, cure: str = "take the nearest possible 
     reasons = impossibilities(model)
     if reasons:
         raise InertiaError(
-            f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}. Identify with physical consistency "
-            f"(--method consistent), {cure}, or leave out drive terms that the recording does not tell"
+            f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}."
+            f" Identify with physical consistency (--method consistent), {cure}, or leave out drive"
+            " terms that the recording does not tell"
         )
 
 
@@ -94,7 +110,9 @@ def refuse_impossible_result(result: IdentificationResult, model: RobotModel) ->
     """Raise `InertiaError` where the robot as built is impossible, with what proves it and the cures."""
     if impossibilities(model):
         raise InertiaError(
-            f"{result.robot} is not exported, for no robot can have this model: {_reasons(result, model)}. {CURES}; or write the nearest robot that can be (--nearest)"
+            f"{result.robot} is not exported, for no robot can have this model:"
+            f" {_reasons(result, model)}. {CURES}; or write the nearest robot that can be"
+            " (--nearest)"
         )
 
 
@@ -105,11 +123,16 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
     """
     prior, dropped = cad_prior(result.model, result.base.drive), np.flatnonzero(result.dropped)
     covariance = np.array(result.covariance)
-    covariance[dropped, dropped] = (UNKNOWN * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]) ** 2
+    covariance[dropped, dropped] = (
+        UNKNOWN * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
+    ) ** 2
     proof = why_impossible(result.base, prior, result.estimates, covariance)
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
-    zero = f"; the {len(dropped)} parameters that were dropped as needless count as zero, which those of bodies seldom are"
+    zero = (
+        f"; the {len(dropped)} parameters that were dropped as needless count as zero, which those"
+        " of bodies seldom are"
+    )
     return "; ".join(impossibilities(model)) + (zero if dropped.size else "")
 
 
@@ -118,15 +141,22 @@ def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn
 
     `cost` says so joint by joint; without it, as the result carries no evidence, the growth of the error on the data used does.
     """
-    head = f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings badly"
+    head = (
+        f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings"
+        " badly"
+    )
     if cost is not None:
         if cost.bad or cost.worse_than_cad:
-            raise InertiaError(f"{head}: on {cost.judged_by}, {cost.complaint()}. {CURES}; or write it all the same (--nearest --force)")
+            raise InertiaError(
+                f"{head}: on {cost.judged_by}, {cost.complaint()}. {CURES}; or write it all the"
+                " same (--nearest --force)"
+            )
         return
     grown = _error_growth(result, beta)
     if grown > BADLY:
         raise InertiaError(
-            f"{head}: its error on the data used is {significant(grown)} times that of the identified one. {CURES}; or write it all the same (--nearest --force)"
+            f"{head}: its error on the data used is {significant(grown)} times that of the"
+            f" identified one. {CURES}; or write it all the same (--nearest --force)"
         )
 
 

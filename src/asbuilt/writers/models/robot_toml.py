@@ -31,19 +31,38 @@ def robot_toml(model: RobotModel) -> str:
         f"notes = {_texts(model.notes)}" if model.notes else "",
         f"gravity = {_numbers(model.gravity)}",
         f"root_link = {_text(model.root_link)}",
-        f"lengths = {{{', '.join(f'{_key(letter)} = {_float(value)}' for letter, value in model.lengths.items())}}}"
-        if model.lengths
-        else "",
+        (
+            "lengths ="
+            f" {{{', '.join(f'{_key(letter)} = {_float(value)}' for letter, value in model.lengths.items())}}}"
+            if model.lengths
+            else ""
+        ),
     ]
     blocks = ["\n".join(line for line in head if line)]
-    blocks += [_link_table(model, joint, link) for joint, link in zip(model.joints, model.links, strict=True)]
+    blocks += [
+        _link_table(model, joint, link)
+        for joint, link in zip(model.joints, model.links, strict=True)
+    ]
     if model.motor_coupling is not None:
         for name, row in zip(model.joint_names, model.motor_coupling, strict=True):
-            turns = ", ".join(f"{_key(other)} = {_float(share)}" for other, share in zip(model.joint_names, row, strict=True) if share)
+            turns = ", ".join(
+                f"{_key(other)} = {_float(share)}"
+                for other, share in zip(model.joint_names, row, strict=True)
+                if share
+            )
             blocks.append(f"[[couplings]]\nmotor = {_text(name)}\nturns = {{{turns}}}")
     for frame in model.frames:
         place = _placement_fields(frame.placement, None, model)
-        blocks.append("\n".join(["[[frames]]", f"name = {_text(frame.name)}", f"link = {_text(_link_name(model, frame.link))}", *place]))
+        blocks.append(
+            "\n".join(
+                [
+                    "[[frames]]",
+                    f"name = {_text(frame.name)}",
+                    f"link = {_text(_link_name(model, frame.link))}",
+                    *place,
+                ]
+            )
+        )
     return "\n\n".join(blocks) + "\n"
 
 
@@ -62,17 +81,32 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         f"origin = {{{', '.join(_placement_fields(joint.before, joint.before_letters, model))}}}",
     ]
     if not np.array_equal(joint.after, np.eye(4)) or joint.after_letters is not None:
-        lines.append(f"after = {{{', '.join(_placement_fields(joint.after, joint.after_letters, model))}}}")
-    whole = np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
+        lines.append(
+            f"after = {{{', '.join(_placement_fields(joint.after, joint.after_letters, model))}}}"
+        )
+    whole = (
+        np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
+    )
     by_parts = whole is not None and np.array_equal(whole, link.inertia.parameters)
     if link.inertia_known and not by_parts:
         lines += _inertia_fields(link.inertia)
-    limits = [f"{name} = {_float(value)}" for name in _LIMITS if math.isfinite(value := getattr(joint.limits, name))]
+    limits = [
+        f"{name} = {_float(value)}"
+        for name in _LIMITS
+        if math.isfinite(value := getattr(joint.limits, name))
+    ]
     if limits:
         lines.append(f"limits = {{{', '.join(limits)}}}")
-    fields = [f"{name} = {_float(value)}" for name in (*PLAIN_TERMS, "gear_ratio") if (value := getattr(joint.drive, name)) is not None]
+    fields = [
+        f"{name} = {_float(value)}"
+        for name in (*PLAIN_TERMS, "gear_ratio")
+        if (value := getattr(joint.drive, name)) is not None
+    ]
     if joint.drive.terms:
-        fields.append(f"terms = {{{', '.join(f'{key} = {_table(numbers)}' for key, numbers in joint.drive.terms.items())}}}")
+        fields.append(
+            "terms ="
+            f" {{{', '.join(f'{key} = {_table(numbers)}' for key, numbers in joint.drive.terms.items())}}}"
+        )
     if fields:
         lines.append(f"drive = {{{', '.join(fields)}}}")
     if by_parts:
@@ -82,7 +116,10 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
 
 
 def _inertia_fields(inertia: LinkInertia) -> list[str]:
-    tensor = ", ".join(f"{name} = {_float(value)}" for name, value in zip(_TENSOR, inertia.parameters[:6], strict=True))
+    tensor = ", ".join(
+        f"{name} = {_float(value)}"
+        for name, value in zip(_TENSOR, inertia.parameters[:6], strict=True)
+    )
     return [
         f"mass = {_float(inertia.mass)}",
         f"first_moment = {_numbers(inertia.first_moment)}",
@@ -93,8 +130,14 @@ def _inertia_fields(inertia: LinkInertia) -> list[str]:
 def _placement_fields(placement: Array, letters: Letters | None, model: RobotModel) -> list[str]:
     p, R = placement[:3, 3], placement[:3, :3]
     fields = []
-    if letters is not None and np.max(np.abs(length_values(letters, model.lengths) - p)) <= SAME_LENGTH:
-        fields.append(f"xyz = [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in letters)}]")
+    if (
+        letters is not None
+        and np.max(np.abs(length_values(letters, model.lengths) - p)) <= SAME_LENGTH
+    ):
+        fields.append(
+            "xyz ="
+            f" [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in letters)}]"
+        )
     elif np.any(p != 0.0):
         fields.append(f"xyz = {_numbers(p)}")
     if not np.array_equal(R, np.eye(3)):
@@ -104,7 +147,10 @@ def _placement_fields(placement: Array, letters: Letters | None, model: RobotMod
 
 def _length_sum(terms: Sequence[tuple[float, str]]) -> str:
     text = " ".join(
-        f"{'-' if factor < 0 else '+'} " + ("" if abs(factor) == 1.0 else f"{abs(factor)!r}*") + letter for factor, letter in terms
+        f"{'-' if factor < 0 else '+'} "
+        + ("" if abs(factor) == 1.0 else f"{abs(factor)!r}*")
+        + letter
+        for factor, letter in terms
     )
     return text[2:] if text.startswith("+ ") else "-" + text[2:]
 
@@ -134,4 +180,6 @@ def _table(numbers: Mapping[str, float]) -> str:
 
 
 def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _text(name)
+    return (
+        name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else _text(name)
+    )

@@ -17,8 +17,16 @@ def sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
     """Return `count` random q, qd, qdd within the limits of the robot, each (count, n); always the same ones for one robot."""
     rng, n = np.random.default_rng(0), model.n_joints
     reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]
-    lower = np.array([max(joint.limits.lower, -r) for joint, r in zip(model.joints, reach, strict=True)])
-    upper = np.array([min(joint.limits.upper, r) for joint, r in zip(model.joints, reach, strict=True)])
+    lower = np.array(
+        [max(joint.limits.lower, -r) for joint, r in zip(model.joints, reach, strict=True)]
+    )
+    upper = np.array(
+        [min(joint.limits.upper, r) for joint, r in zip(model.joints, reach, strict=True)]
+    )
     speed = np.array([min(joint.limits.velocity, FASTEST) for joint in model.joints])
     q = lower + (np.maximum(upper, lower) - lower) * rng.uniform(size=(count, n))
-    return q, speed * rng.uniform(-1.0, 1.0, (count, n)), SHARPEST * rng.uniform(-1.0, 1.0, (count, n))
+    return (
+        q,
+        speed * rng.uniform(-1.0, 1.0, (count, n)),
+        SHARPEST * rng.uniform(-1.0, 1.0, (count, n)),
+    )

@@ -46,7 +46,14 @@ def urdf_text(model: RobotModel) -> str:
         _link(root, link, shift)
         parent = np.eye(4) if joint.parent == ROOT else moved[joint.parent]
         name = model.root_link if joint.parent == ROOT else model.links[joint.parent].name
-        _joint(root, joint, composed(parent, joint.before, joint.after, inverted(shift)), shift, name, link.name)
+        _joint(
+            root,
+            joint,
+            composed(parent, joint.before, joint.after, inverted(shift)),
+            shift,
+            name,
+            link.name,
+        )
         if not np.array_equal(shift, np.eye(4)):
             _fixed(root, _free_name(f"{link.name}_frame", taken), link.name, shift)
     for frame in model.frames:
@@ -57,7 +64,9 @@ def urdf_text(model: RobotModel) -> str:
     return '<?xml version="1.0" encoding="utf-8"?>\n' + tostring(root, encoding="unicode") + "\n"
 
 
-def write_urdf(path: str | os.PathLike[str], model: RobotModel, *, original: str | Path | None = None) -> tuple[Path, tuple[str, ...]]:
+def write_urdf(
+    path: str | os.PathLike[str], model: RobotModel, *, original: str | Path | None = None
+) -> tuple[Path, tuple[str, ...]]:
     """Write `original` with the inertias and friction of the model and every other byte kept, or a URDF of its own where there is no original.
 
     Returns the path and notes on what the reader must know. Raises as `edited_urdf` and `urdf_text` do.
@@ -77,19 +86,34 @@ def _shift(joint: Joint) -> Array:
 
 def _link(root: Element, link: Link, shift: Array) -> None:
     element = SubElement(root, "link", name=link.name)
-    inertia: LinkInertia = link.inertia if np.array_equal(shift, np.eye(4)) else link.inertia.moved(shift)
+    inertia: LinkInertia = (
+        link.inertia if np.array_equal(shift, np.eye(4)) else link.inertia.moved(shift)
+    )
     if not inertia.parameters.any():
         return
     inertial, tensor = SubElement(element, "inertial"), inertia.inertia_about_com
     SubElement(inertial, "origin", xyz=_numbers(inertia.com), rpy="0 0 0")
     SubElement(inertial, "mass", value=_numbers([inertia.mass]))
-    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
-    SubElement(inertial, "inertia", {name: _numbers([tensor[place]]) for name, place in entries.items()})
+    entries = {
+        "ixx": (0, 0),
+        "ixy": (0, 1),
+        "ixz": (0, 2),
+        "iyy": (1, 1),
+        "iyz": (1, 2),
+        "izz": (2, 2),
+    }
+    SubElement(
+        inertial, "inertia", {name: _numbers([tensor[place]]) for name, place in entries.items()}
+    )
 
 
-def _joint(root: Element, joint: Joint, origin: Array, shift: Array, parent: str, child: str) -> None:
+def _joint(
+    root: Element, joint: Joint, origin: Array, shift: Array, parent: str, child: str
+) -> None:
     limits, drive = joint.limits, joint.drive
-    limited = joint.kind != "continuous" and math.isfinite(limits.lower) and math.isfinite(limits.upper)
+    limited = (
+        joint.kind != "continuous" and math.isfinite(limits.lower) and math.isfinite(limits.upper)
+    )
     kind = "prismatic" if not joint.is_revolute else "revolute" if limited else "continuous"
     element = SubElement(root, "joint", name=joint.name, type=kind)
     _origin(element, origin)
@@ -97,14 +121,24 @@ def _joint(root: Element, joint: Joint, origin: Array, shift: Array, parent: str
     SubElement(element, "child", link=child)
     axis = (joint.after @ inverted(shift))[2, :3]
     SubElement(element, "axis", xyz=_numbers(axis))
-    bounds = {} if kind == "continuous" else {"lower": _bound(limits.lower), "upper": _bound(limits.upper)}
+    bounds = (
+        {}
+        if kind == "continuous"
+        else {"lower": _bound(limits.lower), "upper": _bound(limits.upper)}
+    )
     if bounds or math.isfinite(limits.torque) or math.isfinite(limits.velocity):
-        SubElement(element, "limit", bounds | {"effort": _bound(limits.torque), "velocity": _bound(limits.velocity)})
+        SubElement(
+            element,
+            "limit",
+            bounds | {"effort": _bound(limits.torque), "velocity": _bound(limits.velocity)},
+        )
     known = {"damping": drive.viscous, "friction": drive.coulomb}
     given = {name: _numbers([value]) for name, value in known.items() if value is not None}
     if given:
         SubElement(element, "dynamics", given)
-    silent = [f"{name} {value!r}" for name in ("armature", "offset") if (value := getattr(drive, name))]
+    silent = [
+        f"{name} {value!r}" for name in ("armature", "offset") if (value := getattr(drive, name))
+    ]
     if silent:
         element.append(Comment(f" {', '.join(silent)}: URDF has no place for it "))
 
@@ -119,7 +153,12 @@ def _fixed(root: Element, name: str, parent: str, pose: Array) -> None:
 
 def _origin(element: Element, pose: Array) -> None:
     if not np.array_equal(pose, placement()):
-        SubElement(element, "origin", xyz=_numbers(pose[:3, 3]), rpy=_numbers(rpy_from_rotation(pose[:3, :3])))
+        SubElement(
+            element,
+            "origin",
+            xyz=_numbers(pose[:3, 3]),
+            rpy=_numbers(rpy_from_rotation(pose[:3, :3])),
+        )
 
 
 def _free_name(name: str, taken: set[str]) -> str:

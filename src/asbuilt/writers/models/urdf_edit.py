@@ -69,10 +69,16 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     edits: list[Edit] = []
     changed_links, changed_joints, emptied = [], [], []
     for was, link in zip(described.links, model.links, strict=True):
-        if not link.inertia_known or np.array_equal(was.inertia.parameters, link.inertia.parameters):
+        if not link.inertia_known or np.array_equal(
+            was.inertia.parameters, link.inertia.parameters
+        ):
             continue
         fixed = [(name, inertia) for name, inertia in was.parts if name != link.name]
-        own = link.inertia - LinkInertia(np.sum([inertia.parameters for _, inertia in fixed], axis=0)) if fixed else link.inertia
+        own = (
+            link.inertia - LinkInertia(np.sum([inertia.parameters for _, inertia in fixed], axis=0))
+            if fixed
+            else link.inertia
+        )
         if fixed and not (own.mass > 0.0 and own.is_consistent):
             own = link.inertia
             for name, _ in fixed:
@@ -81,33 +87,62 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
         edits += _inertial_edits(file, links[link.name], own)
         changed_links.append(link.name)
     for before, joint in zip(described.joints, plain.joints, strict=True):
-        given = {"damping": (before.drive.viscous, joint.drive.viscous), "friction": (before.drive.coulomb, joint.drive.coulomb)}
-        values = {name: _number(new) for name, (old, new) in given.items() if new is not None and new != (old or 0.0)}
+        given = {
+            "damping": (before.drive.viscous, joint.drive.viscous),
+            "friction": (before.drive.coulomb, joint.drive.coulomb),
+        }
+        values = {
+            name: _number(new)
+            for name, (old, new) in given.items()
+            if new is not None and new != (old or 0.0)
+        }
         if values:
             edits += _dynamics_edits(file, joints[joint.name], values)
             changed_joints.append(joint.name)
     edited = file.edited(edits)
-    reread, literal = (_difference(model, read_urdf(edited, straighten=exact)) for exact in (True, False))
+    reread, literal = (
+        _difference(model, read_urdf(edited, straighten=exact)) for exact in (True, False)
+    )
     notes = (*_rounding_note(model, literal), *_emptied_note(emptied), *unsaid_in_urdf(model))
-    return EditedUrdf(edited, tuple(changed_links), tuple(changed_joints), tuple(emptied), reread, literal, notes)
+    return EditedUrdf(
+        edited, tuple(changed_links), tuple(changed_joints), tuple(emptied), reread, literal, notes
+    )
 
 
 def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
     """Return a note for each thing of the model that changes torques and for which URDF has no place."""
     plain, notes = in_plain_friction(model), []
     if any("asymmetric_coulomb" in joint.drive.terms for joint in model.joints):
-        notes.append("asymmetric Coulomb friction is written as symmetric friction; the rest of it is in the offset")
+        notes.append(
+            "asymmetric Coulomb friction is written as symmetric friction; the rest of it is in the"
+            " offset"
+        )
     if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
-        notes.append("smooth Coulomb friction is written as dry friction: the same torque where a joint moves faster than its width")
-    for key, letter, unit in (("armature", "Ia", "kg m^2, or kg where it slides"), ("offset", "Fo", "N m, or N where it slides")):
-        values = {joint.name: getattr(joint.drive, key) for joint in plain.joints if getattr(joint.drive, key)}
+        notes.append(
+            "smooth Coulomb friction is written as dry friction: the same torque where a joint"
+            " moves faster than its width"
+        )
+    for key, letter, unit in (
+        ("armature", "Ia", "kg m^2, or kg where it slides"),
+        ("offset", "Fo", "N m, or N where it slides"),
+    ):
+        values = {
+            joint.name: getattr(joint.drive, key)
+            for joint in plain.joints
+            if getattr(joint.drive, key)
+        }
         if values:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
-            notes.append(f"URDF has no place for the {key} of the drives, add it yourself ({letter} [{unit}]: {said})")
+            notes.append(
+                f"URDF has no place for the {key} of the drives, add it yourself ({letter}"
+                f" [{unit}]: {said})"
+            )
     notes += left_out_drives(plain, (), "URDF")
     if not np.array_equal(model.gravity, USUAL_GRAVITY):
         notes.append(
-            f"URDF has no place for gravity; the model has ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame, set it where the file is loaded"
+            "URDF has no place for gravity; the model has"
+            f" ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame, set it"
+            " where the file is loaded"
         )
     return tuple(notes)
 
@@ -115,17 +150,30 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
 def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> None:
     def refuse(what: str) -> None:
         raise DescriptionError(
-            f"{source} describes another robot than {model.name}: {what}; give the URDF that the robot was identified with"
+            f"{source} describes another robot than {model.name}: {what}; give the URDF that the"
+            " robot was identified with"
         )
 
     if described.joint_names != model.joint_names:
-        refuse(f"its joints are {', '.join(described.joint_names)}, the model's {', '.join(model.joint_names)}")
+        refuse(
+            f"its joints are {', '.join(described.joint_names)}, the model's"
+            f" {', '.join(model.joint_names)}"
+        )
     if described.link_names != model.link_names:
-        refuse(f"its moving links are {', '.join(described.link_names)}, the model's {', '.join(model.link_names)}")
+        refuse(
+            f"its moving links are {', '.join(described.link_names)}, the model's"
+            f" {', '.join(model.link_names)}"
+        )
     for there, here in zip(described.joints, model.joints, strict=True):
         if there.parent != here.parent or there.is_revolute != here.is_revolute:
-            refuse(f"joint {here.name!r} is {there.kind} on link index {there.parent}, the model's {here.kind} on {here.parent}")
-        off = max(float(np.abs(there.before - here.before).max()), float(np.abs(there.after - here.after).max()))
+            refuse(
+                f"joint {here.name!r} is {there.kind} on link index {there.parent}, the model's"
+                f" {here.kind} on {here.parent}"
+            )
+        off = max(
+            float(np.abs(there.before - here.before).max()),
+            float(np.abs(there.after - here.after).max()),
+        )
         if off > SAME_PLACE:
             refuse(f"the placement of joint {here.name!r} differs by {off:.3g}")
 
@@ -137,15 +185,29 @@ def _inertial_edits(file: XmlFile, link: Span, inertia: LinkInertia) -> list[Edi
     if inertial is None:
         tag = link.named_as
         said = " ".join(f'{name}="{value}"' for name, value in moments.items())
-        parts = f'<{tag("origin")} xyz="{com}" rpy="0 0 0"/><{tag("mass")} value="{_number(inertia.mass)}"/><{tag("inertia")} {said}/>'
+        parts = (
+            f'<{tag("origin")} xyz="{com}" rpy="0 0 0"/><{tag("mass")}'
+            f' value="{_number(inertia.mass)}"/><{tag("inertia")} {said}/>'
+        )
         return [file.prepended(link, f"<{tag('inertial')}>{parts}</{tag('inertial')}>")]
     origin, mass, moment = (inertial.first(tag) for tag in ("origin", "mass", "inertia"))
     if mass is None or moment is None:
-        raise DescriptionError(f"link {link.attributes['name']!r}: <inertial> lacks <mass> or <inertia>")
-    edits = attribute_edits(mass, {"value": _number(inertia.mass)}) + attribute_edits(moment, moments)
+        raise DescriptionError(
+            f"link {link.attributes['name']!r}: <inertial> lacks <mass> or <inertia>"
+        )
+    edits = attribute_edits(mass, {"value": _number(inertia.mass)}) + attribute_edits(
+        moment, moments
+    )
     if origin is None:
-        return [*edits, file.prepended(inertial, f'<{inertial.named_as("origin")} xyz="{com}" rpy="0 0 0"/>')]
-    turned = {"rpy": "0 0 0"} if any(float(angle) != 0.0 for angle in origin.attributes.get("rpy", "").split()) else {}
+        return [
+            *edits,
+            file.prepended(inertial, f'<{inertial.named_as("origin")} xyz="{com}" rpy="0 0 0"/>'),
+        ]
+    turned = (
+        {"rpy": "0 0 0"}
+        if any(float(angle) != 0.0 for angle in origin.attributes.get("rpy", "").split())
+        else {}
+    )
     return edits + attribute_edits(origin, {"xyz": com} | turned)
 
 
@@ -160,7 +222,11 @@ def _dynamics_edits(file: XmlFile, joint: Span, values: dict[str, str]) -> list[
 def _difference(model: RobotModel, read: RobotModel) -> Array:
     q, qd, qdd = sample_states(model, 200)
     expected = inverse_dynamics(model, q, qd, qdd)
-    return np.asarray(np.abs(inverse_dynamics(replace(read, gravity=model.gravity), q, qd, qdd) - expected).max(axis=0))
+    return np.asarray(
+        np.abs(inverse_dynamics(replace(read, gravity=model.gravity), q, qd, qdd) - expected).max(
+            axis=0
+        )
+    )
 
 
 def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
@@ -168,8 +234,12 @@ def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
         return ()
     worst = int(np.argmax(literal))
     return (
-        f"the file rounds right angles (1.5708), which asbuilt reads as exact; a program that reads them to the letter gets torques that differ by "
-        f"up to {literal[worst]:.2g} {'N m' if model.joints[worst].is_revolute else 'N'} (joint {model.joint_names[worst]})",
+        (
+            "the file rounds right angles (1.5708), which asbuilt reads as exact; a program that"
+            f" reads them to the letter gets torques that differ by up to {literal[worst]:.2g}"
+            f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint"
+            f" {model.joint_names[worst]})"
+        ),
     )
 
 
@@ -177,8 +247,10 @@ def _emptied_note(emptied: list[str]) -> tuple[str, ...]:
     if not emptied:
         return ()
     return (
-        f"the inertials of {', '.join(emptied)} were removed: what is left of the carrier without them would be no possible body, so the carrier "
-        "has the inertia of the whole",
+        (
+            f"the inertials of {', '.join(emptied)} were removed: what is left of the carrier"
+            " without them would be no possible body, so the carrier has the inertia of the whole"
+        ),
     )
 
 

@@ -78,9 +78,14 @@ class XmlFile:
             decoded = content.decode(encoding)
             faithful = decoded.encode(encoding) == content
         except (UnicodeError, LookupError) as error:
-            raise DescriptionError(f"{source}: the XML cannot be decoded as {encoding}: {error}") from None
+            raise DescriptionError(
+                f"{source}: the XML cannot be decoded as {encoding}: {error}"
+            ) from None
         if not faithful:
-            raise DescriptionError(f"{source}: the encoding {encoding} does not give the file's own bytes back; save the file as UTF-8")
+            raise DescriptionError(
+                f"{source}: the encoding {encoding} does not give the file's own bytes back; save"
+                " the file as UTF-8"
+            )
         text = decoded.encode()
         spotter = _Spotter(text)
         parser = DefusedXMLParser(target=spotter, encoding="utf-8", forbid_dtd=False)
@@ -161,7 +166,16 @@ class _Spotter:
             at = attribute.end()
         end = _TAG_END.match(self.text, at)
         assert end is not None
-        span = Span(tag.rpartition("}")[2], attributes, name[1].decode(), start, at, end.end(), values, stop=end.end())
+        span = Span(
+            tag.rpartition("}")[2],
+            attributes,
+            name[1].decode(),
+            start,
+            at,
+            end.end(),
+            values,
+            stop=end.end(),
+        )
         if not end[1]:
             span.close = end.end()
         (self.open[-1].children if self.open else self.roots).append(span)
@@ -181,7 +195,11 @@ class _Spotter:
 
 
 def _encoding(content: bytes) -> str:
-    for mark, encoding in ((codecs.BOM_UTF16_LE, "utf-16-le"), (codecs.BOM_UTF16_BE, "utf-16-be"), (codecs.BOM_UTF8, "utf-8")):
+    for mark, encoding in (
+        (codecs.BOM_UTF16_LE, "utf-16-le"),
+        (codecs.BOM_UTF16_BE, "utf-16-be"),
+        (codecs.BOM_UTF8, "utf-8"),
+    ):
         if content.startswith(mark):
             return encoding
     declared = _DECLARED.match(content)

@@ -49,10 +49,16 @@ def write_picture(
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (*STILLS, *ANIMATIONS):
-        raise UsageError(f"a picture is written as {', '.join((*STILLS, *ANIMATIONS))}, not as {Path(path).name!r}")
+        raise UsageError(
+            f"a picture is written as {', '.join((*STILLS, *ANIMATIONS))}, not as"
+            f" {Path(path).name!r}"
+        )
     moving = suffix in ANIMATIONS
     if moving and motion is None:
-        raise UsageError(f"{Path(path).name} would be an animation, but there is no motion; give one, or write a .png")
+        raise UsageError(
+            f"{Path(path).name} would be an animation, but there is no motion; give one, or write a"
+            " .png"
+        )
     view = MotionView.of_motion(model, motion, most=MOST_FRAMES if moving else 2, rate=FRAME_RATE)
     images = []
     for k, image in enumerate(picture_frames(view if moving else view.first(), *size, style=style)):
@@ -65,16 +71,33 @@ def write_picture(
         return atomic_write(path, stream.getvalue())
     pause = round(1000 * float(view.t[-1]) / (len(view.t) - 1))
     if suffix == ".gif":
-        palette = Pillow.fromarray(np.concatenate(images[:: max(1, len(images) // 8)])).quantize(255, dither=Pillow.Dither.NONE)
-        frames = [Pillow.fromarray(image).quantize(palette=palette, dither=Pillow.Dither.NONE) for image in images]
-        frames[0].save(stream, "GIF", save_all=True, append_images=frames[1:], duration=pause, loop=0, optimize=False)
+        palette = Pillow.fromarray(np.concatenate(images[:: max(1, len(images) // 8)])).quantize(
+            255, dither=Pillow.Dither.NONE
+        )
+        frames = [
+            Pillow.fromarray(image).quantize(palette=palette, dither=Pillow.Dither.NONE)
+            for image in images
+        ]
+        frames[0].save(
+            stream,
+            "GIF",
+            save_all=True,
+            append_images=frames[1:],
+            duration=pause,
+            loop=0,
+            optimize=False,
+        )
     else:
         first, *rest = (Pillow.fromarray(image) for image in images)
-        first.save(stream, "WEBP", save_all=True, append_images=rest, duration=pause, loop=0, quality=80)
+        first.save(
+            stream, "WEBP", save_all=True, append_images=rest, duration=pause, loop=0, quality=80
+        )
     return atomic_write(path, stream.getvalue())
 
 
-def picture_frames(view: MotionView, width: int, height: int, *, style: Style = "auto") -> Iterator[Image]:
+def picture_frames(
+    view: MotionView, width: int, height: int, *, style: Style = "auto"
+) -> Iterator[Image]:
     """Yield the frames of a view as images (height, width, 3), rendered where that works and `style` allows, else as skeletons."""
     if style not in ("auto", "rendered", "skeleton"):
         raise UsageError(f"style {style!r} is not one of auto, rendered, skeleton")
@@ -83,6 +106,7 @@ def picture_frames(view: MotionView, width: int, height: int, *, style: Style = 
         return rendered_frames(view, context, width, height)
     if style == "rendered":
         raise UsageError(
-            "this machine renders nothing without a screen (neither EGL nor OSMesa works, or MuJoCo is missing); use the style skeleton"
+            "this machine renders nothing without a screen (neither EGL nor OSMesa works, or MuJoCo"
+            " is missing); use the style skeleton"
         )
     return skeleton_frames(view, width, height)

@@ -29,7 +29,9 @@ def offscreen_context(width: int, height: int) -> Any | None:
         try:
             context = import_module(f"mujoco.{backend}").GLContext(width, height)
             context.make_current()
-        except Exception:  # an OpenGL that is missing, broken or without a device fails in many ways
+        except (
+            Exception
+        ):  # an OpenGL that is missing, broken or without a device fails in many ways
             continue
         return context
     return None
@@ -40,7 +42,11 @@ def rendered_frames(view: MotionView, context: Any, width: int, height: int) -> 
     mujoco = import_module("mujoco")
     w, h = 2 * width, 2 * height
     compiled = mujoco.MjModel.from_xml_string(_scene_text(view, w, h))
-    data, scene, options = mujoco.MjData(compiled), mujoco.MjvScene(compiled, maxgeom=len(view.path) + 200), mujoco.MjvOption()
+    data, scene, options = (
+        mujoco.MjData(compiled),
+        mujoco.MjvScene(compiled, maxgeom=len(view.path) + 200),
+        mujoco.MjvOption(),
+    )
     options.geomgroup[:] = 1
     options.sitegroup[:] = 0
     camera = mujoco.MjvCamera()
@@ -50,18 +56,25 @@ def rendered_frames(view: MotionView, context: Any, width: int, height: int) -> 
     resources = mujoco.MjrContext(compiled, mujoco.mjtFontScale.mjFONTSCALE_100.value)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, resources)
     window = mujoco.MjrRect(0, 0, w, h)
-    order = [mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_JOINT, name) for name in view.model.joint_names]
+    order = [
+        mujoco.mj_name2id(compiled, mujoco.mjtObj.mjOBJ_JOINT, name)
+        for name in view.model.joint_names
+    ]
     image = np.empty((h, w, 3), dtype=np.uint8)
     try:
         for q in view.q:
             data.qpos[order] = q
             mujoco.mj_kinematics(compiled, data)
             mujoco.mj_camlight(compiled, data)
-            mujoco.mjv_updateScene(compiled, data, options, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene)
+            mujoco.mjv_updateScene(
+                compiled, data, options, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+            )
             _draw_path(mujoco, scene, view.path, 0.003 * view.radius)
             mujoco.mjr_render(window, scene, resources)
             mujoco.mjr_readPixels(image, None, window, resources)
-            yield np.flipud(image).reshape(height, 2, width, 2, 3).mean(axis=(1, 3)).astype(np.uint8)
+            yield (
+                np.flipud(image).reshape(height, 2, width, 2, 3).mean(axis=(1, 3)).astype(np.uint8)
+            )
     finally:
         resources.free()
         context.free()
@@ -79,13 +92,28 @@ def _scene_text(view: MotionView, width: int, height: int) -> str:
         root.remove(old)
     visual = SubElement(root, "visual")
     SubElement(visual, "global", offwidth=str(width), offheight=str(height), fovy="32")
-    SubElement(visual, "headlight", ambient="0.35 0.35 0.36", diffuse="0.35 0.35 0.35", specular="0.1 0.1 0.1")
+    SubElement(
+        visual,
+        "headlight",
+        ambient="0.35 0.35 0.36",
+        diffuse="0.35 0.35 0.35",
+        specular="0.1 0.1 0.1",
+    )
     SubElement(visual, "quality", shadowsize="2048", offsamples="0", numslices="36", numstacks="10")
     SubElement(visual, "map", znear="0.01", zfar="12", shadowclip="1.5", haze="0.55")
     SubElement(visual, "rgba", haze="1 1 1 1")
     SubElement(root, "statistic", extent=repr(view.radius), center=_triple(view.centre))
     assets = SubElement(root, "asset")
-    SubElement(assets, "texture", type="skybox", builtin="flat", rgb1="1 1 1", rgb2="1 1 1", width="64", height="64")
+    SubElement(
+        assets,
+        "texture",
+        type="skybox",
+        builtin="flat",
+        rgb1="1 1 1",
+        rgb2="1 1 1",
+        width="64",
+        height="64",
+    )
     SubElement(
         assets,
         "texture",
@@ -97,7 +125,15 @@ def _scene_text(view: MotionView, width: int, height: int) -> str:
         width="512",
         height="512",
     )
-    SubElement(assets, "material", name="floor", texture="tiles", texrepeat="4 4", texuniform="true", reflectance="0")
+    SubElement(
+        assets,
+        "material",
+        name="floor",
+        texture="tiles",
+        texrepeat="4 4",
+        texuniform="true",
+        reflectance="0",
+    )
     world = root.find("worldbody")
     if world is not None:
         _floor(world, view)
@@ -131,10 +167,20 @@ def _floor(world: Element, view: MotionView) -> None:
     )
     thickest = max(solid.radius for solid in view.solids)
     stand = {"type": "cylinder", "rgba": "0.45 0.47 0.50 1", "contype": "0", "conaffinity": "0"}
-    plate = _triple((view.floor) * view.up) + " " + _triple((view.floor + 0.25 * thickest) * view.up)
+    plate = (
+        _triple((view.floor) * view.up) + " " + _triple((view.floor + 0.25 * thickest) * view.up)
+    )
     SubElement(world, "geom", {**stand, "fromto": plate, "size": repr(2.0 * thickest)})
     if view.floor < 0.0:
-        SubElement(world, "geom", {**stand, "fromto": _triple(view.floor * view.up) + " 0 0 0", "size": repr(1.15 * thickest)})
+        SubElement(
+            world,
+            "geom",
+            {
+                **stand,
+                "fromto": _triple(view.floor * view.up) + " 0 0 0",
+                "size": repr(1.15 * thickest),
+            },
+        )
 
 
 def _draw_path(mujoco: ModuleType, scene: Any, path: Array, radius: float) -> None:
@@ -143,7 +189,9 @@ def _draw_path(mujoco: ModuleType, scene: Any, path: Array, radius: float) -> No
             return
         geom = scene.geoms[scene.ngeom]
         colour = np.array(PATH_COLOUR, dtype=np.float32)
-        mujoco.mjv_initGeom(geom, mujoco.mjtGeom.mjGEOM_CAPSULE.value, np.zeros(3), np.zeros(3), np.zeros(9), colour)
+        mujoco.mjv_initGeom(
+            geom, mujoco.mjtGeom.mjGEOM_CAPSULE.value, np.zeros(3), np.zeros(3), np.zeros(9), colour
+        )
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_CAPSULE.value, radius, start, stop)
         geom.category = mujoco.mjtCatBit.mjCAT_DECOR.value
         scene.ngeom += 1

@@ -38,12 +38,18 @@ class MotionView:
     radius: float
 
     @classmethod
-    def of(cls, model: RobotModel, t: ArrayLike, q: ArrayLike, *, path: ArrayLike | None = None) -> MotionView:
+    def of(
+        cls, model: RobotModel, t: ArrayLike, q: ArrayLike, *, path: ArrayLike | None = None
+    ) -> MotionView:
         """Build from times (N,) and joint positions (N, n); `path` (m, n) are the positions of a finer path, by default q."""
-        times, positions = np.atleast_1d(np.asarray(t, dtype=np.float64)), np.atleast_2d(np.asarray(q, dtype=np.float64))
+        times, positions = (
+            np.atleast_1d(np.asarray(t, dtype=np.float64)),
+            np.atleast_2d(np.asarray(q, dtype=np.float64)),
+        )
         if positions.shape != (times.size, model.n_joints) or not np.all(np.isfinite(positions)):
             raise UsageError(
-                f"a view of {model.name} needs finite positions of shape ({times.size}, {model.n_joints}), got {positions.shape}"
+                f"a view of {model.name} needs finite positions of shape ({times.size},"
+                f" {model.n_joints}), got {positions.shape}"
             )
         poses = link_poses(model, positions)
         along = poses if path is None else link_poses(model, np.asarray(path))
@@ -70,13 +76,17 @@ class MotionView:
         )
 
     @classmethod
-    def of_motion(cls, model: RobotModel, motion: Motion | None, *, most: int = 200, rate: float = 25.0) -> MotionView:
+    def of_motion(
+        cls, model: RobotModel, motion: Motion | None, *, most: int = 200, rate: float = 25.0
+    ) -> MotionView:
         """Build from a motion, at `rate` [Hz] or as many frames as `most`; without a motion the robot stands in the middle of its ranges."""
         if motion is None:
             return cls.of(model, [0.0], resting_pose(model)[None])
         frames = int(np.clip(np.ceil(motion.duration * rate), 2, most))
         t = np.linspace(0.0, motion.duration, frames)
-        fine = np.linspace(0.0, motion.duration, int(np.clip(40 * motion.duration, 200, PATH_POINTS)))
+        fine = np.linspace(
+            0.0, motion.duration, int(np.clip(40 * motion.duration, 200, PATH_POINTS))
+        )
         return cls.of(model, t, motion.derivative(t, 0), path=motion.derivative(fine, 0))
 
     def first(self) -> MotionView:
@@ -87,9 +97,14 @@ class MotionView:
 def resting_pose(model: RobotModel) -> Array:
     """Return the zero position moved into the joints' ranges, shape (n,), with a bend so that no two axes hide each other."""
     bounds = MotionBounds.assumed(model)
-    bend = np.array([0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)])
+    bend = np.array(
+        [0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)]
+    )
     bend[0] = 0.0
-    low, high = bounds.lower + 0.1 * (bounds.upper - bounds.lower), bounds.upper - 0.1 * (bounds.upper - bounds.lower)
+    low, high = (
+        bounds.lower + 0.1 * (bounds.upper - bounds.lower),
+        bounds.upper - 0.1 * (bounds.upper - bounds.lower),
+    )
     return np.asarray(np.clip(bend, low, high))
 
 
@@ -97,7 +112,9 @@ def _ends(solid: Solid, poses: Array) -> Array:
     if solid.link == ROOT:
         return np.stack([solid.start, solid.stop])
     pose = poses[:, solid.link]
-    return np.concatenate([pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)])
+    return np.concatenate(
+        [pose[:, :3, :3] @ end + pose[:, :3, 3] for end in (solid.start, solid.stop)]
+    )
 
 
 def _tip(model: RobotModel) -> tuple[int, Array]:

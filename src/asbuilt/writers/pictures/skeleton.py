@@ -34,7 +34,9 @@ def skeleton_figure(view: MotionView, k: int, width: int = 640, height: int = 48
     axes.set_axis_off()
     axes.view_init(elev=ELEVATION, azim=AZIMUTH)
     half = 0.72 * view.radius
-    for set_limits, middle in zip((axes.set_xlim, axes.set_ylim, axes.set_zlim), view.centre, strict=True):
+    for set_limits, middle in zip(
+        (axes.set_xlim, axes.set_ylim, axes.set_zlim), view.centre, strict=True
+    ):
         set_limits(middle - half, middle + half)
     axes.set_box_aspect((1, 1, 1))
     _grid(axes, view)
@@ -46,7 +48,13 @@ def skeleton_figure(view: MotionView, k: int, width: int = 640, height: int = 48
             pose = view.poses[k, solid.link]
             ends = ends @ pose[:3, :3].T + pose[:3, 3]
         flat = ends - np.outer(ends @ view.up - view.floor, view.up)
-        axes.plot(*flat.T, color=SHADOW, linewidth=1.1 * solid.radius * scale, solid_capstyle="round", zorder=1)
+        axes.plot(
+            *flat.T,
+            color=SHADOW,
+            linewidth=1.1 * solid.radius * scale,
+            solid_capstyle="round",
+            zorder=1,
+        )
         rod = solid.kind == "rod"
         axes.plot(
             *ends.T,
@@ -57,7 +65,12 @@ def skeleton_figure(view: MotionView, k: int, width: int = 640, height: int = 48
         )
     if view.floor < 0.0:
         foot = np.stack([view.floor * view.up, np.zeros(3)])
-        axes.plot(*foot.T, color=STAND, linewidth=1.6 * max(solid.radius for solid in view.solids) * scale, zorder=2)
+        axes.plot(
+            *foot.T,
+            color=STAND,
+            linewidth=1.6 * max(solid.radius for solid in view.solids) * scale,
+            zorder=2,
+        )
     if len(view.path) > 1:
         axes.plot(*view.path.T, color=PATH, linewidth=thin, zorder=2.5)
     return figure
@@ -72,5 +85,8 @@ def _grid(axes: Axes3D, view: MotionView) -> None:
     reach = 1.1 * view.radius
     for offset in np.linspace(-reach, reach, 9):
         for one, two in ((along, other), (other, along)):
-            line = np.stack([offset * one - reach * two, offset * one + reach * two]) + view.floor * view.up
+            line = (
+                np.stack([offset * one - reach * two, offset * one + reach * two])
+                + view.floor * view.up
+            )
             axes.plot(*line.T, color="#E4E7EB", linewidth=0.8, zorder=0)

@@ -25,7 +25,14 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.writers.pictures.motion_view import MotionView
 
-ROD, HOUSING, STAND, PATH, COM, INERTIA = (205, 208, 213), (226, 122, 32), (96, 101, 108), (0, 114, 178), (20, 20, 24), (0, 158, 115)
+ROD, HOUSING, STAND, PATH, COM, INERTIA = (
+    (205, 208, 213),
+    (226, 122, 32),
+    (96, 101, 108),
+    (0, 114, 178),
+    (20, 20, 24),
+    (0, 158, 115),
+)
 BODY_OPACITY = 0.35
 """Opacity of the bodies while something inside them is shown."""
 DISTANCE, BESIDE_PANEL = 2.7, 0.3
@@ -52,14 +59,23 @@ class Viewer:
         If no port from `port` on is free.
     """
 
-    def __init__(self, model: RobotModel, motion: Motion | None = None, *, port: int = 8080, host: str = "127.0.0.1") -> None:
+    def __init__(
+        self,
+        model: RobotModel,
+        motion: Motion | None = None,
+        *,
+        port: int = 8080,
+        host: str = "127.0.0.1",
+    ) -> None:
         viser = _viser()
         self.model = model
         self.motion = motion
         self.view = MotionView.of_motion(model, motion, most=SAVED_FRAMES, rate=FRAME_RATE)
         self.port = _free_port(host, port)
         with contextlib.redirect_stdout(io.StringIO()):
-            self.server: Any = viser.ViserServer(host=host, port=self.port, label=f"asbuilt: {model.name}", verbose=False)
+            self.server: Any = viser.ViserServer(
+                host=host, port=self.port, label=f"asbuilt: {model.name}", verbose=False
+            )
         self._links: list[Any] = []
         self._layers: dict[str, list[Any]] = {
             "bodies": [],
@@ -121,28 +137,62 @@ class Viewer:
             wxyz=_wxyz(seat),
             position=tuple((view.floor - 2e-3) * view.up),
         )
-        self._mesh("/stand", Solid(ROOT, "housing", view.floor * view.up, (view.floor + 0.25 * thickest) * view.up, 2 * thickest), STAND)
+        self._mesh(
+            "/stand",
+            Solid(
+                ROOT,
+                "housing",
+                view.floor * view.up,
+                (view.floor + 0.25 * thickest) * view.up,
+                2 * thickest,
+            ),
+            STAND,
+        )
         if view.floor < 0.0:
-            self._mesh("/column", Solid(ROOT, "housing", view.floor * view.up, np.zeros(3), 1.15 * thickest), STAND)
+            self._mesh(
+                "/column",
+                Solid(ROOT, "housing", view.floor * view.up, np.zeros(3), 1.15 * thickest),
+                STAND,
+            )
         for k, link in enumerate(model.links):
             name = f"/links/{k + 1} {link.name.replace('/', '-')}"
             self._links.append(scene.add_frame(name, show_axes=False))
             size = 0.09 * view.radius
             self._layers["frames"].append(
-                scene.add_frame(f"{name}/frame", axes_length=size, axes_radius=0.035 * size, origin_radius=0.06 * size, visible=False)
+                scene.add_frame(
+                    f"{name}/frame",
+                    axes_length=size,
+                    axes_radius=0.035 * size,
+                    origin_radius=0.06 * size,
+                    visible=False,
+                )
             )
             self._inertia(name, k)
         for number, solid in enumerate(view.solids):
             parent = "" if solid.link == ROOT else self._links[solid.link].name
-            self._layers["bodies"].append(self._mesh(f"{parent}/{solid.kind} {number}", solid, ROD if solid.kind == "rod" else HOUSING))
+            self._layers["bodies"].append(
+                self._mesh(
+                    f"{parent}/{solid.kind} {number}",
+                    solid,
+                    ROD if solid.kind == "rod" else HOUSING,
+                )
+            )
         if len(view.path) > 1:
             segments = np.stack([view.path[:-1], view.path[1:]], axis=1).astype(np.float32)
-            self._layers["path of the tip"].append(scene.add_line_segments("/path", segments, PATH, thickness=0.005 * view.radius))
+            self._layers["path of the tip"].append(
+                scene.add_line_segments("/path", segments, PATH, thickness=0.005 * view.radius)
+            )
         camera = self.server.initial_camera
-        sideways = np.array([0.72, -0.72, 0.0]) if abs(view.up[2]) > 0.9 else np.cross(view.up, [0.3, 0.5, 0.8])
+        sideways = (
+            np.array([0.72, -0.72, 0.0])
+            if abs(view.up[2]) > 0.9
+            else np.cross(view.up, [0.3, 0.5, 0.8])
+        )
         camera.fov = np.deg2rad(40)
         towards = sideways + 0.35 * view.up
-        centre = view.centre + BESIDE_PANEL * view.radius * np.cross(view.up, towards) / np.linalg.norm(np.cross(view.up, towards))
+        centre = view.centre + BESIDE_PANEL * view.radius * np.cross(
+            view.up, towards
+        ) / np.linalg.norm(np.cross(view.up, towards))
         camera.look_at = tuple(centre)
         camera.position = tuple(centre + DISTANCE * view.radius * towards)
 
@@ -152,7 +202,9 @@ class Viewer:
             return
         scene, centre = self.server.scene, tuple(inertia.com)
         self._layers["centres of mass"].append(
-            scene.add_icosphere(f"{name}/centre of mass", radius=size, color=COM, position=centre, visible=False)
+            scene.add_icosphere(
+                f"{name}/centre of mass", radius=size, color=COM, position=centre, visible=False
+            )
         )
         ellipsoid = inertia_ellipsoid(inertia)
         if ellipsoid is None:
@@ -173,7 +225,9 @@ class Viewer:
 
     def _mesh(self, name: str, solid: Solid, colour: tuple[int, int, int]) -> Any:
         vertices, faces = round_mesh(solid)
-        return self.server.scene.add_mesh_simple(name, vertices.astype(np.float32), faces.astype(np.uint32), color=colour)
+        return self.server.scene.add_mesh_simple(
+            name, vertices.astype(np.float32), faces.astype(np.uint32), color=colour
+        )
 
     def _pose(self, q: Array) -> None:
         with self.server.atomic():
@@ -219,7 +273,9 @@ class _Controls:
             with gui.add_folder("Motion"):
                 self.playing = gui.add_checkbox("play", initial_value=True)
                 self.speed = gui.add_slider("speed", min=0.1, max=3.0, step=0.1, initial_value=1.0)
-                self.place = gui.add_slider("time [s]", min=0.0, max=round(motion.duration, 3), step=0.01, initial_value=0.0)
+                self.place = gui.add_slider(
+                    "time [s]", min=0.0, max=round(motion.duration, 3), step=0.01, initial_value=0.0
+                )
             return
         bounds = MotionBounds.assumed(model)
         with gui.add_folder("Joints"):
@@ -229,17 +285,29 @@ class _Controls:
                     min=round(float(bounds.lower[k]), 3),
                     max=round(float(bounds.upper[k]), 3),
                     step=0.001,
-                    initial_value=round(float(np.clip(viewer.view.q[0, k], bounds.lower[k] + 1e-3, bounds.upper[k] - 1e-3)), 3),
+                    initial_value=round(
+                        float(
+                            np.clip(
+                                viewer.view.q[0, k], bounds.lower[k] + 1e-3, bounds.upper[k] - 1e-3
+                            )
+                        ),
+                        3,
+                    ),
                 )
                 for k, joint in enumerate(model.joints)
             ]
         for slider in self.sliders:
-            slider.on_update(lambda _: viewer._pose(np.array([entry.value for entry in self.sliders])))
+            slider.on_update(
+                lambda _: viewer._pose(np.array([entry.value for entry in self.sliders]))
+            )
 
     def show(self) -> None:
         """Show the layers that are ticked; bodies turn to glass where something is inside them."""
         visible = {layer: bool(box.value) for layer, box in self.boxes.items()}
-        inside = any(visible.get(layer, False) for layer in ("frames", "centres of mass", "inertia ellipsoids"))
+        inside = any(
+            visible.get(layer, False)
+            for layer in ("frames", "centres of mass", "inertia ellipsoids")
+        )
         self.viewer._show(visible, opacity=BODY_OPACITY if inside else None)
 
     def advance(self, seconds: float) -> None:
@@ -268,13 +336,21 @@ def round_mesh(solid: Solid, slices: int = 28, rings: int = 7) -> tuple[Array, N
     else:
         bevel = min(0.12 * radius, 0.3 * length)
         corner = [(radius, bevel), (radius, length - bevel)]
-        profile = [(0.0, 0.0), (radius - bevel, 0.0), *corner, (radius - bevel, length), (0.0, length)]
+        profile = [
+            (0.0, 0.0),
+            (radius - bevel, 0.0),
+            *corner,
+            (radius - bevel, length),
+            (0.0, length),
+        ]
     turn = np.linspace(0.0, 2 * np.pi, slices, endpoint=False)
     circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(slices)], axis=1)
     vertices = np.concatenate([r * circle + [0.0, 0.0, z] for r, z in profile])
     k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(slices), indexing="ij")
     a, b = (k * slices + j).ravel(), (k * slices + (j + 1) % slices).ravel()
-    faces = np.concatenate([np.stack([a, b, b + slices], axis=1), np.stack([a, b + slices, a + slices], axis=1)])
+    faces = np.concatenate(
+        [np.stack([a, b, b + slices], axis=1), np.stack([a, b + slices, a + slices], axis=1)]
+    )
     return vertices @ rotation_onto((solid.stop - solid.start) / length).T + solid.start, faces
 
 
@@ -301,4 +377,7 @@ def _free_port(host: str, port: int) -> int:
             except OSError:
                 continue
             return candidate
-    raise UsageError(f"the ports {port} to {port + LAST_PORT_OFFSET - 1} of {host} are all taken; give another one with --port")
+    raise UsageError(
+        f"the ports {port} to {port + LAST_PORT_OFFSET - 1} of {host} are all taken; give another"
+        " one with --port"
+    )

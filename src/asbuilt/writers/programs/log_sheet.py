@@ -12,11 +12,18 @@ from asbuilt.writers.programs.preamble import commented, wrapped
 from asbuilt.writers.programs.request import ProgramRequest
 
 GAINS_TO_FILL_IN = (
-    "fill in the N m per ampere of your robot's joints and take away the mark; `asbuilt gains` finds them from a payload of known mass"
+    "fill in the N m per ampere of your robot's joints and take away the mark; `asbuilt gains`"
+    " finds them from a payload of known mass"
 )
 
 
-def sheet_text(request: ProgramRequest, comments: Sequence[str], fields: Mapping[str, Any], *, gains: str | None = None) -> str:
+def sheet_text(
+    request: ProgramRequest,
+    comments: Sequence[str],
+    fields: Mapping[str, Any],
+    *,
+    gains: str | None = None,
+) -> str:
     """Return a recording sheet (TOML) for the log of the program, with comments above; `gains` says what belongs into the line of gains that waits to be filled in."""
     title = f"Recording sheet for the log of motion {request.name} on {request.model.name}."
     lines = [line for comment in (title, *comments) for line in wrapped(plain_text(comment))]

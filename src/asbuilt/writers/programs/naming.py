@@ -20,8 +20,16 @@ def plain_text(text: str) -> str:
     "Mullers 'arm' * / /u000a"
     """
     letters = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode("ascii")
-    line = " ".join("".join(character if character.isprintable() else " " for character in letters).split())
-    return line.replace("\\", "/").replace('"', "'").replace("`", "'").replace("*/", "* /").replace("/*", "/ *")
+    line = " ".join(
+        "".join(character if character.isprintable() else " " for character in letters).split()
+    )
+    return (
+        line.replace("\\", "/")
+        .replace('"', "'")
+        .replace("`", "'")
+        .replace("*/", "* /")
+        .replace("/*", "/ *")
+    )
 
 
 def file_stem(name: str, *, default: str = "motion") -> str:
@@ -32,7 +40,10 @@ def file_stem(name: str, *, default: str = "motion") -> str:
     >>> file_stem("../my robot: run 1"), file_stem("///")
     ('my_robot_run_1', 'motion')
     """
-    return re.sub(r"[^A-Za-z0-9-]+", "_", plain_text(name)).strip("_-")[:MOST_CHARACTERS].strip("_-") or default
+    return (
+        re.sub(r"[^A-Za-z0-9-]+", "_", plain_text(name)).strip("_-")[:MOST_CHARACTERS].strip("_-")
+        or default
+    )
 
 
 def identifier(name: str, *, prefix: str) -> str:

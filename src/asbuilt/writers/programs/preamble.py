@@ -22,7 +22,10 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
     model, motion = request.model, request.motion
     names = [plain_text(name) for name in model.joint_names]
     start = ", ".join(f"{q:.4f}" for q in motion.start)
-    degrees = ", ".join(f"{q * (180 / np.pi if turns else 1000):.2f}" for q, turns in zip(motion.start, request.revolute, strict=True))
+    degrees = ", ".join(
+        f"{q * (180 / np.pi if turns else 1000):.2f}"
+        for q, turns in zip(motion.start, request.revolute, strict=True)
+    )
     length = "m" if not any(request.revolute) else "rad" if all(request.revolute) else "rad or m"
     facts = [
         ("", f"{title}, written by asbuilt"),
@@ -30,19 +33,33 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
         ("Motion:   ", f"{plain_text(request.name)} ({plain_text(motion.parametrisation)})"),
         (
             "Duration: ",
-            f"{motion.duration:.3f} s; the dry run takes {DRY_RUN_SLOWDOWN * motion.duration:.1f} s ({DRY_RUN_PART} of the speed)",
+            (
+                f"{motion.duration:.3f} s; the dry run takes"
+                f" {DRY_RUN_SLOWDOWN * motion.duration:.1f} s ({DRY_RUN_PART} of the speed)"
+            ),
         ),
         ("Rate:     ", f"{request.rate:g} Hz"),
-        ("Start:    ", f"{start} {length}" + (f" ({degrees} deg)" if all(request.revolute) else "")),
+        (
+            "Start:    ",
+            f"{start} {length}" + (f" ({degrees} deg)" if all(request.revolute) else ""),
+        ),
         ("Approach: ", f"to the start pose at no more than {_approach(request)}"),
     ]
-    limits = [("", "Smallest margins to the limits of the description, on a 1 kHz grid (0 % is the limit):")]
+    limits = [
+        (
+            "",
+            "Smallest margins to the limits of the description, on a 1 kHz grid (0 % is the limit):",
+        )
+    ]
     for quantity, margin in request.report.worst.items():
         label = f"  {quantity + ':':<14}"
         if margin is None:
             limits.append((label, "NOT CHECKED, the description gives no limit"))
             continue
-        place = f"{plain_text(margin.joint)} at {margin.time:.2f} s: {margin.value:.4g}, limit {margin.limit:.4g} {margin.unit}"
+        place = (
+            f"{plain_text(margin.joint)} at {margin.time:.2f} s: {margin.value:.4g}, limit"
+            f" {margin.limit:.4g} {margin.unit}"
+        )
         limits.append((label, f"{100 * margin.margin:5.1f} %  {place}"))
         missing = _without_limit(request, quantity)
         if missing:
@@ -52,19 +69,31 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
         ("- ", _checked(request)),
         (
             "- ",
-            "The description must have the robot's own zero positions and directions of motion: move each joint a little by hand or jogging and "
-            "compare what the controller shows.",
+            (
+                "The description must have the robot's own zero positions and directions of motion:"
+                " move each joint a little by hand or jogging and compare what the controller"
+                " shows."
+            ),
         ),
         (
             "- ",
-            "The robot needs room for the whole motion. Nobody within reach. One person at the emergency stop, watching the robot, not the screen.",
+            (
+                "The robot needs room for the whole motion. Nobody within reach. One person at the"
+                " emergency stop, watching the robot, not the screen."
+            ),
         ),
         (
             "- ",
-            "Run the dry run first, to its end, each time anything has changed: the robot, its tool, its mounting, its surroundings, this file.",
+            (
+                "Run the dry run first, to its end, each time anything has changed: the robot, its"
+                " tool, its mounting, its surroundings, this file."
+            ),
         ),
     ]
-    steps = [("", "HOW TO RUN"), *((f"{k}. ", plain_text(step)) for k, step in enumerate(use, start=1))]
+    steps = [
+        ("", "HOW TO RUN"),
+        *((f"{k}. ", plain_text(step)) for k, step in enumerate(use, start=1)),
+    ]
     lines: list[str] = []
     for paragraph in (facts, limits, safety, steps):
         for label, text in paragraph:
@@ -76,7 +105,9 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
 def _approach(request: ProgramRequest) -> str:
     """Return the top speeds on the way to the start pose, with the joints that have each where they are not all alike."""
     joints: dict[str, list[str]] = {}
-    for name, turns, speed in zip(request.model.joint_names, request.revolute, request.approach_speed, strict=True):
+    for name, turns, speed in zip(
+        request.model.joint_names, request.revolute, request.approach_speed, strict=True
+    ):
         joints.setdefault(f"{speed:.3g} {'rad/s' if turns else 'm/s'}", []).append(plain_text(name))
     if len(joints) == 1:
         return f"{next(iter(joints))} per joint"
@@ -89,22 +120,34 @@ def _checked(request: ProgramRequest) -> str:
     load = "nor the load of a tool that is not in the description."
     if request.clearance is None:
         return (
-            f"{limits} NOT checked: collisions of the robot with itself, with its tool, with cables or with anything around it, neither on the motion "
-            f"nor on the way to its start pose; {load}"
+            f"{limits} NOT checked: collisions of the robot with itself, with its tool, with cables"
+            " or with anything around it, neither on the motion nor on the way to its start pose;"
+            f" {load}"
         )
     known = request.clearance
     around = f" and the obstacles {', '.join(known.obstacles)}" if known.obstacles else ""
-    touching = f" Pairs that touch in nearly every pose were left out: {', '.join(known.left_out)}." if known.left_out else ""
+    touching = (
+        f" Pairs that touch in nearly every pose were left out: {', '.join(known.left_out)}."
+        if known.left_out
+        else ""
+    )
     return plain_text(
-        f"{limits} Checked on the motion: bodies of the robot{around}, as {known.source} has them, come no nearer than {1000 * known.distance:.0f} mm to each "
-        f"other.{touching} NOT checked: collisions on the way to the start pose; collisions with anything that {known.source} does not have, such as tool, "
-        f"cables and surroundings; {load}"
+        f"{limits} Checked on the motion: bodies of the robot{around}, as {known.source} has them,"
+        f" come no nearer than {1000 * known.distance:.0f} mm to each other.{touching} NOT checked:"
+        f" collisions on the way to the start pose; collisions with anything that {known.source}"
+        f" does not have, such as tool, cables and surroundings; {load}"
     )
 
 
 def wrapped(text: str, label: str = "") -> list[str]:
     """Return the text in lines of at most `WIDTH` characters, the first behind `label` and the others indented as far; names stay whole."""
-    return textwrap.wrap(text, WIDTH, initial_indent=label, subsequent_indent=" " * len(label), break_on_hyphens=False)
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=label,
+        subsequent_indent=" " * len(label),
+        break_on_hyphens=False,
+    )
 
 
 def commented(lines: Sequence[str], mark: str) -> str:

@@ -22,7 +22,9 @@ def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) 
     return written
 
 
-def program_document(request: ProgramRequest, form: str, files: Mapping[str, Path]) -> dict[str, Any]:
+def program_document(
+    request: ProgramRequest, form: str, files: Mapping[str, Path]
+) -> dict[str, Any]:
     """Return what `asbuilt program --json` prints."""
     return {
         "robot": request.model.name,
@@ -44,11 +46,17 @@ def program_text(request: ProgramRequest, form: str) -> str:
     collisions = (
         "NOT checked: collisions, and the way to the start pose."
         if known is None
-        else f"Bodies of {known.source} come no nearer than {1000 * known.distance:.0f} mm on the motion. NOT checked: collisions with anything else, and the way to the start pose."
+        else (
+            f"Bodies of {known.source} come no nearer than {1000 * known.distance:.0f} mm on the"
+            " motion. NOT checked: collisions with anything else, and the way to the start pose."
+        )
     )
     return "\n".join(
         (
-            f"{form} program of {request.name} for {request.model.name}: {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s",
+            (
+                f"{form} program of {request.name} for {request.model.name}:"
+                f" {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s"
+            ),
             str(request.report),
             f"{collisions} Run the dry run first; the header of the program says how.",
         )

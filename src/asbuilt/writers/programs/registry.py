@@ -15,12 +15,15 @@ from asbuilt.writers.programs.formats.urscript import UrScriptFormat
 from asbuilt.writers.programs.request import ProgramFile, ProgramFormat, ProgramRequest
 
 PROGRAM_FORMATS: dict[str, ProgramFormat] = {
-    kind.key: kind() for kind in (SunriseFormat, FriFormat, Ros2Format, UrScriptFormat, FrankaFormat, CsvFormat)
+    kind.key: kind()
+    for kind in (SunriseFormat, FriFormat, Ros2Format, UrScriptFormat, FrankaFormat, CsvFormat)
 }
 """Every format by its key."""
 
 
-def program_format(key: str, model: RobotModel | None = None, parametrisation: str | None = None) -> ProgramFormat:
+def program_format(
+    key: str, model: RobotModel | None = None, parametrisation: str | None = None
+) -> ProgramFormat:
     """Return the format of this name; with a `model` or a `parametrisation`, make sure that the format can move the one along motions of the other.
 
     Raises
@@ -52,7 +55,9 @@ def program_request(
     """Return the checked request for a program of this format, with the arguments of `make_program`; raises as that does."""
     chosen = program_format(form, model)
     clearance = None if collision is None else clearance_along(model, motion, collision)
-    return ProgramRequest(model, motion, name, chosen.default_rate if rate is None else float(rate), clearance)
+    return ProgramRequest(
+        model, motion, name, chosen.default_rate if rate is None else float(rate), clearance
+    )
 
 
 def make_program(
@@ -85,4 +90,6 @@ def make_program(
     >>> [file.name for file in make_program(robot, random_fourier(robot, rng=1, duration=4.0), "ros2", name="run 1")]
     ['run_1_run.py', 'run_1.yaml', 'run_1_dry_run.yaml', 'run_1_bag.toml']
     """
-    return program_format(form).files(program_request(model, motion, form, name=name, rate=rate, collision=collision))
+    return program_format(form).files(
+        program_request(model, motion, form, name=name, rate=rate, collision=collision)
+    )

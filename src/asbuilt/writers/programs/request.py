@@ -66,13 +66,17 @@ class ProgramRequest:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
-            raise MotionError(f"the rate of a program must be a positive number of samples per second, got {self.rate:g}")
+            raise MotionError(
+                "the rate of a program must be a positive number of samples per second, got"
+                f" {self.rate:g}"
+            )
         self.report.raise_if_violated()
         try:
             check_motion(self.model, self.dry_run, DRY_RUN_CHECK_RATE).raise_if_violated()
         except MotionError as error:
             raise MotionError(
-                f"the dry run at {100 / DRY_RUN_SLOWDOWN:g} % of the speed violates a limit that the motion keeps: {error}"
+                f"the dry run at {100 / DRY_RUN_SLOWDOWN:g} % of the speed violates a limit that"
+                f" the motion keeps: {error}"
             ) from None
         top = self.motion.peaks(1)
         for where, time in (("start", 0.0), ("end", self.motion.duration)):
@@ -80,8 +84,9 @@ class ProgramRequest:
             j = int(np.argmax(speed - REST * top))
             if speed[j] > REST * top[j] + 1e-9:
                 raise MotionError(
-                    f"joint {self.model.joint_names[j]} moves at {speed[j]:g} (rad or m)/s at the {where} of the motion; a controller needs it at "
-                    "rest there: give a motion that starts and ends at rest (FourierMotion, BSplineMotion, QuinticMotion)"
+                    f"joint {self.model.joint_names[j]} moves at {speed[j]:g} (rad or m)/s at the"
+                    f" {where} of the motion; a controller needs it at rest there: give a motion"
+                    " that starts and ends at rest (FourierMotion, BSplineMotion, QuinticMotion)"
                 )
 
     @cached_property
@@ -121,7 +126,8 @@ class ProgramRequest:
         period = round(1000.0 / self.rate)
         if period < 1 or abs(period * self.rate - 1000.0) > 1e-6:
             raise MotionError(
-                f"the controller samples every 1, 2, 3, ... ms; {self.rate:g} Hz is none of these: choose 1000, 500, 250, 200, 125 or 100"
+                f"the controller samples every 1, 2, 3, ... ms; {self.rate:g} Hz is none of these:"
+                " choose 1000, 500, 250, 200, 125 or 100"
             )
         return period
 
@@ -146,8 +152,9 @@ class ProgramFormat(ABC):
         """Raise MotionError if motions of this kind are none that the controller takes, before any is designed."""
         if self.smooth and parametrisation in JUMPING:
             raise MotionError(
-                f"the format {self.key} takes no {parametrisation} motion, nor static poses joined by such: its acceleration jumps, where the robot stops; "
-                "choose --parametrisation fourier, bspline or quintic and no --static, or another format"
+                f"the format {self.key} takes no {parametrisation} motion, nor static poses joined"
+                " by such: its acceleration jumps, where the robot stops; choose --parametrisation"
+                " fourier, bspline or quintic and no --static, or another format"
             )
 
     def check_joints(self, model: RobotModel) -> None:
@@ -156,8 +163,10 @@ class ProgramFormat(ABC):
             return
         sliding = [joint.name for joint in model.joints if not joint.is_revolute]
         if model.n_joints != self.n_joints or sliding:
-            has = f"{model.n_joints} joints" + (f", of which {', '.join(sliding)} slide" if sliding else "")
+            has = f"{model.n_joints} joints" + (
+                f", of which {', '.join(sliding)} slide" if sliding else ""
+            )
             raise MotionError(
-                f"the format {self.key} is for robots with {self.n_joints} revolute joints ({self.title}); {model.name} has {has}. "
-                "The formats ros2 and csv take any robot."
+                f"the format {self.key} is for robots with {self.n_joints} revolute joints"
+                f" ({self.title}); {model.name} has {has}. The formats ros2 and csv take any robot."
             )

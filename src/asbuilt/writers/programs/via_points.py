@@ -49,7 +49,9 @@ def spline_times(motion: Motion, tolerance: float) -> Array:
     """Return equally spaced times such that a cubic spline at rest at both ends through the poses then stays within `tolerance` of the motion."""
 
     def error(times: Array) -> float:
-        return _largest_deviation(motion, CubicSpline(times, motion.derivative(times), bc_type="clamped"))
+        return _largest_deviation(
+            motion, CubicSpline(times, motion.derivative(times), bc_type="clamped")
+        )
 
     return _equal_times(motion, error, tolerance, SPLINE_STEPS, "a spline")
 
@@ -75,11 +77,23 @@ def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
         if np.max(np.abs(q[begin : end + 1] - a - along[:, None] * line)) > STRAIGHT:
             return None
         middle = (end + last) // 2
-        stretches.append(Stretch(q[middle], speed[begin : end + 1].max(axis=0), max(0.0, float(t[last] - t[end]) - 1 / GRID_RATE)))
+        stretches.append(
+            Stretch(
+                q[middle],
+                speed[begin : end + 1].max(axis=0),
+                max(0.0, float(t[last] - t[end]) - 1 / GRID_RATE),
+            )
+        )
     return tuple(stretches)
 
 
-def _equal_times(motion: Motion, error: Callable[[Array], float], tolerance: float, steps: tuple[float, float], what: str) -> Array:
+def _equal_times(
+    motion: Motion,
+    error: Callable[[Array], float],
+    tolerance: float,
+    steps: tuple[float, float],
+    what: str,
+) -> Array:
     longest, shortest = steps
     pieces = max(2, int(np.ceil(motion.duration / longest)))
     while True:
@@ -89,8 +103,9 @@ def _equal_times(motion: Motion, error: Callable[[Array], float], tolerance: flo
             return times
         if motion.duration / pieces < shortest:
             raise MotionError(
-                f"points every {motion.duration / pieces:.3g} s do not suffice for {what}: off by {worst:.2g} rad or m, allowed {tolerance:g}; "
-                "the motion is not smooth, give one without jumps of velocity"
+                f"points every {motion.duration / pieces:.3g} s do not suffice for {what}: off by"
+                f" {worst:.2g} rad or m, allowed {tolerance:g}; the motion is not smooth, give one"
+                " without jumps of velocity"
             )
         pieces = int(np.ceil(pieces * 1.25))
 

@@ -37,7 +37,15 @@ class CadVerdict:
             parts.append(self.comparison.torque_table().as_text())
         parts.append(f"{UNTOLD}\n" if self.attribution is None else self.attribution.as_text())
         parts.append(self.comparison.parameter_table().as_text())
-        parts.append("\n".join(["What this recording determines:", *(f"  {line}" for line in self.determination.sentences)]) + "\n")
+        parts.append(
+            "\n".join(
+                [
+                    "What this recording determines:",
+                    *(f"  {line}" for line in self.determination.sentences),
+                ]
+            )
+            + "\n"
+        )
         return "\n".join(parts)
 
     def as_document(self) -> dict[str, Any]:
@@ -48,19 +56,30 @@ class CadVerdict:
         }
 
 
-def write_comparison(folder: Path, result: IdentificationResult, verdict: CadVerdict) -> dict[str, Path]:
+def write_comparison(
+    folder: Path, result: IdentificationResult, verdict: CadVerdict
+) -> dict[str, Path]:
     """Write comparison.csv, comparison.txt, comparison.html and, where the evidence allows, attribution.csv and the figures; returns their paths by kind."""
     files = {
-        "comparison": atomic_write(folder / "comparison.csv", verdict.comparison.parameter_table().as_csv()),
+        "comparison": atomic_write(
+            folder / "comparison.csv", verdict.comparison.parameter_table().as_csv()
+        ),
         "text": atomic_write(folder / "comparison.txt", verdict.as_text()),
         "report": atomic_write(
-            folder / "comparison.html", comparison_html(result, verdict.comparison, verdict.attribution, verdict.determination)
+            folder / "comparison.html",
+            comparison_html(result, verdict.comparison, verdict.attribution, verdict.determination),
         ),
     }
     if verdict.attribution is not None:
-        files["attribution"] = atomic_write(folder / "attribution.csv", verdict.attribution.share_table().as_csv())
-        files["attribution_figure"] = save_figure(attribution_figure(verdict.attribution), folder / "attribution.png")
-        files["difference_figure"] = save_figure(difference_figure(verdict.comparison), folder / "differences.png")
+        files["attribution"] = atomic_write(
+            folder / "attribution.csv", verdict.attribution.share_table().as_csv()
+        )
+        files["attribution_figure"] = save_figure(
+            attribution_figure(verdict.attribution), folder / "attribution.png"
+        )
+        files["difference_figure"] = save_figure(
+            difference_figure(verdict.comparison), folder / "differences.png"
+        )
     return files
 
 

@@ -18,12 +18,18 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-UNTOLD = "Why CAD is off, and what differences cost in torque, is not told: the result carries no evidence of its recordings (too short, or identified without a study)."
+UNTOLD = (
+    "Why CAD is off, and what differences cost in torque, is not told: the result carries no"
+    " evidence of its recordings (too short, or identified without a study)."
+)
 """Said where there is no attribution."""
 
 
 def comparison_html(
-    result: IdentificationResult, comparison: Comparison, attribution: Attribution | None, determination: Determination
+    result: IdentificationResult,
+    comparison: Comparison,
+    attribution: Attribution | None,
+    determination: Determination,
 ) -> str:
     """Return the page as text; it asks the network for nothing, and every name in it is escaped."""
     return page(
@@ -37,32 +43,92 @@ def comparison_html(
         comparison=comparison,
         attribution=attribution,
         determination=determination,
-        torque_table=table_markup(comparison.torque_table(), "torque-table") if comparison.torque else "",
-        joint_table="" if attribution is None else table_markup(attribution.joint_table(comparison.torque[0][1].rms), "joint-table"),
-        share_table="" if attribution is None else table_markup(attribution.share_table(), "shares"),
+        torque_table=(
+            table_markup(comparison.torque_table(), "torque-table") if comparison.torque else ""
+        ),
+        joint_table=(
+            ""
+            if attribution is None
+            else table_markup(attribution.joint_table(comparison.torque[0][1].rms), "joint-table")
+        ),
+        share_table=(
+            "" if attribution is None else table_markup(attribution.share_table(), "shares")
+        ),
         step_table="" if attribution is None else table_markup(attribution.step_table(), "steps"),
         parameter_table=table_markup(
-            parameter_table(comparison.ranked, level=comparison.level, errors=comparison.errors, units=comparison.units, width=None),
+            parameter_table(
+                comparison.ranked,
+                level=comparison.level,
+                errors=comparison.errors,
+                units=comparison.units,
+                width=None,
+            ),
             "parameters-by-torque",
         ),
-        attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
-        difference_image="" if attribution is None else figure_address(difference_figure(comparison)),
+        attribution_image=(
+            "" if attribution is None else figure_address(attribution_figure(attribution))
+        ),
+        difference_image=(
+            "" if attribution is None else figure_address(difference_figure(comparison))
+        ),
     )
 
 
-def _findings(comparison: Comparison, attribution: Attribution | None, determination: Determination) -> list[Finding]:
+def _findings(
+    comparison: Comparison, attribution: Attribution | None, determination: Determination
+) -> list[Finding]:
     found = []
     if comparison.torque:
         cad, built = comparison.torque[0]
         better = cad is not None and built.relative_error < cad.relative_error
         against = "" if cad is None else f", against {share(cad.relative_error)} by CAD"
-        found.append(Finding("good" if better else "neutral", share(built.relative_error), f"of the torque is off as built{against}", ""))
-    matter = "" if comparison.n_mattering is None else f", {comparison.n_mattering} of them noticeably in torque"
-    found.append(Finding("neutral", f"{comparison.n_differing} of {comparison.n_compared}", f"parameters differ from CAD{matter}", ""))
+        found.append(
+            Finding(
+                "good" if better else "neutral",
+                share(built.relative_error),
+                f"of the torque is off as built{against}",
+                "",
+            )
+        )
+    matter = (
+        ""
+        if comparison.n_mattering is None
+        else f", {comparison.n_mattering} of them noticeably in torque"
+    )
+    found.append(
+        Finding(
+            "neutral",
+            f"{comparison.n_differing} of {comparison.n_compared}",
+            f"parameters differ from CAD{matter}",
+            "",
+        )
+    )
     if attribution is not None:
         energy = attribution.rms_cad**2
         left = float(attribution.unexplained @ energy / energy.sum())
-        found.append(Finding("good" if left < 0.1 else "bad", share(1.0 - left), "of the squared CAD error explained by named causes", ""))
-    total = sum(len(names) for names in (determination.well, determination.fairly, determination.hardly, determination.not_at_all))
-    found.append(Finding("neutral", f"{len(determination.well)} of {total}", "parameters known to 10 % or better", ""))
+        found.append(
+            Finding(
+                "good" if left < 0.1 else "bad",
+                share(1.0 - left),
+                "of the squared CAD error explained by named causes",
+                "",
+            )
+        )
+    total = sum(
+        len(names)
+        for names in (
+            determination.well,
+            determination.fairly,
+            determination.hardly,
+            determination.not_at_all,
+        )
+    )
+    found.append(
+        Finding(
+            "neutral",
+            f"{len(determination.well)} of {total}",
+            "parameters known to 10 % or better",
+            "",
+        )
+    )
     return found

@@ -21,14 +21,29 @@ def drift_html(compared: Drift | ControllerComparison) -> str:
         title=f"{drift.robot}: {drift.after} against {drift.before}",
         drift=drift,
         findings=[*([] if controller is None else [_prediction(controller)]), *_findings(drift)],
-        sentences=(*(() if controller is None else (controller.verdict(),)), drift.verdict(), *drift.sentences),
-        joint_table=table_markup(joint_table(drift.joints, drift.level, of_models=drift.of_models), "joints-by-torque")
-        if drift.joints
-        else "",
+        sentences=(
+            *(() if controller is None else (controller.verdict(),)),
+            drift.verdict(),
+            *drift.sentences,
+        ),
+        joint_table=(
+            table_markup(
+                joint_table(drift.joints, drift.level, of_models=drift.of_models),
+                "joints-by-torque",
+            )
+            if drift.joints
+            else ""
+        ),
         joint_image=figure_address(drift_figure(drift)) if drift.joints else "",
-        error_table="" if controller is None else table_markup(controller.torque_table(), "torque-table"),
+        error_table=(
+            "" if controller is None else table_markup(controller.torque_table(), "torque-table")
+        ),
         changed_table=table_markup(drift.table(changed=True), "changed") if drift.n_changed else "",
-        other_table=table_markup(drift.table(changed=False), "others") if drift.n_changed < len(drift.parameters) else "",
+        other_table=(
+            table_markup(drift.table(changed=False), "others")
+            if drift.n_changed < len(drift.parameters)
+            else ""
+        ),
     )
 
 
@@ -41,13 +56,30 @@ def _prediction(controller: ControllerComparison) -> Finding:
 def _findings(drift: Drift) -> list[Finding]:
     verb = "differ" if drift.of_models else "changed"
     tested = sum(parameter.sigmas is not None for parameter in drift.parameters)
-    found = [Finding("neutral" if drift.n_changed else "good", f"{drift.n_changed} of {tested}", f"parameters {verb} beyond doubt", "")]
+    found = [
+        Finding(
+            "neutral" if drift.n_changed else "good",
+            f"{drift.n_changed} of {tested}",
+            f"parameters {verb} beyond doubt",
+            "",
+        )
+    ]
     if drift.joints:
         changed = [joint for joint in drift.joints if joint.holm <= drift.level]
         label = f"joints {verb} in the torque of the same motion"
-        found.append(Finding("neutral" if changed else "good", f"{len(changed)} of {len(drift.joints)}", label, ""))
+        found.append(
+            Finding(
+                "neutral" if changed else "good",
+                f"{len(changed)} of {len(drift.joints)}",
+                label,
+                "",
+            )
+        )
         if changed:
             most = max(changed, key=lambda joint: joint.torque)
-            beside = f"largest, at {most.joint}, where the motion takes {significant(most.torque_of_motion)} {most.unit}"
+            beside = (
+                f"largest, at {most.joint}, where the motion takes"
+                f" {significant(most.torque_of_motion)} {most.unit}"
+            )
             found.append(Finding("neutral", f"{significant(most.torque)} {most.unit}", beside, ""))
     return found

@@ -12,12 +12,19 @@ from markupsafe import Markup
 
 from asbuilt.tables import Table, share
 
-CITATION = "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic identification of manipulator: comparison between CAD and actual parameters, iNaCoMM 2015."
+CITATION = (
+    "A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic identification of manipulator: comparison"
+    " between CAD and actual parameters, iNaCoMM 2015."
+)
 
 
 def page(template: str, **fields: Any) -> str:
     """Return a template of this package filled with fields, every text escaped that is not `Markup`; style, version and citation are given."""
-    return _environment().get_template(template).render(version=_version(), citation=CITATION, style=resource("report.css"), **fields)
+    return (
+        _environment()
+        .get_template(template)
+        .render(version=_version(), citation=CITATION, style=resource("report.css"), **fields)
+    )
 
 
 def table_markup(table: Table, identifier: str) -> Markup:

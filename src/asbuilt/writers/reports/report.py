@@ -50,7 +50,17 @@ def write_report(
     command: Sequence[str] = (),
 ) -> Path:
     """Write the report of a result; see `report_html`."""
-    return atomic_write(path, report_html(result, validations, fitted=fitted, attribution=attribution, payload=payload, command=command))
+    return atomic_write(
+        path,
+        report_html(
+            result,
+            validations,
+            fitted=fitted,
+            attribution=attribution,
+            payload=payload,
+            command=command,
+        ),
+    )
 
 
 def report_html(
@@ -73,7 +83,10 @@ def report_html(
         attribution = attribute(result)
     shown = [*validations, *fitted]
     analyses = [item.residuals() for item in shown]
-    labels = [recording_name(item.source) + ("" if place < len(validations) else ", used for fitting") for place, item in enumerate(shown)]
+    labels = [
+        recording_name(item.source) + ("" if place < len(validations) else ", used for fitting")
+        for place, item in enumerate(shown)
+    ]
     return page(
         "report.html.j2",
         title=f"{result.robot}, as built",
@@ -87,13 +100,24 @@ def report_html(
         sources=", ".join(recording_name(source) for source in result.sources),
         determination=determination(result),
         attribution=attribution,
-        attribution_image="" if attribution is None else figure_address(attribution_figure(attribution)),
-        share_table="" if attribution is None else table_markup(attribution.share_table(), "shares"),
-        payload_tables=()
-        if payload is None
-        else (table_markup(payload_table(payload), "payload-values"), table_markup(payload_torque_table(payload), "payload-torque")),
+        attribution_image=(
+            "" if attribution is None else figure_address(attribution_figure(attribution))
+        ),
+        share_table=(
+            "" if attribution is None else table_markup(attribution.share_table(), "shares")
+        ),
+        payload_tables=(
+            ()
+            if payload is None
+            else (
+                table_markup(payload_table(payload), "payload-values"),
+                table_markup(payload_torque_table(payload), "payload-torque"),
+            )
+        ),
         labels=labels,
-        residual_rows=[_residual_rows(item, analysis) for item, analysis in zip(shown, analyses, strict=True)],
+        residual_rows=[
+            _residual_rows(item, analysis) for item, analysis in zip(shown, analyses, strict=True)
+        ],
         data=_page_data(result, shown, analyses),
         command=shlex.join(command),
         robot_citation=result.model.citation,
@@ -105,17 +129,40 @@ def report_html(
 def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
     relative = f"{share(result.train.relative_error)} on the data fitted"
     if result.validation:
-        relative += f", {', '.join(share(metrics.relative_error) for metrics in result.validation)} held out"
+        relative += (
+            f", {', '.join(share(metrics.relative_error) for metrics in result.validation)}"
+            " held out"
+        )
     return [
         ("method", result.method),
         ("drive terms", drive_in_words(result.base.drive)),
-        ("samples", f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz, {result.duration:.1f} s"),
+        (
+            "samples",
+            (
+                f"{result.n_samples} x {len(result.joint_names)} joints at {result.rate:g} Hz,"
+                f" {result.duration:.1f} s"
+            ),
+        ),
         ("standard errors", result.errors.kind),
         ("independent samples", significant(result.effective_samples)),
-        ("rank", f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)"),
-        ("condition number", f"{significant(result.condition_number)} (columns scaled {significant(result.scaled_condition_number)})"),
+        (
+            "rank",
+            f"{result.rank} of {result.n_base} base parameters ({result.n_standard} standard)",
+        ),
+        (
+            "condition number",
+            (
+                f"{significant(result.condition_number)} (columns scaled"
+                f" {significant(result.scaled_condition_number)})"
+            ),
+        ),
         ("relative error", relative),
-        ("consistency", {True: "OK", False: "NOT CONSISTENT", None: "not checked"}[result.physically_consistent]),
+        (
+            "consistency",
+            {True: "OK", False: "NOT CONSISTENT", None: "not checked"}[
+                result.physically_consistent
+            ],
+        ),
     ]
 
 
@@ -130,9 +177,11 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
     outcome = (
         "DIFFERS"
         if parameter.verdict == "differs"
-        else deviation(parameter.sigmas, math.inf)
-        if parameter.verdict == "agrees"
-        else parameter.verdict
+        else (
+            deviation(parameter.sigmas, math.inf)
+            if parameter.verdict == "agrees"
+            else parameter.verdict
+        )
     )
     return {
         "id": parameter.id,
@@ -147,7 +196,11 @@ def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
         "error": parameter.verdict if parameter.verdict == "dropped" else error,
         "error_value": parameter.std_error,
         "percent": percent(parameter.estimate, parameter.std_error),
-        "percent_value": None if parameter.std_error is None or not parameter.estimate else abs(parameter.std_error / parameter.estimate),
+        "percent_value": (
+            None
+            if parameter.std_error is None or not parameter.estimate
+            else abs(parameter.std_error / parameter.estimate)
+        ),
         "outcome": outcome,
         "sigmas": None if parameter.sigmas is None else abs(parameter.sigmas),
         "verdict": parameter.verdict,
@@ -179,32 +232,51 @@ def _residual_rows(validation: Validation, analysis: ResidualAnalysis) -> list[d
     ]
 
 
-def _page_data(result: IdentificationResult, validations: Sequence[Validation], analyses: Sequence[ResidualAnalysis]) -> dict[str, Any]:
+def _page_data(
+    result: IdentificationResult,
+    validations: Sequence[Validation],
+    analyses: Sequence[ResidualAnalysis],
+) -> dict[str, Any]:
     """Return what the page's script draws: curves per recording and joint, singular values; numbers to five digits."""
     joints = max(1, sum(len(validation.joint_names) for validation in validations))
     points = int(np.clip(CURVE_POINTS / joints / 4, 400, 2500))
     return {
         "joints": list(result.joint_names),
-        "recordings": [_recording_data(item, analysis, points) for item, analysis in zip(validations, analyses, strict=True)],
+        "recordings": [
+            _recording_data(item, analysis, points)
+            for item, analysis in zip(validations, analyses, strict=True)
+        ],
         "singular_values": _listed(result.singular_values),
         "rank": result.rank,
     }
 
 
-def _recording_data(validation: Validation, analysis: ResidualAnalysis, points: int) -> dict[str, Any]:
+def _recording_data(
+    validation: Validation, analysis: ResidualAnalysis, points: int
+) -> dict[str, Any]:
     curves = validation.friction_curves()
     return {
         "n_samples": len(validation.t),
-        "joints": [_joint_data(validation, analysis, curves[k], k, points) for k in range(len(validation.joint_names))],
+        "joints": [
+            _joint_data(validation, analysis, curves[k], k, points)
+            for k in range(len(validation.joint_names))
+        ],
     }
 
 
-def _joint_data(validation: Validation, analysis: ResidualAnalysis, friction: VelocityCurve, k: int, points: int) -> dict[str, Any]:
-    measured, built, cad = (torque[:, k] for torque in (validation.measured, validation.predicted, validation.predicted_cad))
+def _joint_data(
+    validation: Validation, analysis: ResidualAnalysis, friction: VelocityCurve, k: int, points: int
+) -> dict[str, Any]:
+    measured, built, cad = (
+        torque[:, k]
+        for torque in (validation.measured, validation.predicted, validation.predicted_cad)
+    )
     t, *curves = thinned(validation.t, measured, built, cad, measured - built, points=points)
     error = measured - built
     spread = float(np.std(error)) or 1.0
-    counts, edges = np.histogram(np.clip((error - error.mean()) / spread, -5, 5), bins=51, range=(-5, 5), density=True)
+    counts, edges = np.histogram(
+        np.clip((error - error.mean()) / spread, -5, 5), bins=51, range=(-5, 5), density=True
+    )
     step = max(1, len(analysis.lags) // 200)
     dots = np.linspace(0, len(validation.t) - 1, min(len(validation.t), 600)).astype(int)
     order = dots[np.argsort(validation.velocity[dots, k])]
@@ -217,7 +289,11 @@ def _joint_data(validation: Validation, analysis: ResidualAnalysis, friction: Ve
         "measured": _listed(curves[0]),
         "built": _listed(curves[1]),
         "cad": _listed(curves[2]),
-        "histogram": {"z": _listed(0.5 * (edges[1:] + edges[:-1])), "density": _listed(counts), "spread": float(f"{spread:.3g}")},
+        "histogram": {
+            "z": _listed(0.5 * (edges[1:] + edges[:-1])),
+            "density": _listed(counts),
+            "spread": float(f"{spread:.3g}"),
+        },
         "lags": _listed(analysis.lags[::step]),
         "correlation": _listed(analysis.autocorrelation[::step, k]),
         "band": float(f"{1.96 / math.sqrt(analysis.n_samples):.4g}"),
@@ -232,4 +308,6 @@ def _joint_data(validation: Validation, analysis: ResidualAnalysis, friction: Ve
 
 
 def _listed(values: Array, digits: int = 5) -> list[float | None]:
-    return [float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()]
+    return [
+        float(f"{value:.{digits}g}") if math.isfinite(value) else None for value in values.tolist()
+    ]

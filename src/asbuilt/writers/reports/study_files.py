@@ -37,7 +37,10 @@ def study_text(study: Study, payload: Payload | None = None) -> str:
     """Return what `asbuilt identify` prints: the summary, torque errors of CAD and as built, the verdict, and what the flange carries where that was identified too."""
     parts = [study.result.summary().as_text()]
     if gear_ratios(study.result.model):
-        parts.append("Drives at the motor\n" + motor_side_table(motor_side_parameters(study.result)).as_text())
+        parts.append(
+            "Drives at the motor\n"
+            + motor_side_table(motor_side_parameters(study.result)).as_text()
+        )
     if study.cutoffs is not None:
         parts.append(study.cutoffs.table().as_text())
     parts += [stacked([study.comparison.torque_table()]), study.comparison.verdict()]
@@ -45,10 +48,15 @@ def study_text(study: Study, payload: Payload | None = None) -> str:
 
 
 def study_document(
-    study: Study, files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None, payload: Payload | None = None
+    study: Study,
+    files: Mapping[str, Path],
+    notes: Mapping[str, Sequence[str]] | None = None,
+    payload: Payload | None = None,
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `notes` are those of `write_study`."""
-    document = identify_document(study.result, files=files) | {"file_notes": {kind: list(said) for kind, said in (notes or {}).items()}}
+    document = identify_document(study.result, files=files) | {
+        "file_notes": {kind: list(said) for kind, said in (notes or {}).items()}
+    }
     if study.cutoffs is not None:
         document["cutoff_sweep"] = study.cutoffs.as_document()
     if payload is not None:
@@ -74,7 +82,10 @@ def write_study(
         files["payload"] = write_json(folder / "payload.json", payload_document(payload))
     files["torque"] = _draw(folder / "torque.png", result, (study.validations or study.training)[0])
     if study.cutoffs is not None:
-        files["cutoff"] = save_figure(cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"), folder / "cutoff.png")
+        files["cutoff"] = save_figure(
+            cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"),
+            folder / "cutoff.png",
+        )
     files["report"] = write_report(
         folder / "report.html",
         result,
@@ -88,13 +99,18 @@ def write_study(
     return files | robots, notes
 
 
-def _write_robot(folder: Path, result: IdentificationResult) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
+def _write_robot(
+    folder: Path, result: IdentificationResult
+) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     """Write robot.toml and robot.urdf where there can be such, and say what they lack, or why there are none."""
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     try:
         built = as_built(result)
-        files["robot"], notes["robot"] = write_robot_toml(folder / "robot.toml", built.model), load_note(result, built)
+        files["robot"], notes["robot"] = (
+            write_robot_toml(folder / "robot.toml", built.model),
+            load_note(result, built),
+        )
     except (IdentifiabilityError, DescriptionError) as problem:
         notes["robot"] = (f"not written: {problem}",)
         return files, notes
@@ -102,25 +118,37 @@ def _write_robot(folder: Path, result: IdentificationResult) -> tuple[dict[str, 
         original, missing = urdf_to_edit(result.model)
         notes["urdf"] = tuple(f"not written: {why}" for why in missing)
         if original is not None:
-            impossible, (in_simulators, kept) = impossibilities(built.model), keeping_described_drives(built.model, result.model)
+            impossible, (in_simulators, kept) = (
+                impossibilities(built.model),
+                keeping_described_drives(built.model, result.model),
+            )
             if impossible:
                 notes["urdf"] = (
-                    f"not written, for no robot is like this: {impossible[0]}; asbuilt export --nearest writes the nearest that one can be",
+                    (
+                        f"not written, for no robot is like this: {impossible[0]}; asbuilt export"
+                        " --nearest writes the nearest that one can be"
+                    ),
                 )
             else:
-                files["urdf"], said = write_urdf(folder / "robot.urdf", in_simulators, original=original)
+                files["urdf"], said = write_urdf(
+                    folder / "robot.urdf", in_simulators, original=original
+                )
                 notes["urdf"] = (*said, *kept)
     except DescriptionError as problem:
         notes["urdf"] = (f"not written: {problem}",)
     return files, {kind: said for kind, said in notes.items() if said}
 
 
-def write_validations(folder: Path, result: IdentificationResult, validations: Sequence[Validation]) -> dict[str, Path]:
+def write_validations(
+    folder: Path, result: IdentificationResult, validations: Sequence[Validation]
+) -> dict[str, Path]:
     """Write for each validation its torques (CSV) and their figure (PNG); returns the path of each, by kind."""
     files: dict[str, Path] = {}
     for k, validation in enumerate(validations, start=1):
         number = "" if len(validations) == 1 else f"_{k}"
-        files[f"prediction{number}"] = atomic_write(folder / f"prediction{number}.csv", prediction_table(validation).as_csv())
+        files[f"prediction{number}"] = atomic_write(
+            folder / f"prediction{number}.csv", prediction_table(validation).as_csv()
+        )
         files[f"torque{number}"] = _draw(folder / f"torque{number}.png", result, validation)
     return files
 

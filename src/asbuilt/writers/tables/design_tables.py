@@ -34,7 +34,9 @@ UNWATCHED_RATE = 100.0
 """Rate at which the stick figure of a motion that nobody watched is looked at [Hz]."""
 
 
-def write_design(path: str | os.PathLike[str], design: Design | StaticDesign, rate: float) -> dict[str, Path]:
+def write_design(
+    path: str | os.PathLike[str], design: Design | StaticDesign, rate: float
+) -> dict[str, Path]:
     """Write the motion, or the one through standing poses, as CSV at `rate` [Hz]; returns its path by kind."""
     return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
 
@@ -65,9 +67,11 @@ def static_document(design: StaticDesign, files: Mapping[str, Path]) -> dict[str
 def static_text(design: StaticDesign) -> str:
     """Return static poses as a table."""
     head = (
-        f"{design.model.name} - {len(design.poses)} poses for the {design.n_parameters} {'parameter' if design.n_parameters == 1 else 'parameters'} that gravity tells, "
-        f"{design.travel:.1f} s of travel\nlog det {design.log_det:.2f}, condition number {design.condition_number:.2f}, "
-        f"scaled {design.scaled_condition_number:.2f}, found in {design.solve_seconds:.1f} s\n"
+        f"{design.model.name} - {len(design.poses)} poses for the {design.n_parameters}"
+        f" {'parameter' if design.n_parameters == 1 else 'parameters'} that gravity tells,"
+        f" {design.travel:.1f} s of travel\nlog det {design.log_det:.2f}, condition number"
+        f" {design.condition_number:.2f}, scaled {design.scaled_condition_number:.2f}, found in"
+        f" {design.solve_seconds:.1f} s\n"
     )
     heads = (
         Column("pose", align="right"),
@@ -79,17 +83,29 @@ def static_text(design: StaticDesign) -> str:
     rows = tuple((k, *pose) for k, pose in enumerate(design.poses.tolist(), 1))
     notes = list(design.notes)
     if design.turns:
-        notes.append(f"the way turns at {design.turns} further poses, without a rest, to get round what is watched")
+        notes.append(
+            f"the way turns at {design.turns} further poses, without a rest, to get round what is"
+            " watched"
+        )
     if design.collision_distance is not None:
-        notes.append(f"smallest distance between bodies, on the way too, {1000 * design.collision_distance:.0f} mm")
+        notes.append(
+            "smallest distance between bodies, on the way too,"
+            f" {1000 * design.collision_distance:.0f} mm"
+        )
     else:
         notes.append(_unwatched(design.model, design.motion))
     if np.ptp(design.poses, axis=0).max() < SAME_POSE:
-        notes.append("the poses are all the same, for gravity tells the same wherever this robot stands")
-    return "\n".join([head, Table(heads, rows).as_text(), _margins(design.limits).as_text(), *_numbered(notes)])
+        notes.append(
+            "the poses are all the same, for gravity tells the same wherever this robot stands"
+        )
+    return "\n".join(
+        [head, Table(heads, rows).as_text(), _margins(design.limits).as_text(), *_numbered(notes)]
+    )
 
 
-def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[DurationTrial] = ()) -> dict[str, Any]:
+def excite_document(
+    design: Design, files: Mapping[str, Path], trials: Sequence[DurationTrial] = ()
+) -> dict[str, Any]:
     """Return what `asbuilt excite --json` prints."""
     worst = design.limits.worst_margin
     return {
@@ -106,7 +122,11 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
         "log_det": design.log_det,
         "d_efficiency": design.d_efficiency,
         "family_efficiency": design.family_efficiency,
-        "log_det_bound": None if design.bound is None else design.bound.upper + design.base.n_base * float(np.log(design.n_samples)),
+        "log_det_bound": (
+            None
+            if design.bound is None
+            else design.bound.upper + design.base.n_base * float(np.log(design.n_samples))
+        ),
         "condition_number": design.condition_number,
         "scaled_condition_number": design.scaled_condition_number,
         "worst_margin": worst,
@@ -137,7 +157,14 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
         "searches": len(design.candidates),
         "interrupted": design.interrupted,
         "solve_seconds": design.solve_seconds,
-        "notes": [*design.notes, *([_unwatched(design.model, design.motion)] if design.collision_distance is None else [])],
+        "notes": [
+            *design.notes,
+            *(
+                [_unwatched(design.model, design.motion)]
+                if design.collision_distance is None
+                else []
+            ),
+        ],
         "files": path_texts(files),
     }
 
@@ -145,27 +172,46 @@ def excite_document(design: Design, files: Mapping[str, Path], trials: Sequence[
 def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
     """Return a design in words and two small tables."""
     head = (
-        f"{design.model.name} - {design.options.parametrisation} motion of {design.motion.duration:g} s, "
-        f"{design.size} {design.size_name}{_periods(design)}, {design.base.n_base} parameters (drive terms {design.base.drive}){_criterion(design)}"
+        f"{design.model.name} - {design.options.parametrisation} motion of"
+        f" {design.motion.duration:g} s, {design.size} {design.size_name}{_periods(design)},"
+        f" {design.base.n_base} parameters (drive terms {design.base.drive}){_criterion(design)}"
     )
     bound, family = design.d_efficiency, design.family_efficiency
     facts = [
-        f"log det {design.log_det:.2f} for {design.n_samples:g} samples, noise {_joined(design.noise)} N m (N)",
-        f"D-efficiency {share(bound)} of the bound over all states within the limits" if bound is not None else "",
-        f"D-efficiency {share(family)} of the bound over motions with these harmonics" if family is not None else "",
-        f"condition number {_condition(design.condition_number, 1)}, scaled {_condition(design.scaled_condition_number, 2)}",
-        f"best of {len(design.candidates)} searches in {design.solve_seconds:.1f} s" + (", INTERRUPTED" if design.interrupted else ""),
+        (
+            f"log det {design.log_det:.2f} for {design.n_samples:g} samples, noise"
+            f" {_joined(design.noise)} N m (N)"
+        ),
+        (
+            f"D-efficiency {share(bound)} of the bound over all states within the limits"
+            if bound is not None
+            else ""
+        ),
+        (
+            f"D-efficiency {share(family)} of the bound over motions with these harmonics"
+            if family is not None
+            else ""
+        ),
+        (
+            f"condition number {_condition(design.condition_number, 1)}, scaled"
+            f" {_condition(design.scaled_condition_number, 2)}"
+        ),
+        f"best of {len(design.candidates)} searches in {design.solve_seconds:.1f} s"
+        + (", INTERRUPTED" if design.interrupted else ""),
     ]
     notes = list(design.notes)
     notes += [
-        f"{trial.duration:g} s, {trial.size} {design.size_name} in {trial.periods} {'period' if trial.periods == 1 else 'periods'} would give a precision of {trial.precision:.3g} of the torque"
+        f"{trial.duration:g} s, {trial.size} {design.size_name} in {trial.periods}"
+        f" {'period' if trial.periods == 1 else 'periods'} would give a precision of"
+        f" {trial.precision:.3g} of the torque"
         for trial in trials
     ]
     if design.motion.parametrisation in JUMPING:
         notes.append("the acceleration jumps; how much jerk that becomes is up to the controller")
     if design.assumed:
         notes.append(
-            f"the description gives no limit of {', '.join(design.assumed)} for some joints; those of MotionBounds.assumed were kept"
+            f"the description gives no limit of {', '.join(design.assumed)} for some joints; those"
+            " of MotionBounds.assumed were kept"
         )
     if design.collision_distance is not None:
         notes.append(f"smallest distance between bodies {1000 * design.collision_distance:.0f} mm")
@@ -173,7 +219,10 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
         notes.append(_unwatched(design.model, design.motion))
     tables = [
         _margins(design.limits).as_text(),
-        f"{'what was asked for, then ' if design.options.focus else ''}what is told worst: predicted standard errors, and what one of them changes of the torque",
+        (
+            f"{'what was asked for, then ' if design.options.focus else ''}what is told worst:"
+            " predicted standard errors, and what one of them changes of the torque"
+        ),
         _errors(design).as_text(),
     ]
     return "\n".join([head, *(fact for fact in facts if fact), "", *tables, *_numbered(notes)])
@@ -181,11 +230,18 @@ def excite_text(design: Design, trials: Sequence[DurationTrial] = ()) -> str:
 
 def _unwatched(model: RobotModel, motion: Motion) -> str:
     """Say that nobody looked for collisions, and whether the stick figure meets itself."""
-    told = "NOT CHECKED FOR COLLISIONS with itself, the floor or anything else (--collision, --tool-box)"
+    told = (
+        "NOT CHECKED FOR COLLISIONS with itself, the floor or anything else (--collision,"
+        " --tool-box)"
+    )
     distance = skeleton_distance(model, motion.at(motion.sample_times(UNWATCHED_RATE))[0])
     if distance is None:
         return told
-    meeting = f"runs into itself by {-1000 * distance:.0f} mm" if distance < 0 else f"comes within {1000 * distance:.0f} mm of itself"
+    meeting = (
+        f"runs into itself by {-1000 * distance:.0f} mm"
+        if distance < 0
+        else f"comes within {1000 * distance:.0f} mm of itself"
+    )
     return f"{told}; in capsules, its stick figure {meeting}"
 
 
@@ -237,7 +293,10 @@ def _margins(limits: LimitReport) -> Table:
 
 
 def _errors(design: Design) -> Table:
-    cad, errors = np.array([np.nan if value is None else value for value in _cad(design)]), design.std_errors
+    cad, errors = (
+        np.array([np.nan if value is None else value for value in _cad(design)]),
+        design.std_errors,
+    )
     ratio = np.where(np.abs(cad) > 0, errors / np.abs(np.where(cad == 0, 1.0, cad)), np.nan)
     effects = torque_effects(design)
     asked = [position_of(design.base, name) for name in design.options.focus]

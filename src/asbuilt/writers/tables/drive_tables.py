@@ -55,7 +55,10 @@ def drives_text() -> str:
     """Return the drive terms as a table, with how to choose them."""
     rows = []
     for term in available_terms().values():
-        options = ", ".join(f"[{s.name} {s.default:g}]" if s.fitted else f"{s.name} {s.default:g}" for s in term.shapes)
+        options = ", ".join(
+            f"[{s.name} {s.default:g}]" if s.fitted else f"{s.name} {s.default:g}"
+            for s in term.shapes
+        )
         rows.append(
             (
                 term.key + ("*" if term.tried_for else ""),
@@ -65,7 +68,13 @@ def drives_text() -> str:
                 ", ".join(term.units(revolute=True)),
             )
         )
-    columns = (Column("term"), Column("parameters"), Column("torque"), Column("options"), Column("units"))
+    columns = (
+        Column("term"),
+        Column("parameters"),
+        Column("torque"),
+        Column("options"),
+        Column("units"),
+    )
     return Table(columns, tuple(rows)).as_text() + "\n" + USE
 
 
@@ -123,9 +132,15 @@ def gains_text(found: TorqueGains) -> str:
         Column("told"),
     )
     lines = [Table(columns, tuple(rows)).as_text().rstrip()]
-    lines += [f"[{number}] {sentence[0].upper()}{sentence[1:]}." for number, sentence in enumerate(found.sentences(), start=1)]
+    lines += [
+        f"[{number}] {sentence[0].upper()}{sentence[1:]}."
+        for number, sentence in enumerate(found.sentences(), start=1)
+    ]
     if found.determined.any():
-        lines += ["In place of the gains in use, give the next command", f"  --gain={_listed(found)}"]
+        lines += [
+            "In place of the gains in use, give the next command",
+            f"  --gain={_listed(found)}",
+        ]
         lines += ["or write into the recording sheet", f"  {_sheet_line(found)}"]
     return "\n".join(lines)
 
@@ -152,9 +167,20 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
         "robot": found.robot,
         "joints": list(found.joint_names),
         "parameters": [
-            {"name": name, "unit": unit, "side": "motor" if motor else "link", "estimate": float(value), "std_error": float(error)}
+            {
+                "name": name,
+                "unit": unit,
+                "side": "motor" if motor else "link",
+                "estimate": float(value),
+                "std_error": float(error),
+            }
             for name, unit, motor, value, error in zip(
-                found.names, found.units, found.of_motor_side, found.values, found.std_errors, strict=True
+                found.names,
+                found.units,
+                found.of_motor_side,
+                found.values,
+                found.std_errors,
+                strict=True,
             )
         ],
         "rms_sensor": found.rms_sensor.tolist(),
@@ -168,27 +194,60 @@ def channels_text(found: TwoChannelEstimate) -> str:
     rows = [
         (name, unit, "motor" if motor else "link", plus_minus(value, error), percent(value, error))
         for name, unit, motor, value, error in zip(
-            found.names, found.units, found.of_motor_side, found.values.tolist(), found.std_errors.tolist(), strict=True
+            found.names,
+            found.units,
+            found.of_motor_side,
+            found.values.tolist(),
+            found.std_errors.tolist(),
+            strict=True,
         )
     ]
-    errors = tuple(zip(found.joint_names, found.rms_sensor.tolist(), found.rms_motor.tolist(), strict=True))
+    errors = tuple(
+        zip(found.joint_names, found.rms_sensor.tolist(), found.rms_motor.tolist(), strict=True)
+    )
     notes = [
-        "Side link: felt by sensors and motors alike; side motor: by the motors alone, named with an m. Standard errors allow for residual correlation."
+        "Side link: felt by sensors and motors alike; side motor: by the motors alone, named with"
+        " an m. Standard errors allow for residual correlation."
     ]
     if found.estimate.undetermined:
         notes.append(f"NOT TOLD by this motion: {'; '.join(found.estimate.undetermined)}.")
-    columns = (Column("parameter"), Column("unit"), Column("side"), Column("value"), Column("%", align="decimal"))
-    title = f"{found.robot}: sensors and motors together, {len(found.names)} parameters, {int(found.of_motor_side.sum())} of them of the motor side"
+    columns = (
+        Column("parameter"),
+        Column("unit"),
+        Column("side"),
+        Column("value"),
+        Column("%", align="decimal"),
+    )
+    title = (
+        f"{found.robot}: sensors and motors together, {len(found.names)} parameters,"
+        f" {int(found.of_motor_side.sum())} of them of the motor side"
+    )
     tables = (
         Table(columns, tuple(rows), title=title, notes=tuple(notes)),
-        Table((Column("joint"), Column("RMS sensor", "N m", "decimal", ".3g"), Column("RMS motor", "N m", "decimal", ".3g")), errors),
+        Table(
+            (
+                Column("joint"),
+                Column("RMS sensor", "N m", "decimal", ".3g"),
+                Column("RMS motor", "N m", "decimal", ".3g"),
+            ),
+            errors,
+        ),
     )
     return stacked(tables)
 
 
 def motor_side_table(parameters: Sequence[MotorSideParameter]) -> Table:
     """List drive parameters at the joint and at the motor's shaft."""
-    rows = [(each.name, each.unit, each.gear_ratio, each.joint_side, plus_minus(each.motor_side, each.std_error)) for each in parameters]
+    rows = [
+        (
+            each.name,
+            each.unit,
+            each.gear_ratio,
+            each.joint_side,
+            plus_minus(each.motor_side, each.std_error),
+        )
+        for each in parameters
+    ]
     columns = (
         Column("parameter"),
         Column("unit"),

@@ -27,13 +27,20 @@ def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
     """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG beside it."""
     columns: dict[str, Any] = {"t": motion.t}
     for letter, values in (("q", motion.q), ("qd", motion.qd), ("tau", motion.tau)):
-        columns |= {f"{letter}_{name}": values[:, k] for k, name in enumerate(motion.model.joint_names)}
-    columns |= {name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")}
+        columns |= {
+            f"{letter}_{name}": values[:, k] for k, name in enumerate(motion.model.joint_names)
+        }
+    columns |= {
+        name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")
+    }
     content = io.BytesIO()
     pl.DataFrame(columns).write_csv(content)
     table = atomic_write(path, content.getvalue())
     title = f"{motion.model.name}: {WHAT[motion.release]}"
-    return {"motion": table, "figure": save_figure(energy_figure(motion, title=title), table.with_suffix(".png"))}
+    return {
+        "motion": table,
+        "figure": save_figure(energy_figure(motion, title=title), table.with_suffix(".png")),
+    }
 
 
 def free_motion_document(motion: FreeMotion, files: Mapping[str, Path]) -> dict[str, Any]:
@@ -61,8 +68,10 @@ def free_motion_document(motion: FreeMotion, files: Mapping[str, Path]) -> dict[
 def free_motion_text(motion: FreeMotion) -> str:
     """Return in three lines what became of the energy."""
     return (
-        f"{motion.model.name}, {WHAT[motion.release]}, {motion.t[-1]:g} s\n"
-        f"kinetic energy up to {significant(float(motion.kinetic.max()))} J, potential down to {significant(float(motion.potential.min()))} J, "
-        f"drives gave {significant(float(motion.work[-1]))} J, friction took {significant(float(motion.dissipated[-1]))} J\n"
-        f"energy balance of engine and equations: {motion.imbalance:.1e} of what was turned over"
+        f"{motion.model.name}, {WHAT[motion.release]}, {motion.t[-1]:g} s\nkinetic energy up to"
+        f" {significant(float(motion.kinetic.max()))} J, potential down to"
+        f" {significant(float(motion.potential.min()))} J, drives gave"
+        f" {significant(float(motion.work[-1]))} J, friction took"
+        f" {significant(float(motion.dissipated[-1]))} J\nenergy balance of engine and equations:"
+        f" {motion.imbalance:.1e} of what was turned over"
     )

@@ -14,7 +14,12 @@ from asbuilt.tables import Column, Shown, Table, percent, rounded, share, signif
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.writers.files import path_texts
 
-_SOURCES = {"motor": "motors", "current": "currents", "sensor": "sensors", "unknown": "an unknown source"}
+_SOURCES = {
+    "motor": "motors",
+    "current": "currents",
+    "sensor": "sensors",
+    "unknown": "an unknown source",
+}
 UNITS = ("kg", "m", "m", "m", *("kg m^2",) * 6)
 
 
@@ -28,28 +33,51 @@ def payload_table(payload: Payload) -> Table:
     rows = []
     split = bool(np.any(payload.gain_uncertainty > 0.0))
     parts = (payload.values, payload.std_errors, payload.noise_errors, payload.gain_errors)
-    for name, unit, value, error, noise, gain in zip(payload.names, UNITS, *(each.tolist() for each in parts), strict=True):
+    for name, unit, value, error, noise, gain in zip(
+        payload.names, UNITS, *(each.tolist() for each in parts), strict=True
+    ):
         shown, uncertainty = rounded(value, error)
         told = "yes" if name in payload.determined else "NO"
         of_these = (significant(noise, 2), significant(gain, 2)) if split else ()
-        rows.append((name, unit, Shown(value, shown), Shown(error, uncertainty), percent(value, error), *of_these, told))
+        rows.append(
+            (
+                name,
+                unit,
+                Shown(value, shown),
+                Shown(error, uncertainty),
+                percent(value, error),
+                *of_these,
+                told,
+            )
+        )
     columns = (
         Column("parameter"),
         Column("unit"),
         Column("estimate", align="decimal"),
         Column("std err", align="decimal"),
         Column("%", align="decimal"),
-        *((Column("of noise", align="decimal"), Column("of gains", align="decimal")) if split else ()),
+        *(
+            (Column("of noise", align="decimal"), Column("of gains", align="decimal"))
+            if split
+            else ()
+        ),
         Column("told"),
     )
-    notes = [f"Centre of mass and inertia about it in the axes of {payload.frame}; standard errors allow for residual correlation."]
+    notes = [
+        f"Centre of mass and inertia about it in the axes of {payload.frame}; standard errors allow"
+        " for residual correlation."
+    ]
     if payload.projected:
         notes.append(
-            "The least-squares estimate is impossible for a body; the nearest possible one is given (inertias at their bound are not to be trusted)."
+            "The least-squares estimate is impossible for a body; the nearest possible one is given"
+            " (inertias at their bound are not to be trusted)."
         )
     notes += _gain_notes(payload)
     return Table(
-        columns, tuple(rows), title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples", notes=tuple(notes)
+        columns,
+        tuple(rows),
+        title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples",
+        notes=tuple(notes),
     )
 
 
@@ -58,7 +86,9 @@ def _gain_notes(payload: Payload) -> list[str]:
     if not np.any(payload.gain_uncertainty > 0.0):
         if payload.torque_source in ("sensor", "unknown"):
             return []
-        return [f"Torques come from {_SOURCES[payload.torque_source]} whose gains were taken as exact."]
+        return [
+            f"Torques come from {_SOURCES[payload.torque_source]} whose gains were taken as exact."
+        ]
     joints = payload.metrics[0].joint_names
     known = sorted({100.0 * value for value in payload.gain_uncertainty.tolist()})
     spread = f"{known[0]:g} %" if len(known) == 1 else f"{known[0]:.2g} to {known[-1]:.2g} %"
@@ -66,13 +96,19 @@ def _gain_notes(payload: Payload) -> list[str]:
     doubt = (
         ""
         if payload.gains_by_evidence
-        else " The result kept no evidence of its recordings, so what gains do to the centre may come out too small."
+        else (
+            " The result kept no evidence of its recordings, so what gains do to the centre may"
+            " come out too small."
+        )
     )
     leading = [joints[k] for k in np.argsort(-weight)[:3] if weight[k] > 0.25 * weight.max()]
     return [
-        f"Torques come from {_SOURCES[payload.torque_source]}, whose gains are known to {spread} at each joint (standard deviation, a third of the variance common to all; "
-        f"--gain-uncertainty states another). That leaves {100 * payload.gain_errors[0] / payload.values[0]:.1f} % of the mass open, noise {100 * payload.noise_errors[0] / payload.values[0]:.1f} %. "
-        f"The mass hangs on the gains of {', '.join(leading)}. A payload of known mass calibrates them (asbuilt gains).{doubt}"
+        f"Torques come from {_SOURCES[payload.torque_source]}, whose gains are known to {spread} at"
+        " each joint (standard deviation, a third of the variance common to all;"
+        " --gain-uncertainty states another). That leaves"
+        f" {100 * payload.gain_errors[0] / payload.values[0]:.1f} % of the mass open, noise"
+        f" {100 * payload.noise_errors[0] / payload.values[0]:.1f} %. The mass hangs on the gains"
+        f" of {', '.join(leading)}. A payload of known mass calibrates them (asbuilt gains).{doubt}"
     ]
 
 
@@ -80,7 +116,14 @@ def payload_torque_table(payload: Payload) -> Table:
     """Return the RMS torque error of each joint with the payload and for the bare arm."""
     rows = []
     for bare, carried in zip(payload.metrics_bare, payload.metrics, strict=True):
-        rows.append((recording_name(bare.source), "arm alone", *(significant(float(x)) for x in bare.rms), share(bare.relative_error)))
+        rows.append(
+            (
+                recording_name(bare.source),
+                "arm alone",
+                *(significant(float(x)) for x in bare.rms),
+                share(bare.relative_error),
+            )
+        )
         rows.append(
             (
                 recording_name(carried.source),
@@ -101,7 +144,10 @@ def payload_torque_table(payload: Payload) -> Table:
 
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
     """Return what `asbuilt payload --json` prints."""
-    errors, noise, gain = (_symmetric(each[4:]) for each in (payload.std_errors, payload.noise_errors, payload.gain_errors))
+    errors, noise, gain = (
+        _symmetric(each[4:])
+        for each in (payload.std_errors, payload.noise_errors, payload.gain_errors)
+    )
     return {
         "robot": payload.robot,
         "frame": payload.frame,

@@ -20,8 +20,16 @@ ROUNDING = 1e-12
 
 def robots_table(models: Sequence[RobotModel]) -> Table:
     """List robots: name, joints, total mass, whose facts they are."""
-    rows = tuple((model.name, model.n_joints, float(model.parameters[9::10].sum()), model.citation) for model in models)
-    columns = (Column("robot"), Column("joints", align="right"), Column("mass", "kg", "decimal", ".2f"), Column("source", width=96))
+    rows = tuple(
+        (model.name, model.n_joints, float(model.parameters[9::10].sum()), model.citation)
+        for model in models
+    )
+    columns = (
+        Column("robot"),
+        Column("joints", align="right"),
+        Column("mass", "kg", "decimal", ".2f"),
+        Column("source", width=96),
+    )
     return Table(columns, rows)
 
 
@@ -29,7 +37,12 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
     """Return what `asbuilt robots --json` prints."""
     return {
         "robots": [
-            {"name": model.name, "n_joints": model.n_joints, "mass": float(model.parameters[9::10].sum()), "citation": model.citation}
+            {
+                "name": model.name,
+                "n_joints": model.n_joints,
+                "mass": float(model.parameters[9::10].sum()),
+                "citation": model.citation,
+            }
             for model in models
         ]
     }
@@ -37,11 +50,15 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
 
 def robot_document(model: RobotModel) -> dict[str, Any]:
     """Return what `asbuilt show --json` prints: the model with, for every link, whether such a body can exist."""
-    inconsistencies = {link.name: link.inertia.inconsistency() for link in model.links if link.inertia_known}
+    inconsistencies = {
+        link.name: link.inertia.inconsistency() for link in model.links if link.inertia_known
+    }
     return {
         "robot": model.name,
         "physically_consistent": all(reason is None for reason in inconsistencies.values()),
-        "inconsistencies": {name: reason for name, reason in inconsistencies.items() if reason is not None},
+        "inconsistencies": {
+            name: reason for name, reason in inconsistencies.items() if reason is not None
+        },
         "model": model_document(model),
     }
 
@@ -95,7 +112,10 @@ def joints_table(model: RobotModel) -> Table:
 
 def _further_terms(drive: DriveValues) -> str:
     """Return further drive terms with their parameters and shapes, `stribeck Fs 0.3 velocity 0.05`."""
-    return "; ".join(" ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())]) for key, numbers in drive.terms.items())
+    return "; ".join(
+        " ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())])
+        for key, numbers in drive.terms.items()
+    )
 
 
 def links_table(model: RobotModel) -> Table:
@@ -109,9 +129,20 @@ def links_table(model: RobotModel) -> Table:
         reason = inertia.inconsistency()
         about_com = inertia.inertia_about_com if inertia.mass > 0 else np.zeros((3, 3))
         com = _vector(inertia.com) if inertia.mass > 0 else "-"
-        products = _vector(_rounded([about_com[0, 1], about_com[0, 2], about_com[1, 2]], float(np.abs(about_com).max())))
+        products = _vector(
+            _rounded(
+                [about_com[0, 1], about_com[0, 2], about_com[1, 2]], float(np.abs(about_com).max())
+            )
+        )
         rows.append(
-            (link.name, inertia.mass, com, _vector(np.diag(about_com)), products, "OK" if reason is None else f"IMPOSSIBLE: {reason}")
+            (
+                link.name,
+                inertia.mass,
+                com,
+                _vector(np.diag(about_com)),
+                products,
+                "OK" if reason is None else f"IMPOSSIBLE: {reason}",
+            )
         )
     columns = (
         Column("link"),
@@ -128,17 +159,26 @@ def robot_text(model: RobotModel) -> str:
     """Return everything `asbuilt show` prints."""
     gravity = _vector(model.gravity)
     head = [
-        f"{model.name}: {model.n_joints} joints, {model.parameters[9::10].sum():.4g} kg moving, gravity {gravity} m/s^2 in {model.root_link}",
+        (
+            f"{model.name}: {model.n_joints} joints, {model.parameters[9::10].sum():.4g} kg moving,"
+            f" gravity {gravity} m/s^2 in {model.root_link}"
+        ),
     ]
     if model.citation:
         head.append(f"facts from: {model.citation}")
     if model.source:
         head.append(f"read from: {model.source}")
-    merged = [f"{frame.name} (on {model.root_link if frame.link == ROOT else model.links[frame.link].name})" for frame in model.frames]
+    merged = [
+        f"{frame.name} (on"
+        f" {model.root_link if frame.link == ROOT else model.links[frame.link].name})"
+        for frame in model.frames
+    ]
     if merged:
         head.append(f"fixed frames: {', '.join(merged)}")
     notes = [f"note: {note}" for note in model.notes]
-    return "\n".join([*head, *notes, "", joints_table(model).as_text(), links_table(model).as_text()])
+    return "\n".join(
+        [*head, *notes, "", joints_table(model).as_text(), links_table(model).as_text()]
+    )
 
 
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
@@ -146,7 +186,9 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
     values = base.values(parameter_values(model, base.drive))
     rows = tuple(
         (int(number), symbolic, unit, None if np.isnan(value) else float(value))
-        for number, symbolic, unit, value in zip(base.ids, base.symbolic, base.units, values, strict=True)
+        for number, symbolic, unit, value in zip(
+            base.ids, base.symbolic, base.units, values, strict=True
+        )
     )
     columns = (
         Column("id", align="right"),
@@ -154,16 +196,34 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
         Column("unit"),
         Column("value", align="decimal", style=".6g"),
     )
-    return Table(columns, rows, title=f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters")
+    return Table(
+        columns,
+        rows,
+        title=(
+            f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters"
+        ),
+    )
 
 
 def standard_table(base: BaseParameters) -> Table:
     """List the standard parameters: whether torques tell each alone, in a sum (which) or never, and why."""
     rows = tuple(
-        (parameter.id, parameter.name, parameter.status, " ".join(str(member) for member in parameter.members) or "-", parameter.why)
+        (
+            parameter.id,
+            parameter.name,
+            parameter.status,
+            " ".join(str(member) for member in parameter.members) or "-",
+            parameter.why,
+        )
         for parameter in base.standard
     )
-    columns = (Column("id", align="right"), Column("parameter"), Column("status"), Column("in base ids"), Column("why"))
+    columns = (
+        Column("id", align="right"),
+        Column("parameter"),
+        Column("status"),
+        Column("in base ids"),
+        Column("why"),
+    )
     return Table(columns, rows, title="Standard parameters")
 
 

@@ -36,19 +36,40 @@ def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
         "n_standard": base.n_standard,
         "n_base": base.n_base,
         "parameters": [
-            {"id": int(number), "name": name, "expression": expression, "symbolic": symbolic, "value": _number(value), "unit": unit}
+            {
+                "id": int(number),
+                "name": name,
+                "expression": expression,
+                "symbolic": symbolic,
+                "value": _number(value),
+                "unit": unit,
+            }
             for number, name, expression, symbolic, value, unit in zip(
-                base.ids, base.names, base.expressions, base.symbolic, values, base.units, strict=True
+                base.ids,
+                base.names,
+                base.expressions,
+                base.symbolic,
+                values,
+                base.units,
+                strict=True,
             )
         ],
         "standard": [
-            {"id": entry.id, "name": entry.name, "status": entry.status, "in": list(entry.members), "why": entry.why}
+            {
+                "id": entry.id,
+                "name": entry.name,
+                "status": entry.status,
+                "in": list(entry.members),
+                "why": entry.why,
+            }
             for entry in base.standard
         ],
     }
 
 
-def identify_document(result: IdentificationResult, *, files: Mapping[str, str | os.PathLike[str]] | None = None) -> dict[str, Any]:
+def identify_document(
+    result: IdentificationResult, *, files: Mapping[str, str | os.PathLike[str]] | None = None
+) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `files` are the paths of what was written, by kind."""
     return {
         "robot": result.robot,
@@ -78,14 +99,20 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
             }
             for parameter in result.parameters
         ],
-        "motor_side": [asdict(each) for each in motor_side_parameters(result)] if gear_ratios(result.model) else [],
+        "motor_side": (
+            [asdict(each) for each in motor_side_parameters(result)]
+            if gear_ratios(result.model)
+            else []
+        ),
         "train": result.train.as_dict(),
         "validation": [metrics.as_dict() for metrics in result.validation],
         "cad": result.cad.as_dict(),
         "physically_consistent": result.physically_consistent,
         "undetermined": list(result.undetermined),
         "determination": determination(result).as_dict(),
-        "warnings": [{"code": warning.code, "message": warning.message} for warning in result.warnings],
+        "warnings": [
+            {"code": warning.code, "message": warning.message} for warning in result.warnings
+        ],
         "notes": list(result.notes),
         "provenance": list(result.provenance),
         "files": path_texts(files),
@@ -93,7 +120,10 @@ def identify_document(result: IdentificationResult, *, files: Mapping[str, str |
 
 
 def validate_document(
-    result: IdentificationResult, validations: Sequence[Validation], *, files: Mapping[str, str | os.PathLike[str]] | None = None
+    result: IdentificationResult,
+    validations: Sequence[Validation],
+    *,
+    files: Mapping[str, str | os.PathLike[str]] | None = None,
 ) -> dict[str, Any]:
     """Return what `asbuilt validate --json` prints: metrics as built and of the CAD values on each recording."""
     return {
@@ -121,7 +151,10 @@ def described_document(model: RobotModel, errors: Sequence[TorqueMetrics]) -> di
 def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -> Table:
     """Return the RMS torque error of each joint of a robot as described, for each recording."""
     heads = [Column("recording", width=40)]
-    heads += [Column(name, unit, "decimal", width=16) for name, unit in zip(model.joint_names, torque_units(model), strict=True)]
+    heads += [
+        Column(name, unit, "decimal", width=16)
+        for name, unit in zip(model.joint_names, torque_units(model), strict=True)
+    ]
     heads.append(Column("relative error", align="decimal"))
     rows: list[tuple[Cell, ...]] = [
         (
@@ -134,7 +167,9 @@ def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -
     return Table(tuple(heads), tuple(rows), title=f"RMS torque error of {model.name} as described")
 
 
-def check_document(model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()) -> dict[str, Any]:
+def check_document(
+    model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()
+) -> dict[str, Any]:
     """Return what `asbuilt check --json` prints; `information` is None where a recording was not judged."""
     parts = list(carried) or [None] * len(checks)
     return {
@@ -168,7 +203,19 @@ def write_json(path: str | os.PathLike[str], document: Any) -> Path:
 def identified_table(result: IdentificationResult) -> Table:
     """Return every base parameter of a result in full precision."""
     heads = tuple(
-        Column(name) for name in ("id", "name", "expression", "symbolic", "unit", "cad", "estimate", "std_error", "determined", "dropped")
+        Column(name)
+        for name in (
+            "id",
+            "name",
+            "expression",
+            "symbolic",
+            "unit",
+            "cad",
+            "estimate",
+            "std_error",
+            "determined",
+            "dropped",
+        )
     )
     return Table(
         heads,
@@ -193,7 +240,11 @@ def prediction_table(validation: Validation) -> Table:
     heads = [Column("t", "s")]
     values = [validation.t]
     for k, (name, unit) in enumerate(zip(validation.joint_names, validation.units, strict=True)):
-        for what, torque in (("measured", validation.measured), ("as_built", validation.predicted), ("cad", validation.predicted_cad)):
+        for what, torque in (
+            ("measured", validation.measured),
+            ("as_built", validation.predicted),
+            ("cad", validation.predicted_cad),
+        ):
             heads.append(Column(f"{name}_{what}", unit))
             values.append(torque[:, k])
     return Table(tuple(heads), tuple(tuple(row) for row in np.column_stack(values).tolist()))

@@ -34,26 +34,36 @@ class Compiled:
         self.source, self.header = write_c(folder / "robot.c", model, **options)
         self.prefix = c_code(model, **options).prefix
         library = folder / "robot.so"
-        subprocess.run(["gcc", *FLAGS, "-shared", "-fPIC", str(self.source), "-o", str(library), "-lm"], check=True)
+        subprocess.run(
+            ["gcc", *FLAGS, "-shared", "-fPIC", str(self.source), "-o", str(library), "-lm"],
+            check=True,
+        )
         self.library = ctypes.CDLL(str(library))
         self.folder = folder
 
     def call(self, function: str, size: int) -> Callable[..., np.ndarray]:
         def run(*inputs: np.ndarray) -> np.ndarray:
             out = np.full(size, np.nan)
-            pointers = [np.ascontiguousarray(x).ctypes.data_as(ctypes.POINTER(ctypes.c_double)) for x in (*inputs, out)]
+            pointers = [
+                np.ascontiguousarray(x).ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+                for x in (*inputs, out)
+            ]
             getattr(self.library, f"{self.prefix}_{function}")(*pointers)
             return out
 
         return run
 
     def base_values(self, count: int) -> np.ndarray:
-        return np.array((ctypes.c_double * count).in_dll(self.library, f"{self.prefix}_base_values"))
+        return np.array(
+            (ctypes.c_double * count).in_dll(self.library, f"{self.prefix}_base_values")
+        )
 
     def self_test(self) -> subprocess.CompletedProcess[str]:
         program = self.folder / "self_test"
         define = f"-D{self.prefix.upper()}_SELF_TEST"
-        subprocess.run(["gcc", *FLAGS, define, str(self.source), "-o", str(program), "-lm"], check=True)
+        subprocess.run(
+            ["gcc", *FLAGS, define, str(self.source), "-o", str(program), "-lm"], check=True
+        )
         return subprocess.run([str(program)], capture_output=True, text=True, check=False)
 
 
@@ -65,16 +75,23 @@ def check_compiles(folder: Path, model: RobotModel) -> Compiled:
     beta = compiled.base_values(base.n_base)
     q, qd, qdd = sample_states(model, 10)
     qd[0, 0] = 0.0
-    tau, gravity, row = (compiled.call(f, k) for f, k in (("inverse_dynamics", n), ("gravity_torque", n), ("regressor", n * base.n_base)))
+    tau, gravity, row = (
+        compiled.call(f, k)
+        for f, k in (("inverse_dynamics", n), ("gravity_torque", n), ("regressor", n * base.n_base))
+    )
     oracle = pinocchio_model(model)
     data = oracle.createData()
     drives = drive_torques(model, qd, qdd, offset=True)
     for k in range(len(q)):
         found = tau(q[k], qd[k], qdd[k])
-        np.testing.assert_allclose(found, pin.rnea(oracle, data, q[k], qd[k], qdd[k]) + drives[k], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            found, pin.rnea(oracle, data, q[k], qd[k], qdd[k]) + drives[k], rtol=0, atol=1e-9
+        )
         np.testing.assert_allclose(gravity(q[k]), gravity_torque(model, q[k]), rtol=0, atol=1e-9)
         Y = row(q[k], qd[k], qdd[k]).reshape(n, -1)
-        np.testing.assert_allclose(Y, regressor(model, q[k], qd[k], qdd[k], drive)[:, base.columns], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            Y, regressor(model, q[k], qd[k], qdd[k], drive)[:, base.columns], rtol=0, atol=1e-9
+        )
         np.testing.assert_allclose(Y @ beta, found, rtol=0, atol=1e-9)
     return compiled
 
@@ -102,11 +119,20 @@ def test_lengths_that_are_almost_zero_keep_their_torque(tmp_path: Path) -> None:
     model = as_if_identified(bundled_robot("ur10e"), 3)
     wrist = np.array(model.joints[4].before)
     wrist[0, 3] += 5e-11
-    model = replace(model, joints=(*model.joints[:4], replace(model.joints[4], before=wrist, before_letters=None), *model.joints[5:]))
+    model = replace(
+        model,
+        joints=(
+            *model.joints[:4],
+            replace(model.joints[4], before=wrist, before_letters=None),
+            *model.joints[5:],
+        ),
+    )
     tau = Compiled(tmp_path, model).call("inverse_dynamics", 6)
     q, qd, qdd = sample_states(model, 20)
     expected = inverse_dynamics(model, q, qd, qdd) + drive_torques(model, qd, qdd, offset=True)
-    np.testing.assert_allclose([tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(
+        [tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-11
+    )
 
 
 def test_self_test_passes_and_notices_a_changed_number(tmp_path: Path) -> None:
@@ -121,7 +147,10 @@ def test_self_test_passes_and_notices_a_changed_number(tmp_path: Path) -> None:
 def test_only_sine_and_cosine_are_called(tmp_path: Path) -> None:
     compiled = check_compiles(tmp_path, as_if_identified(bundled_robot("ur10e"), 3))
     symbols = subprocess.run(
-        ["nm", "-D", "--undefined-only", str(tmp_path / "robot.so")], capture_output=True, text=True, check=True
+        ["nm", "-D", "--undefined-only", str(tmp_path / "robot.so")],
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout
     called = {line.split()[-1].split("@")[0] for line in symbols.splitlines() if " U " in line}
     assert called <= {"sin", "cos", "sincos"}
@@ -131,8 +160,12 @@ def test_only_sine_and_cosine_are_called(tmp_path: Path) -> None:
 def test_hostile_names_stay_text(example: Any, tmp_path: Path) -> None:
     model = as_if_identified(example.model, 1)
     names = ('*/ int x; /* "', "??/\\", "é\n#error", "%s\\")
-    joints = tuple(replace(joint, name=name) for joint, name in zip(model.joints, names, strict=True))
-    check_compiles(tmp_path, replace(model, name='7 "arms" */ ??/\\', joints=joints, notes=("a */ b", "c \\")))
+    joints = tuple(
+        replace(joint, name=name) for joint, name in zip(model.joints, names, strict=True)
+    )
+    check_compiles(
+        tmp_path, replace(model, name='7 "arms" */ ??/\\', joints=joints, notes=("a */ b", "c \\"))
+    )
 
 
 def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
@@ -146,8 +179,12 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)
     tau = compiled.call("inverse_dynamics", 6)
     q, qd, qdd = sample_states(model, 10)
-    expected = inverse_dynamics(model, q, qd, qdd) + drive_torque(drive, values, q, qd, qdd, shares=model.motor_shares)
-    np.testing.assert_allclose([tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-9)
+    expected = inverse_dynamics(model, q, qd, qdd) + drive_torque(
+        drive, values, q, qd, qdd, shares=model.motor_shares
+    )
+    np.testing.assert_allclose(
+        [tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-9
+    )
     assert compiled.self_test().returncode == 0
 
 
@@ -161,7 +198,9 @@ def test_every_term_of_the_catalogue_is_written(key: str, tmp_path: Path) -> Non
     load = inverse_dynamics(model, q, qd, qdd)
     expected = load + drive_torque(drive, values, q, qd, qdd, load=load, shares=model.motor_shares)
     tau = compiled.call("inverse_dynamics", 6)
-    np.testing.assert_allclose([tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        [tau(*state) for state in zip(q, qd, qdd, strict=True)], expected, rtol=0, atol=1e-9
+    )
     assert compiled.self_test().returncode == 0
 
 

@@ -32,5 +32,8 @@ class LoadFriction(DriveTerm):
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `|load| sign(qd)`; raises UsageError without a load."""
         if load is None:
-            raise UsageError(f"drive term {self.key!r} needs the rigid-body torque of the joint; pass load, shape {q.shape}")
+            raise UsageError(
+                f"drive term {self.key!r} needs the rigid-body torque of the joint; pass load,"
+                f" shape {q.shape}"
+            )
         np.multiply(np.abs(load), np.sign(qd), out=out[0])

@@ -28,7 +28,9 @@ class SmoothCoulomb(DriveTerm):
     stands_for = "coulomb"
     non_negative = True
     formula = "Fct tanh(qd / width)"
-    shapes = (Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),)
+    shapes = (
+        Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),
+    )
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `tanh(qd / width)`."""

@@ -37,7 +37,9 @@ class Dialect:
     text_columns: tuple[str, ...]
 
 
-def find_dialect(path: Path, *, header: bool | None = None, separator: str | None = None) -> Dialect:
+def find_dialect(
+    path: Path, *, header: bool | None = None, separator: str | None = None
+) -> Dialect:
     """Find separator, header and column names from the first lines; `header` None decides by whether the first line holds numbers.
 
     Raises
@@ -46,19 +48,29 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
         If the file is empty, not text, holds no numbers, or names a column twice.
     """
     lines = _first_lines(path)
-    body = [k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(_COMMENTS)]
+    body = [
+        k
+        for k, line in enumerate(lines)
+        if line.strip() and not line.lstrip().startswith(_COMMENTS)
+    ]
     if not body:
         raise RecordingError(f"{path} is not a recording: it is empty")
     first = body[0]
     if separator is None:
         separator = _find_separator([lines[k] for k in body[:20]])
-    decimal_comma = separator == ";" and any("," in field for k in body[1:3] for field in lines[k].split(";"))
+    decimal_comma = separator == ";" and any(
+        "," in field for k in body[1:3] for field in lines[k].split(";")
+    )
     fields = _fields(lines[first], separator)
-    has_header = not all(_is_number(field, decimal_comma) for field in fields) if header is None else header
+    has_header = (
+        not all(_is_number(field, decimal_comma) for field in fields) if header is None else header
+    )
     skip, names = first, fields
     if has_header:
         if len(body) < 2:
-            raise RecordingError(f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data")
+            raise RecordingError(
+                f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data"
+            )
         skip = body[1]
         units = _fields(lines[skip], separator)
         if (
@@ -67,10 +79,20 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
             and _is_words(units, decimal_comma)
             and not _is_words(_fields(lines[body[2]], separator), decimal_comma)
         ):
-            names, skip = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)], body[2]
+            names, skip = (
+                [
+                    f"{name} [{unit}]" if unit else name
+                    for name, unit in zip(names, units, strict=True)
+                ],
+                body[2],
+            )
     else:
         commented = _fields(lines[first - 1].lstrip(" #%"), separator) if first > 0 else []
-        if header is None and len(commented) == len(fields) and not any(_is_number(field, decimal_comma) for field in commented):
+        if (
+            header is None
+            and len(commented) == len(fields)
+            and not any(_is_number(field, decimal_comma) for field in commented)
+        ):
             names, has_header = commented, True
         else:
             names = [str(k) for k in range(1, len(fields) + 1)]
@@ -79,7 +101,8 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
     if repeated:
         places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
         raise RecordingError(
-            f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times (columns {places}); rename one of them"
+            f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times"
+            f" (columns {places}); rename one of them"
         )
     data = _fields(lines[skip], separator)
     text = tuple(
@@ -89,14 +112,17 @@ def find_dialect(path: Path, *, header: bool | None = None, separator: str | Non
     )
     if len(text) == len(names):
         raise RecordingError(
-            f"{path} is not a recording: line {skip + 1} holds no number ({lines[skip].strip()[:60]!r}); remove what stands above the header"
+            f"{path} is not a recording: line {skip + 1} holds no number"
+            f" ({lines[skip].strip()[:60]!r}); remove what stands above the header"
         )
     return Dialect(separator, decimal_comma, skip, tuple(names), not has_header, text)
 
 
 def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
     """Open the file lazily: every numeric column Float64, text columns String."""
-    schema = {name: pl.String if name in dialect.text_columns else pl.Float64 for name in dialect.names}
+    schema = {
+        name: pl.String if name in dialect.text_columns else pl.Float64 for name in dialect.names
+    }
     return pl.scan_csv(
         path,
         separator=dialect.separator,
@@ -114,7 +140,9 @@ def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
     return frame.filter(~pl.all_horizontal(pl.all().is_null()))
 
 
-def read_delimited(path: Path, *, header: bool | None = None, separator: str | None = None) -> Table:
+def read_delimited(
+    path: Path, *, header: bool | None = None, separator: str | None = None
+) -> Table:
     """Read a CSV file (or one delimited by semicolons, tabs, bars or blanks), with or without header.
 
     Empty cells become NaN; a cell that is not a number raises with its line and column.
@@ -157,14 +185,25 @@ def bad_cell(path: Path, dialect: Dialect, error: Exception) -> str:
             if len(fields) > len(dialect.names):
                 commas = dialect.separator == "," and len(fields) > 1.5 * len(dialect.names)
                 cure = (
-                    "export decimal points, or semicolons between the cells, if these are decimal commas"
+                    "export decimal points, or semicolons between the cells, if these are decimal"
+                    " commas"
                     if commas
                     else "repair or remove the line"
                 )
-                return f"{path}, line {number}: {len(fields)} fields where {len(dialect.names)} columns are expected; {cure}"
+                return (
+                    f"{path}, line {number}: {len(fields)} fields where {len(dialect.names)}"
+                    f" columns are expected; {cure}"
+                )
             for name, cell in zip(dialect.names, fields, strict=False):
-                if name not in dialect.text_columns and cell not in _MISSING and not _is_number(cell, dialect.decimal_comma):
-                    return f"{path}, line {number}, column {name!r}: {cell!r} is not a number; repair the cell or remove the line"
+                if (
+                    name not in dialect.text_columns
+                    and cell not in _MISSING
+                    and not _is_number(cell, dialect.decimal_comma)
+                ):
+                    return (
+                        f"{path}, line {number}, column {name!r}: {cell!r} is not a number; repair"
+                        " the cell or remove the line"
+                    )
     return f"{path} cannot be read as delimited text: {error}"
 
 
@@ -200,12 +239,16 @@ def _first_lines(path: Path, count: int = 64) -> list[str]:
     if packed is not None:
         raise RecordingError(f"{path} is not a recording: it holds {packed}")
     if b"\r" in start and b"\n" not in start:
-        raise RecordingError(f"{path} is not a recording: its lines end in a carriage return alone; save it with line feeds")
+        raise RecordingError(
+            f"{path} is not a recording: its lines end in a carriage return alone; save it with"
+            " line feeds"
+        )
     if b"\0" in start:
         raise RecordingError(f"{path} is not a recording: it holds binary data, not text")
     if start.lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<robot", b"{")):
         raise RecordingError(
-            f"{path} is not a recording: it starts with {start.lstrip()[:20].decode('utf-8', 'replace')!r}; a table of numbers is expected"
+            f"{path} is not a recording: it starts with"
+            f" {start.lstrip()[:20].decode('utf-8', 'replace')!r}; a table of numbers is expected"
         )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         return list(itertools.islice(file, count))

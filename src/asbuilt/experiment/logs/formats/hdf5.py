@@ -42,7 +42,12 @@ def read_hdf5(path: Path) -> Table:
         with h5py.File(path, "r") as file:
             file.visititems(visit)
     except OSError as error:
-        raise RecordingError(f"{path} is not a recording: it cannot be read as HDF5 ({error})") from error
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as HDF5 ({error})"
+        ) from error
     short = [name.rsplit("/", 1)[-1] for name in variables]
-    named = {last if short.count(last) == 1 else name: value for (name, value), last in zip(variables.items(), short, strict=True)}
+    named = {
+        last if short.count(last) == 1 else name: value
+        for (name, value), last in zip(variables.items(), short, strict=True)
+    }
     return table_from_variables(str(path), named)

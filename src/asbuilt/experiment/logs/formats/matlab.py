@@ -30,7 +30,9 @@ def read_mat(path: Path) -> Table:
     try:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except (MatReadError, ValueError, OSError, TypeError, NotImplementedError) as error:
-        raise RecordingError(f"{path} is not a recording: it cannot be read as a MATLAB file ({error})") from error
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as a MATLAB file ({error})"
+        ) from error
     variables: dict[str, Array] = {}
     for name, value in content.items():
         if not name.startswith("__"):
@@ -41,6 +43,10 @@ def read_mat(path: Path) -> Table:
 def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:
     if hasattr(value, "_fieldnames"):
         for field in value._fieldnames:
-            _collect(field if field not in variables else f"{name}.{field}", getattr(value, field), variables)
+            _collect(
+                field if field not in variables else f"{name}.{field}",
+                getattr(value, field),
+                variables,
+            )
     elif isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number):
         variables[name] = value

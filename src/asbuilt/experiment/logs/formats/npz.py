@@ -25,7 +25,8 @@ def read_npz(path: Path) -> Table:
         archive = np.load(path, allow_pickle=False)
         if isinstance(archive, np.ndarray):
             raise RecordingError(
-                f"{path} holds one array of shape {archive.shape} without names; save named arrays: np.savez(path, t=t, q=q, tau=tau)"
+                f"{path} holds one array of shape {archive.shape} without names; save named arrays:"
+                " np.savez(path, t=t, q=q, tau=tau)"
             )
         with archive:
             for name in archive.files:
@@ -37,9 +38,17 @@ def read_npz(path: Path) -> Table:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(
-            f"{path} is not a recording: NumPy cannot read it as an .npz archive; save named arrays with np.savez(path, t=t, q=q, tau=tau)"
+            f"{path} is not a recording: NumPy cannot read it as an .npz archive; save named arrays"
+            " with np.savez(path, t=t, q=q, tau=tau)"
         ) from error
     if not variables:
-        reason = f"its arrays are pickled objects ({', '.join(pickled)}), which are not read for safety" if pickled else "it holds no array"
-        raise RecordingError(f"{path} is not a recording: {reason}; save plain number arrays with np.savez(path, t=t, q=q, tau=tau)")
+        reason = (
+            f"its arrays are pickled objects ({', '.join(pickled)}), which are not read for safety"
+            if pickled
+            else "it holds no array"
+        )
+        raise RecordingError(
+            f"{path} is not a recording: {reason}; save plain number arrays with np.savez(path,"
+            " t=t, q=q, tau=tau)"
+        )
     return table_from_variables(str(path), variables)

@@ -23,11 +23,18 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, 
         frame = pl.scan_parquet(path)
         schema = frame.collect_schema()
     except (pl.exceptions.PolarsError, OSError) as error:
-        raise RecordingError(f"{path} is not a recording: it cannot be read as Parquet ({error})") from error
-    numeric = tuple(name for name, kind in schema.items() if kind.is_numeric() or kind in (pl.Datetime, pl.Duration))
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as Parquet ({error})"
+        ) from error
+    numeric = tuple(
+        name
+        for name, kind in schema.items()
+        if kind.is_numeric() or kind in (pl.Datetime, pl.Duration)
+    )
     if not numeric:
         raise RecordingError(
-            f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)}); write numbers, a column for each joint"
+            f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)});"
+            " write numbers, a column for each joint"
         )
     return frame, numeric, tuple(name for name in schema if name not in numeric)
 
@@ -55,4 +62,8 @@ def read_parquet(path: Path) -> Table:
 def seconds(series: pl.Series) -> Array:
     """Turn time stamps or durations into seconds, time stamps since 1970."""
     kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
-    return (series.cast(kind).cast(pl.Int64).cast(pl.Float64) * 1e-9).fill_null(float("nan")).to_numpy()
+    return (
+        (series.cast(kind).cast(pl.Int64).cast(pl.Float64) * 1e-9)
+        .fill_null(float("nan"))
+        .to_numpy()
+    )

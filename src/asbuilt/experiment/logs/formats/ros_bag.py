@@ -36,15 +36,22 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
     if not messages:
         listing = ", ".join(sorted(topics)) or "none"
         raise RecordingError(
-            f"{path} is not a recording: it holds no {_JOINT_STATE} message (topics: {listing}); record the joint states' topic"
+            f"{path} is not a recording: it holds no {_JOINT_STATE} message (topics: {listing});"
+            " record the joint states' topic"
         )
-    states: list[tuple[int, Any]] = [(stamp, store.deserialize_cdr(data, _JOINT_STATE)) for stamp, data in messages]
+    states: list[tuple[int, Any]] = [
+        (stamp, store.deserialize_cdr(data, _JOINT_STATE)) for stamp, data in messages
+    ]
     names = _usual_names(states)
     kept = [(stamp, state) for stamp, state in states if set(names) <= set(state.name)]
     first = kept[0][1]
     known: dict[str, tuple[str, str]] = {}
     columns: dict[str, Array] = {"time": _times(kept)}
-    for field, quantity in (("position", "position"), ("velocity", "velocity"), ("effort", "torque")):
+    for field, quantity in (
+        ("position", "position"),
+        ("velocity", "velocity"),
+        ("effort", "torque"),
+    ):
         values = _values(kept, field, names)
         if values is None:
             continue
@@ -53,10 +60,15 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
             known[f"{name}/{field}"] = (quantity, name)
     if not any(quantity == "torque" for quantity, _ in known.values()):
         raise RecordingError(
-            f"{path}: the joint states of {', '.join(first.name)} carry no effort; torque or current is needed for identification"
+            f"{path}: the joint states of {', '.join(first.name)} carry no effort; torque or"
+            " current is needed for identification"
         )
     dropped = len(states) - len(kept)
-    notes = (f"{dropped} of {len(states)} messages name other joints and were left out",) if dropped else ()
+    notes = (
+        (f"{dropped} of {len(states)} messages name other joints and were left out",)
+        if dropped
+        else ()
+    )
     return Table(source=str(path), columns=columns, known=known, notes=notes)
 
 
@@ -67,8 +79,15 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         files = sorted([*path.glob("*.db3"), *path.glob("*.mcap")])
         if len(files) != 1:
-            cure = "give one of them" if files else "give the file of a recording, or the folder of a bag"
-            raise RecordingError(f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap files; {cure}")
+            cure = (
+                "give one of them"
+                if files
+                else "give the file of a recording, or the folder of a bag"
+            )
+            raise RecordingError(
+                f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap"
+                f" files; {cure}"
+            )
         storage = files[0]
     try:
         with Reader(storage) as bag:
@@ -76,24 +95,37 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
             found = [c for c in bag.connections if c.msgtype == _JOINT_STATE]
             chosen = _choose(path, {c.topic for c in found}, topic)
             found = [c for c in found if c.topic == chosen]
-            messages = [(stamp, bytes(data)) for _, stamp, data in bag.messages(connections=found)] if found else []
+            messages = (
+                [(stamp, bytes(data)) for _, stamp, data in bag.messages(connections=found)]
+                if found
+                else []
+            )
     except RecordingError:
         raise
-    except Exception as error:  # rosbags raises whatever its readers of databases and messages raise
-        raise RecordingError(f"{path} is not a recording: it cannot be read as a ROS 2 bag ({type(error).__name__}: {error})") from error
+    except (
+        Exception
+    ) as error:  # rosbags raises whatever its readers of databases and messages raise
+        raise RecordingError(
+            f"{path} is not a recording: it cannot be read as a ROS 2 bag ({type(error).__name__}:"
+            f" {error})"
+        ) from error
     return messages, topics
 
 
 def _choose(path: Path, topics: set[str], topic: str | None) -> str | None:
     if topic is not None:
         if topic not in topics:
-            raise RecordingError(f"{path} has no joint states on topic {topic!r}; it has them on {', '.join(sorted(topics)) or 'no topic'}")
+            raise RecordingError(
+                f"{path} has no joint states on topic {topic!r}; it has them on"
+                f" {', '.join(sorted(topics)) or 'no topic'}"
+            )
         return topic
     if len(topics) > 1:
         if "/joint_states" in topics:
             return "/joint_states"
         raise RecordingError(
-            f'{path} has joint states on {len(topics)} topics ({", ".join(sorted(topics))}); choose in a recording sheet: topic = "..."'
+            f"{path} has joint states on {len(topics)} topics ({', '.join(sorted(topics))}); choose"
+            ' in a recording sheet: topic = "..."'
         )
     return next(iter(topics), None)
 
@@ -110,7 +142,13 @@ def _usual_names(states: list[tuple[int, Any]]) -> tuple[str, ...]:
 
 
 def _times(states: list[tuple[int, Any]]) -> Array:
-    stamps = np.array([state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec for _, state in states], dtype=np.int64)
+    stamps = np.array(
+        [
+            state.header.stamp.sec * 1_000_000_000 + state.header.stamp.nanosec
+            for _, state in states
+        ],
+        dtype=np.int64,
+    )
     if len(set(stamps.tolist())) < max(2, len(states) // 2):
         stamps = np.array([stamp for stamp, _ in states], dtype=np.int64)
     seconds: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9

@@ -46,11 +46,16 @@ def table_from_variables(source: str, variables: Mapping[str, Array]) -> Table:
     arrays = {
         name: a
         for name, a in arrays.items()
-        if a.ndim in (1, 2) and a.size > 1 and np.issubdtype(a.dtype, np.number) and not np.iscomplexobj(a)
+        if a.ndim in (1, 2)
+        and a.size > 1
+        and np.issubdtype(a.dtype, np.number)
+        and not np.iscomplexobj(a)
     }
     if not arrays:
         found = ", ".join(variables) or "nothing"
-        raise RecordingError(f"{source} is not a recording: it holds no numeric vector or matrix (found {found})")
+        raise RecordingError(
+            f"{source} is not a recording: it holds no numeric vector or matrix (found {found})"
+        )
     votes: dict[int, int] = {}
     for array in arrays.values():
         for size in set(array.shape):
@@ -69,5 +74,9 @@ def table_from_variables(source: str, variables: Mapping[str, Array]) -> Table:
         matrix = values if values.shape[0] == length else values.T
         for k in range(matrix.shape[1]):
             columns[f"{name}_{k + 1}"] = np.ascontiguousarray(matrix[:, k])
-    notes = (f"variables without the common length {length} were left out: {', '.join(left_out)}",) if left_out else ()
+    notes = (
+        (f"variables without the common length {length} were left out: {', '.join(left_out)}",)
+        if left_out
+        else ()
+    )
     return Table(source=source, columns=columns, notes=notes)

@@ -64,7 +64,9 @@ def c_code(
     """
     described, described_values = described_drive(model)
     terms = described if drive is None else drive
-    values = np.asarray(described_values if drive_values is None else drive_values, dtype=np.float64)
+    values = np.asarray(
+        described_values if drive_values is None else drive_values, dtype=np.float64
+    )
     if drive is not None and drive_values is None:
         values = np.nan_to_num(parameter_values(model, drive)[len(model.parameters) :], nan=0.0)
     base = find_base_parameters(model, terms)
@@ -79,22 +81,36 @@ def c_code(
             torques[j] = forward.code.total((torques[j],), (Term(float(value)), column))
     motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     functions = [
-        _function(f"void {name}_inverse_dynamics({motion}, double tau[{n}])", ("q", "qd", "qdd"), forward.code, _assigned("tau", torques)),
         _function(
-            f"void {name}_gravity_torque(const double q[{n}], double tau[{n}])", ("q",), still.code, _assigned("tau", still.torques(chi))
+            f"void {name}_inverse_dynamics({motion}, double tau[{n}])",
+            ("q", "qd", "qdd"),
+            forward.code,
+            _assigned("tau", torques),
+        ),
+        _function(
+            f"void {name}_gravity_torque(const double q[{n}], double tau[{n}])",
+            ("q",),
+            still.code,
+            _assigned("tau", still.torques(chi)),
         ),
         _function(
             f"void {name}_regressor({motion}, double Y[{n * base.n_base}])",
             ("q", "qd", "qdd"),
             linear.code,
-            {f"Y[{j * base.n_base + k}]": entry for (j, k), entry in sorted(_regressor(linear, base, terms, chi).items())},
+            {
+                f"Y[{j * base.n_base + k}]": entry
+                for (j, k), entry in sorted(_regressor(linear, base, terms, chi).items())
+            },
             opening=(f"for (int k = 0; k < {n * base.n_base}; k++) Y[k] = 0.0;",),
         ),
     ]
     header = _header(model, base, terms, name, stem)
     source = "\n\n".join(
         [
-            _comment(f"{model.name}: inverse dynamics, gravity torque and regressor; see {stem}.h for units and conventions."),
+            _comment(
+                f"{model.name}: inverse dynamics, gravity torque and regressor; see {stem}.h for units"
+                " and conventions."
+            ),
             f'#include "{stem}.h"\n\n#include <math.h>',
             _tables(base, beta, name),
             *functions,
@@ -105,15 +121,24 @@ def c_code(
 
 
 def write_c(
-    path: str | os.PathLike[str], model: RobotModel, *, drive: DriveSet | None = None, drive_values: ArrayLike | None = None
+    path: str | os.PathLike[str],
+    model: RobotModel,
+    *,
+    drive: DriveSet | None = None,
+    drive_values: ArrayLike | None = None,
 ) -> tuple[Path, Path]:
     """Write `NAME.c` and `NAME.h` beside it, with the functions of `c_code`; returns both paths."""
     target = Path(path)
     if target.suffix != ".c":
-        raise UsageError(f"C code is written to a file NAME.c and its header NAME.h, got {target.name!r}")
+        raise UsageError(
+            f"C code is written to a file NAME.c and its header NAME.h, got {target.name!r}"
+        )
     stem = re.sub(r"[^A-Za-z0-9_.+-]", "_", target.stem)
     if stem != target.stem:
-        raise UsageError(f"the name of a C file that is included must be plain, got {target.name!r}; try {stem}.c")
+        raise UsageError(
+            f"the name of a C file that is included must be plain, got {target.name!r}; try"
+            f" {stem}.c"
+        )
     code = c_code(model, drive=drive, drive_values=drive_values, stem=stem)
     return atomic_write(target, code.source), atomic_write(target.with_suffix(".h"), code.header)
 
@@ -132,7 +157,9 @@ def _fewest_parameters(model: RobotModel) -> Array:
     return chi if apart <= SAME_TORQUE * np.abs(torques).max() else model.parameters
 
 
-def _regressor(mechanism: Mechanism, base: BaseParameters, terms: DriveSet, parameters: Array) -> dict[tuple[int, int], Term]:
+def _regressor(
+    mechanism: Mechanism, base: BaseParameters, terms: DriveSet, parameters: Array
+) -> dict[tuple[int, int], Term]:
     inertial = 10 * mechanism.model.n_joints
     columns = [int(column) for column in base.columns if column < inertial]
     entries = mechanism.regressor(columns)
@@ -146,8 +173,19 @@ def _assigned(array: str, values: Sequence[Term]) -> dict[str, Term]:
     return {f"{array}[{j}]": value for j, value in enumerate(values)}
 
 
-def _function(head: str, arguments: Sequence[str], code: StraightLine, answers: dict[str, Term], *, opening: Sequence[str] = ()) -> str:
-    lines = [*code.used(list(answers.values())), *opening, *[f"{place} = {answer.written()};" for place, answer in answers.items()]]
+def _function(
+    head: str,
+    arguments: Sequence[str],
+    code: StraightLine,
+    answers: dict[str, Term],
+    *,
+    opening: Sequence[str] = (),
+) -> str:
+    lines = [
+        *code.used(list(answers.values())),
+        *opening,
+        *[f"{place} = {answer.written()};" for place, answer in answers.items()],
+    ]
     body = "\n".join(lines)
     unused = [f"(void){name};" for name in arguments if not re.search(rf"\b{name}\[", body)]
     return "\n".join([head, "{", *[f"    {line}" for line in [*unused, *lines]], "}"])
@@ -155,7 +193,10 @@ def _function(head: str, arguments: Sequence[str], code: StraightLine, answers: 
 
 def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str, stem: str) -> str:
     n, p, capital = model.n_joints, base.n_base, name.upper()
-    joints = [f"  {k}  {joint.name} ({'rad, N m' if joint.is_revolute else 'm, N'})" for k, joint in enumerate(model.joints)]
+    joints = [
+        f"  {k}  {joint.name} ({'rad, N m' if joint.is_revolute else 'm, N'})"
+        for k, joint in enumerate(model.joints)
+    ]
     about = "\n".join(
         [
             f"{model.name}: dynamics of {n} joints, written by asbuilt.",
@@ -164,11 +205,20 @@ def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str,
             "Joints, in the order of all arrays:",
             *joints,
             "",
-            "Units are SI: q [rad or m], qd, qdd per second, tau [N m or N]. tau is the torque that the drives exert on the links:",
+            (
+                "Units are SI: q [rad or m], qd, qdd per second, tau [N m or N]. tau is the torque that"
+                " the drives exert on the links:"
+            ),
             f"tau = rigid bodies + drive terms ({terms}). Coulomb friction is 0 at standstill.",
             f"Gravity in the root frame: {model.gravity.tolist()} m/s^2.",
-            f"Base parameters: {p}, names with the number of the link or joint, from 1; inertias about link origins in link axes.",
-            f"Compile {stem}.c as C99 and link with -lm. With -D{capital}_SELF_TEST it is a program that checks itself.",
+            (
+                f"Base parameters: {p}, names with the number of the link or joint, from 1; inertias"
+                " about link origins in link axes."
+            ),
+            (
+                f"Compile {stem}.c as C99 and link with -lm. With -D{capital}_SELF_TEST it is a program"
+                " that checks itself."
+            ),
             "All functions are pure: no allocation, no state, safe to call from any thread.",
         ]
     )
@@ -215,16 +265,22 @@ void {name}_regressor(const double q[{n}], const double qd[{n}], const double qd
 
 def _tables(base: BaseParameters, beta: Array, name: str) -> str:
     entries = zip(base.ids, base.names, base.expressions, base.units, strict=True)
-    table = [f"    {{{number}, {_string(called)}, {_string(said)}, {_string(unit)}}}" for number, called, said, unit in entries]
+    table = [
+        f"    {{{number}, {_string(called)}, {_string(said)}, {_string(unit)}}}"
+        for number, called, said, unit in entries
+    ]
     rows = ",\n".join(table)
     numbers = ",\n".join(f"    {_number(value)}" for value in beta)
     p = base.n_base
     return (
-        f"const {name}_parameter {name}_base_parameters[{p}] = {{\n{rows}\n}};\n\nconst double {name}_base_values[{p}] = {{\n{numbers}\n}};"
+        f"const {name}_parameter {name}_base_parameters[{p}] = {{\n{rows}\n}};\n\nconst double"
+        f" {name}_base_values[{p}] = {{\n{numbers}\n}};"
     )
 
 
-def _self_test(model: RobotModel, terms: DriveSet, values: Array, base: BaseParameters, name: str) -> str:
+def _self_test(
+    model: RobotModel, terms: DriveSet, values: Array, base: BaseParameters, name: str
+) -> str:
     q, qd, qdd = sample_states(model, CHECKED_STATES)
     rigid = inverse_dynamics(model, q, qd, qdd)
     tau = rigid + drive_torque(terms, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
@@ -271,7 +327,9 @@ int main(void)
 
 
 def _comment(text: str) -> str:
-    lines = [re.sub(r"[^ -~]|\*(?=/)|/(?=\*)|\\$|\?(?=\?)", "_", line) for line in text.splitlines()]
+    lines = [
+        re.sub(r"[^ -~]|\*(?=/)|/(?=\*)|\\$|\?(?=\?)", "_", line) for line in text.splitlines()
+    ]
     return "\n".join(["/*", *[f" * {line}".rstrip() for line in lines], " */"])
 
 

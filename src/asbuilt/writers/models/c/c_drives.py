@@ -33,7 +33,9 @@ class DriveState:
 
     def given(self, text: str) -> Term:
         """Define a variable by a C expression in `{q}`, `{qd}` and `{load}` and the shapes of the term."""
-        shapes = {shape.name: repr(float(self.term.value(shape.name))) for shape in self.term.shapes}
+        shapes = {
+            shape.name: repr(float(self.term.value(shape.name))) for shape in self.term.shapes
+        }
         names = {name: getattr(self, name) for name in ("q", "qd", "load") if f"{{{name}}}" in text}
         written = text.format(**shapes, **{name: term.written() for name, term in names.items()})
         return self.code.given(written, *(term.name for term in names.values()))
@@ -48,13 +50,19 @@ COLUMNS: dict[str, Callable[[DriveState], tuple[Term, ...]]] = {
     "motor_armature": lambda at: (at.qdd,),
     "viscous": lambda at: (at.qd,),
     "motor_viscous": lambda at: (at.qd,),
-    "asymmetric_viscous": lambda at: (at.given("{qd} > 0.0 ? {qd} : 0.0"), at.given("{qd} < 0.0 ? {qd} : 0.0")),
+    "asymmetric_viscous": lambda at: (
+        at.given("{qd} > 0.0 ? {qd} : 0.0"),
+        at.given("{qd} < 0.0 ? {qd} : 0.0"),
+    ),
     "quadratic": lambda at: (at.given("{qd} > 0.0 ? {qd}*{qd} : -({qd}*{qd})"),),
     "cubic": lambda at: (at.given("{qd}*{qd}*{qd}"),),
     "power": lambda at: (at.signed("pow(fabs({qd}), {exponent})"),),
     "coulomb": lambda at: (at.sign,),
     "motor_coulomb": lambda at: (at.sign,),
-    "asymmetric_coulomb": lambda at: (at.given("(double)({qd} > 0.0)"), -at.given("(double)({qd} < 0.0)")),
+    "asymmetric_coulomb": lambda at: (
+        at.given("(double)({qd} > 0.0)"),
+        -at.given("(double)({qd} < 0.0)"),
+    ),
     "smooth_coulomb": lambda at: (at.given("tanh({qd}/{width})"),),
     "stribeck": lambda at: (at.signed("exp(-pow(fabs({qd})/{velocity}, {power}))"),),
     "load_friction": lambda at: (at.signed("fabs({load})"),),
@@ -65,7 +73,9 @@ COLUMNS: dict[str, Callable[[DriveState], tuple[Term, ...]]] = {
 """The columns of each drive term."""
 
 
-def drive_entries(mechanism: Mechanism, drive: DriveSet, parameters: Array) -> list[dict[int, Term]]:
+def drive_entries(
+    mechanism: Mechanism, drive: DriveSet, parameters: Array
+) -> list[dict[int, Term]]:
     """Return for each drive parameter, joint by joint, the joints that it acts on and its column there; motors that several joints turn act on all of these.
 
     `parameters` (10 n,) of the links give the load of terms that depend on it. Raises UsageError for a term that is not among `COLUMNS`.
@@ -76,14 +86,24 @@ def drive_entries(mechanism: Mechanism, drive: DriveSet, parameters: Array) -> l
     for k, load in enumerate(loads):
         for term in drive.at(k).terms:
             if term.key not in COLUMNS:
-                raise UsageError(f"drive term {term.key!r} cannot be written as C yet; written are {', '.join(COLUMNS)}")
+                raise UsageError(
+                    f"drive term {term.key!r} cannot be written as C yet; written are"
+                    f" {', '.join(COLUMNS)}"
+                )
             acts_on = shares[k] if term.of_motor else np.eye(len(loads))[k]
             if not term.is_at(k) or not acts_on.any():
                 entries += [{} for _ in term.letters]
                 continue
             q, qd, qdd = (
-                code.sum(*[Term(float(share), f"{array}[{j}]") for j, share in enumerate(acts_on)]) for array in ("q", "qd", "qdd")
+                code.sum(*[Term(float(share), f"{array}[{j}]") for j, share in enumerate(acts_on)])
+                for array in ("q", "qd", "qdd")
             )
             columns = COLUMNS[term.key](DriveState(code, term, q, qd, qdd, load))
-            entries += [{int(j): code.total((Term(float(acts_on[j])), column)) for j in np.flatnonzero(acts_on)} for column in columns]
+            entries += [
+                {
+                    int(j): code.total((Term(float(acts_on[j])), column))
+                    for j in np.flatnonzero(acts_on)
+                }
+                for column in columns
+            ]
     return entries

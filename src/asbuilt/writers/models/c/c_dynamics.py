@@ -49,8 +49,12 @@ class Mechanism:
         self.qd = [ZERO if at_rest else Term(1.0, f"qd[{j}]") for j in range(n)]
         self.qdd = [ZERO if at_rest else Term(1.0, f"qdd[{j}]") for j in range(n)]
         turning = [joint.is_revolute for joint in model.joints]
-        self.cosine = [self.code.given(f"cos(q[{j}])") if turns else ONE for j, turns in enumerate(turning)]
-        self.sine = [self.code.given(f"sin(q[{j}])") if turns else ZERO for j, turns in enumerate(turning)]
+        self.cosine = [
+            self.code.given(f"cos(q[{j}])") if turns else ONE for j, turns in enumerate(turning)
+        ]
+        self.sine = [
+            self.code.given(f"sin(q[{j}])") if turns else ZERO for j, turns in enumerate(turning)
+        ]
         self.motions: list[Motion] = []
         for j, joint in enumerate(model.joints):
             self.motions.append(self._moved(j, joint))
@@ -62,7 +66,10 @@ class Mechanism:
         torques = [ZERO] * n
         for j in reversed(range(n)):
             own = self._inertial(self.motions[j], parameters[10 * j : 10 * j + 10])
-            whole = Wrench(self._added(own.force, *(w.force for w in carried[j])), self._added(own.moment, *(w.moment for w in carried[j])))
+            whole = Wrench(
+                self._added(own.force, *(w.force for w in carried[j])),
+                self._added(own.moment, *(w.moment for w in carried[j])),
+            )
             joint = self.model.joints[j]
             at_joint = self._out(joint.after, whole)
             torques[j] = at_joint.moment[2] if joint.is_revolute else at_joint.force[2]
@@ -85,7 +92,11 @@ class Mechanism:
         return entries
 
     def _moved(self, j: int, joint: Joint) -> Motion:
-        above = Motion(NOTHING, NOTHING, _vector(-self.model.gravity)) if joint.parent == ROOT else self.motions[joint.parent]
+        above = (
+            Motion(NOTHING, NOTHING, _vector(-self.model.gravity))
+            if joint.parent == ROOT
+            else self.motions[joint.parent]
+        )
         total, plus = self.code.total, self.code.sum
         at = self._into(joint.before, above)
         q, v, dv, c, s = self.q[j], self.qd[j], self.qdd[j], self.cosine[j], self.sine[j]
@@ -151,11 +162,16 @@ class Mechanism:
         moment_of_mass: Vector = (h[0], h[1], h[2])
         force, moment = NOTHING, NOTHING
         if any(not entry.is_zero for entry in (xx, xy, xz, yy, yz, zz)):
-            moment = self._added(self._times(inertia, motion.dw), self._cross(motion.w, self._times(inertia, motion.w)))
+            moment = self._added(
+                self._times(inertia, motion.dw),
+                self._cross(motion.w, self._times(inertia, motion.w)),
+            )
         if any(not entry.is_zero for entry in moment_of_mass):
             force = self._times(self._swing(motion), moment_of_mass)
             moment = self._added(moment, self._cross(moment_of_mass, motion.a))
-        fx, fy, fz = (self.code.total((part,), (m, a)) for part, a in zip(force, motion.a, strict=True))
+        fx, fy, fz = (
+            self.code.total((part,), (m, a)) for part, a in zip(force, motion.a, strict=True)
+        )
         return Wrench((fx, fy, fz), moment)
 
     def _screws(self) -> list[dict[int, Screw]]:
@@ -164,14 +180,18 @@ class Mechanism:
         for j, joint in enumerate(self.model.joints):
             above = {} if joint.parent == ROOT else screws[joint.parent]
             axis: Vector = (ZERO, ZERO, ONE)
-            moved = {k: self._over(j, self._through(joint.before, screw)) for k, screw in above.items()}
+            moved = {
+                k: self._over(j, self._through(joint.before, screw)) for k, screw in above.items()
+            }
             moved[j] = Screw(axis, NOTHING) if joint.is_revolute else Screw(NOTHING, axis)
             screws.append({k: self._through(joint.after, screw) for k, screw in moved.items()})
         return screws
 
     def _through(self, placement: Array, screw: Screw) -> Screw:
         R, p = _matrix(placement[:3, :3].T), _vector(placement[:3, 3])
-        return Screw(self._times(R, screw.z), self._times(R, self._added(screw.m, self._cross(screw.z, p))))
+        return Screw(
+            self._times(R, screw.z), self._times(R, self._added(screw.m, self._cross(screw.z, p)))
+        )
 
     def _over(self, j: int, screw: Screw) -> Screw:
         if self.model.joints[j].is_revolute:
@@ -190,7 +210,11 @@ class Mechanism:
 
     def _cross(self, u: Vector, v: Vector) -> Vector:
         total = self.code.total
-        return total((u[1], v[2]), (-u[2], v[1])), total((u[2], v[0]), (-u[0], v[2])), total((u[0], v[1]), (-u[1], v[0]))
+        return (
+            total((u[1], v[2]), (-u[2], v[1])),
+            total((u[2], v[0]), (-u[0], v[2])),
+            total((u[0], v[1]), (-u[1], v[0])),
+        )
 
     def _added(self, *vectors: Vector) -> Vector:
         x, y, z = (self.code.sum(*parts) for parts in zip(*vectors, strict=True))

@@ -76,7 +76,9 @@ class StraightLine:
         for name in reversed(self.texts):
             if name in wanted:
                 wanted.update(self.needs[name])
-        return [f"const double {name} = {text};" for name, text in self.texts.items() if name in wanted]
+        return [
+            f"const double {name} = {text};" for name, text in self.texts.items() if name in wanted
+        ]
 
     def _named(self, entries: tuple[tuple[tuple[str, ...], float], ...]) -> Term:
         if entries not in self.known:
@@ -84,7 +86,9 @@ class StraightLine:
             for names, factor in entries:
                 sign = (" - " if text else "-") if factor < 0 else (" + " if text else "")
                 text += sign + _product(abs(factor), *names)
-            self.known[entries] = self._defined(text, tuple(name for names, _ in entries for name in names))
+            self.known[entries] = self._defined(
+                text, tuple(name for names, _ in entries for name in names)
+            )
         return self.known[entries]
 
     def _defined(self, text: str, needs: tuple[str, ...]) -> Term:
@@ -97,4 +101,10 @@ def _product(factor: float, *names: str) -> str:
     written = "*".join(name for name in names if name)
     if not written:
         return repr(float(factor))
-    return written if factor == 1.0 else f"-{written}" if factor == -1.0 else f"{float(factor)!r}*{written}"
+    return (
+        written
+        if factor == 1.0
+        else f"-{written}"
+        if factor == -1.0
+        else f"{float(factor)!r}*{written}"
+    )

@@ -45,19 +45,34 @@ class FrankaFormat(ProgramFormat):
         stem = request.stem
         source_name, table = f"{stem}_franka.cpp", f"{stem}_franka.csv"
         use = (
-            f"Build: g++ -std=c++17 -O2 {source_name} -lfranka -o {stem}_franka. Keep {table} in the folder where you run it. The computer "
-            "needs a real-time kernel, as libfranka does.",
-            "Set the mass and inertia of the tool in Desk, unlock the joints, activate FCI; have the stop button at hand.",
-            f"./{stem}_franka ROBOT_ADDRESS asks, moves to the start pose, asks again and does the dry run.",
+            (
+                f"Build: g++ -std=c++17 -O2 {source_name} -lfranka -o {stem}_franka. Keep {table}"
+                " in the folder where you run it. The computer needs a real-time kernel, as"
+                " libfranka does."
+            ),
+            (
+                "Set the mass and inertia of the tool in Desk, unlock the joints, activate FCI;"
+                " have the stop button at hand."
+            ),
+            (
+                f"./{stem}_franka ROBOT_ADDRESS asks, moves to the start pose, asks again and does"
+                " the dry run."
+            ),
             f"When the dry run reached its end: ./{stem}_franka ROBOT_ADDRESS --full",
-            f"The log is {stem}_log.csv, its sheet {stem}_log.toml: asbuilt identify ROBOT {stem}_log.csv",
+            (
+                f"The log is {stem}_log.csv, its sheet {stem}_log.toml: asbuilt identify ROBOT"
+                f" {stem}_log.csv"
+            ),
         )
         start = numbers(request.motion.start, DECIMALS)
         source = render(
             "franka.cpp.j2",
             preamble=commented(preamble(request, self.title, use), "//"),
             motion_class=render(
-                "motion_table.hpp.j2", n_joints=request.model.n_joints, duration=f"{request.motion.duration:.9f}", start=start
+                "motion_table.hpp.j2",
+                n_joints=request.model.n_joints,
+                duration=f"{request.motion.duration:.9f}",
+                start=start,
             ),
             slowdown=f"{DRY_RUN_SLOWDOWN:.1f}",
             tolerance=f"{request.start_tolerance.min():g}",
@@ -69,8 +84,12 @@ class FrankaFormat(ProgramFormat):
         sheet = sheet_text(
             request,
             (
-                f"Written by {source_name} at 1 kHz: tau is the measured link-side torque tau_J, gravity included, with the sign of the drive's "
-                "torque; tau_ext is tau_ext_hat_filtered, so that tau - tau_ext is what the robot's own model predicts.",
+                (
+                    f"Written by {source_name} at 1 kHz: tau is the measured link-side torque"
+                    " tau_J, gravity included, with the sign of the drive's torque; tau_ext is"
+                    " tau_ext_hat_filtered, so that tau - tau_ext is what the robot's own model"
+                    " predicts."
+                ),
             ),
             {
                 "joints": list(request.model.joint_names),
@@ -102,7 +121,9 @@ def _check_smoothness(request: ProgramRequest) -> None:
     k, j = (int(index) for index in np.unravel_index(int(np.argmax(jerk / limit)), jerk.shape))
     if jerk[k, j] > limit[j]:
         raise MotionError(
-            f"the acceleration of {request.model.joint_names[j]} jumps by {jerk[k, j] / CONTROL_RATE:.3g} rad/s^2 within one millisecond at "
-            f"t = {t[min(k, t.size - 1)]:.3f} s, a jerk of {jerk[k, j]:.4g} rad/s^3 where the robot stops above {limit[j]:g}; "
-            "give a motion with continuous acceleration from rest to rest (fourier, bspline, quintic), or slow it down"
+            f"the acceleration of {request.model.joint_names[j]} jumps by"
+            f" {jerk[k, j] / CONTROL_RATE:.3g} rad/s^2 within one millisecond at t ="
+            f" {t[min(k, t.size - 1)]:.3f} s, a jerk of {jerk[k, j]:.4g} rad/s^3 where the robot"
+            f" stops above {limit[j]:g}; give a motion with continuous acceleration from rest to"
+            " rest (fourier, bspline, quintic), or slow it down"
         )

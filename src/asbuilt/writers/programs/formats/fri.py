@@ -42,20 +42,45 @@ class FriFormat(ProgramFormat):
         client = f"{stem}_fri.cpp"
         table = f"{stem}_fri.csv"
         use = (
-            f"Build the client against KUKA's FRI client SDK: g++ -std=c++11 -O2 -I FRI/include {client} -L FRI/lib -lFRIClient "
-            f"-o {stem}_fri. Keep {table} in the folder where you run it.",
-            f"Add {java}.java to a Sunrise project (Sunrise.OS 1.x), set CLIENT to the address of the client, tool and load data as mounted.",
-            f"Start ./{stem}_fri (the dry run), then {java} on the smartPAD in T1: it moves to the start pose and hands over to the client.",
-            f"When the dry run reached its end: ./{stem}_fri --full. The enabling switch or the emergency stop stops the robot.",
-            f"The log is {stem}_log.csv, its sheet {stem}_log.toml: asbuilt identify ROBOT {stem}_log.csv",
+            (
+                "Build the client against KUKA's FRI client SDK: g++ -std=c++11 -O2 -I FRI/include"
+                f" {client} -L FRI/lib -lFRIClient -o {stem}_fri. Keep {table} in the folder where"
+                " you run it."
+            ),
+            (
+                f"Add {java}.java to a Sunrise project (Sunrise.OS 1.x), set CLIENT to the address"
+                " of the client, tool and load data as mounted."
+            ),
+            (
+                f"Start ./{stem}_fri (the dry run), then {java} on the smartPAD in T1: it moves to"
+                " the start pose and hands over to the client."
+            ),
+            (
+                f"When the dry run reached its end: ./{stem}_fri --full. The enabling switch or the"
+                " emergency stop stops the robot."
+            ),
+            (
+                f"The log is {stem}_log.csv, its sheet {stem}_log.toml: asbuilt identify ROBOT"
+                f" {stem}_log.csv"
+            ),
         )
         head = preamble(request, self.title, use)
         limit = MotionBounds.of(request.model).velocity
         known = np.isfinite(limit)
-        approach = min(APPROACH_PART, float((request.approach_speed[known] / limit[known]).min())) if np.any(known) else APPROACH_PART
-        values = {"start": numbers(request.motion.start, DECIMALS), "tolerance": f"{request.start_tolerance.min():g}"}
+        approach = (
+            min(APPROACH_PART, float((request.approach_speed[known] / limit[known]).min()))
+            if np.any(known)
+            else APPROACH_PART
+        )
+        values = {
+            "start": numbers(request.motion.start, DECIMALS),
+            "tolerance": f"{request.start_tolerance.min():g}",
+        }
         table_class = render(
-            "motion_table.hpp.j2", n_joints=request.model.n_joints, duration=f"{request.motion.duration:.9f}", start=values["start"]
+            "motion_table.hpp.j2",
+            n_joints=request.model.n_joints,
+            duration=f"{request.motion.duration:.9f}",
+            start=values["start"],
         )
         source = render(
             "fri_client.cpp.j2",
@@ -87,7 +112,12 @@ class FriFormat(ProgramFormat):
                 "joints": list(request.model.joint_names),
                 "torque_source": "sensor",
                 "sign": -1,
-                "columns": {"time": "t", "position": "q_1-q_7", "torque": "tau_1-tau_7", "extra": {"tau_ext": "tau_ext_1-tau_ext_7"}},
+                "columns": {
+                    "time": "t",
+                    "position": "q_1-q_7",
+                    "torque": "tau_1-tau_7",
+                    "extra": {"tau_ext": "tau_ext_1-tau_ext_7"},
+                },
                 "units": {"time": "s", "position": "rad", "torque": "N m"},
             },
         )

@@ -28,31 +28,54 @@ class CsvFormat(ProgramFormat):
         """Return both tables at the same rate (so that the dry run is slow also where lines are played one per cycle), notes and a sheet."""
         stem = request.stem
         use = (
-            f"{stem}.csv and {stem}_dry_run.csv have the columns t [s], q_ [rad or m], qd_ [per s], qdd_ [per s^2] for each joint, at {request.rate:g} Hz.",
-            "Move to the pose of the first line slowly, check that the robot is there, play the dry run to its end, and only then the motion.",
-            f"Record time, positions and torques (or currents) into {stem}_log.csv as {stem}_log.toml says, or change the sheet to what you "
-            f"recorded: asbuilt identify ROBOT {stem}_log.csv",
+            (
+                f"{stem}.csv and {stem}_dry_run.csv have the columns t [s], q_ [rad or m], qd_ [per"
+                f" s], qdd_ [per s^2] for each joint, at {request.rate:g} Hz."
+            ),
+            (
+                "Move to the pose of the first line slowly, check that the robot is there, play the"
+                " dry run to its end, and only then the motion."
+            ),
+            (
+                f"Record time, positions and torques (or currents) into {stem}_log.csv as"
+                f" {stem}_log.toml says, or change the sheet to what you recorded: asbuilt identify"
+                f" ROBOT {stem}_log.csv"
+            ),
         )
         names = request.model.joint_names
         sheet = sheet_text(
             request,
             (
-                "A proposal: change names of columns, units and sign to those of your log, or log like this. torque_source is sensor, motor or "
-                "current (then gains in N m/A); sign = -1 where the log gives what the link exerts on the drive.",
+                (
+                    "A proposal: change names of columns, units and sign to those of your log, or"
+                    " log like this. torque_source is sensor, motor or current (then gains in N"
+                    " m/A); sign = -1 where the log gives what the link exerts on the drive."
+                ),
             ),
             {
                 "joints": list(names),
                 "torque_source": "unknown",
                 "sign": 1,
-                "columns": {"time": "t", "position": [f"q_{name}" for name in names], "torque": [f"tau_{name}" for name in names]},
-                "units": {"time": "s"} | ({"position": "rad", "torque": "N m"} if all(request.revolute) else {}),
+                "columns": {
+                    "time": "t",
+                    "position": [f"q_{name}" for name in names],
+                    "torque": [f"tau_{name}" for name in names],
+                },
+                "units": (
+                    {"time": "s"}
+                    | ({"position": "rad", "torque": "N m"} if all(request.revolute) else {})
+                ),
             },
             gains=f"Where the torques are currents (then units.torque is A): {GAINS_TO_FILL_IN}:",
         )
         return (
             ProgramFile("program", f"{stem}.csv", motion_csv(request.motion, names, request.rate)),
-            ProgramFile("dry_run", f"{stem}_dry_run.csv", motion_csv(request.dry_run, names, request.rate)),
-            ProgramFile("notes", f"{stem}_notes.txt", "\n".join(preamble(request, self.title, use)) + "\n"),
+            ProgramFile(
+                "dry_run", f"{stem}_dry_run.csv", motion_csv(request.dry_run, names, request.rate)
+            ),
+            ProgramFile(
+                "notes", f"{stem}_notes.txt", "\n".join(preamble(request, self.title, use)) + "\n"
+            ),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
 
@@ -62,7 +85,9 @@ def motion_csv(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str
     t = times_to_end(motion, rate)
     rows = np.round(np.hstack(motion.at(t)), DECIMALS) + 0.0
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(["t", *(prefix + name for prefix in PREFIXES for name in joint_names)])
+    csv.writer(text, lineterminator="\n").writerow(
+        ["t", *(prefix + name for prefix in PREFIXES for name in joint_names)]
+    )
     for time, row in zip(t, rows, strict=True):
         text.write(f"{time:.6f}," + ",".join(f"{value:.{DECIMALS}f}" for value in row) + "\n")
     return text.getvalue()

@@ -32,10 +32,17 @@ class Ros2Format(ProgramFormat):
         stem = request.stem
         full, dry_run = f"{stem}.yaml", f"{stem}_dry_run.yaml"
         use = (
-            f"Start the robot's driver with a joint_trajectory_controller (position or effort), then: python3 {stem}_run.py --controller "
-            "/NAME_OF_THE_CONTROLLER. It asks, moves to the start pose, asks again, records /joint_states into a bag and does the dry run.",
-            f"When the dry run reached its end: python3 {stem}_run.py --controller /NAME_OF_THE_CONTROLLER --full. Ctrl-C cancels the motion; "
-            "the emergency stop stops the robot.",
+            (
+                "Start the robot's driver with a joint_trajectory_controller (position or effort),"
+                f" then: python3 {stem}_run.py --controller /NAME_OF_THE_CONTROLLER. It asks, moves"
+                " to the start pose, asks again, records /joint_states into a bag and does the dry"
+                " run."
+            ),
+            (
+                f"When the dry run reached its end: python3 {stem}_run.py --controller"
+                " /NAME_OF_THE_CONTROLLER --full. Ctrl-C cancels the motion; the emergency stop"
+                " stops the robot."
+            ),
             f"The bag is {stem}_bag, its sheet {stem}_bag.toml: asbuilt identify ROBOT {stem}_bag",
         )
         head = preamble(request, self.title, use)
@@ -54,17 +61,36 @@ class Ros2Format(ProgramFormat):
         sheet = sheet_text(
             request,
             (
-                "What the driver publishes as effort differs: torque of a sensor (sensor), of the motor (motor), or its current (current, with "
-                "gains in N m/A). Universal Robots' driver publishes currents. KUKA's measured torques have the opposite sign (sign = -1).",
-                "Set torque_source, sign and gains to what yours does; `asbuilt check` tells a wrong sign or scale.",
+                (
+                    "What the driver publishes as effort differs: torque of a sensor (sensor), of"
+                    " the motor (motor), or its current (current, with gains in N m/A). Universal"
+                    " Robots' driver publishes currents. KUKA's measured torques have the opposite"
+                    " sign (sign = -1)."
+                ),
+                (
+                    "Set torque_source, sign and gains to what yours does; `asbuilt check` tells a"
+                    " wrong sign or scale."
+                ),
             ),
-            {"joints": list(names), "topic": "/joint_states", "torque_source": "unknown", "sign": 1},
+            {
+                "joints": list(names),
+                "topic": "/joint_states",
+                "torque_source": "unknown",
+                "sign": 1,
+            },
             gains=f"Where the effort is a current: {GAINS_TO_FILL_IN}:",
         )
         return (
             ProgramFile("program", f"{stem}_run.py", script, executable=True),
-            ProgramFile("motion", full, yaml_head + trajectory_yaml(request.motion, names, request.rate)),
-            ProgramFile("dry_run", dry_run, yaml_head + trajectory_yaml(request.dry_run, names, request.rate / DRY_RUN_SLOWDOWN)),
+            ProgramFile(
+                "motion", full, yaml_head + trajectory_yaml(request.motion, names, request.rate)
+            ),
+            ProgramFile(
+                "dry_run",
+                dry_run,
+                yaml_head
+                + trajectory_yaml(request.dry_run, names, request.rate / DRY_RUN_SLOWDOWN),
+            ),
             ProgramFile("sheet", f"{stem}_bag.toml", sheet),
         )
 

@@ -16,7 +16,12 @@ def motion_table(motion: Motion, rate: float) -> str:
     t = times_to_end(motion, rate)
     q, qd, _ = motion.at(t)
     n = motion.n_joints
-    header = ",".join(["t", *(f"q{j}" for j in range(1, n + 1)), *(f"qd{j}" for j in range(1, n + 1))])
+    header = ",".join(
+        ["t", *(f"q{j}" for j in range(1, n + 1)), *(f"qd{j}" for j in range(1, n + 1))]
+    )
     rows = np.hstack([np.round(q, DECIMALS), np.round(qd, DECIMALS)]) + 0.0
-    lines = [f"{time:.6f}," + ",".join(f"{value:.{DECIMALS}f}" for value in row) for time, row in zip(t, rows, strict=True)]
+    lines = [
+        f"{time:.6f}," + ",".join(f"{value:.{DECIMALS}f}" for value in row)
+        for time, row in zip(t, rows, strict=True)
+    ]
     return "\n".join([header, *lines]) + "\n"

@@ -37,8 +37,9 @@ LEAST_SPEED = 0.01
 """Least speed that is asked for, as a part of the axes' maximum; the controller refuses zero."""
 
 SIGN_NOTE = (
-    "KUKA reports measured joint torques with the opposite sign, as what the link exerts on the drive, hence sign = -1. It turns external torques "
-    "(tau_ext) as well, so that tau - tau_ext is what KUKA's own model predicts. `asbuilt check` tells if your controller's version differs."
+    "KUKA reports measured joint torques with the opposite sign, as what the link exerts on the"
+    " drive, hence sign = -1. It turns external torques (tau_ext) as well, so that tau - tau_ext is"
+    " what KUKA's own model predicts. `asbuilt check` tells if your controller's version differs."
 )
 
 
@@ -54,11 +55,14 @@ class SunriseFormat(ProgramFormat):
         """Raise MotionError if the robot is none of KUKA's kind, or has joints without a velocity limit."""
         super().check_joints(model)
         limit = MotionBounds.of(model).velocity
-        unknown = [name for name, v in zip(model.joint_names, limit, strict=True) if not np.isfinite(v)]
+        unknown = [
+            name for name, v in zip(model.joint_names, limit, strict=True) if not np.isfinite(v)
+        ]
         if unknown:
             raise MotionError(
-                f"the format sunrise gives speeds as parts of the axes' maximum, but the description of {model.name} has no velocity "
-                f"limit for {', '.join(unknown)}; add it"
+                "the format sunrise gives speeds as parts of the axes' maximum, but the"
+                f" description of {model.name} has no velocity limit for {', '.join(unknown)};"
+                " add it"
             )
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
@@ -68,27 +72,45 @@ class SunriseFormat(ProgramFormat):
         stretches = stretches if stretches is not None else _spline_stretches(request)
         if len(stretches) > MOST_POINTS:
             raise MotionError(
-                f"the motion needs {len(stretches)} points, more than the {MOST_POINTS} that fit into one application; split it, or give the "
-                "format fri, which streams"
+                f"the motion needs {len(stretches)} points, more than the {MOST_POINTS} that fit"
+                " into one application; split it, or give the format fri, which streams"
             )
         limit = MotionBounds.of(request.model).velocity
-        speeds = [float(np.clip((stretch.speed / limit).max(), LEAST_SPEED, 1.0)) for stretch in stretches]
+        speeds = [
+            float(np.clip((stretch.speed / limit).max(), LEAST_SPEED, 1.0)) for stretch in stretches
+        ]
         approach = min(0.1, float((request.approach_speed / limit).min()))
         name = class_name(request.name, suffix="Excitation")
         planner = (
-            f"The path is a joint spline (SplineJP) through {len(stretches)} points of the motion and stays near it; "
+            f"The path is a joint spline (SplineJP) through {len(stretches)} points of the motion"
+            " and stays near it; "
             if spline
-            else f"The path is the {len(stretches)} point-to-point motions (PTP) that the motion is made of; "
+            else (
+                f"The path is the {len(stretches)} point-to-point motions (PTP) that the motion is"
+                " made of; "
+            )
         )
         use = (
-            f"Add {name}.java to a Sunrise project (Sunrise.OS 1.x; package {PACKAGE}), with tool and load data set, and synchronise it.",
-            "Select T1 on the smartPAD, start the application and choose the dry run. Then T2 or AUT: the dry run again, to its end.",
-            "Only then choose full speed. The enabling switch, a released start key or Cancel stops the robot.",
-            f"Copy {request.stem}_log.txt from the DataRecorder folder of the controller and keep {request.stem}_log.toml beside it: "
-            f"asbuilt identify ROBOT {request.stem}_log.txt",
+            (
+                f"Add {name}.java to a Sunrise project (Sunrise.OS 1.x; package {PACKAGE}), with"
+                " tool and load data set, and synchronise it."
+            ),
+            (
+                "Select T1 on the smartPAD, start the application and choose the dry run. Then T2"
+                " or AUT: the dry run again, to its end."
+            ),
+            (
+                "Only then choose full speed. The enabling switch, a released start key or Cancel"
+                " stops the robot."
+            ),
+            (
+                f"Copy {request.stem}_log.txt from the DataRecorder folder of the controller and"
+                f" keep {request.stem}_log.toml beside it: asbuilt identify ROBOT"
+                f" {request.stem}_log.txt"
+            ),
             planner
-            + "its timing between the points is the controller's own, so the margins of velocity hold, those of acceleration and torque "
-            "are for the designed timing.",
+            + "its timing between the points is the controller's own, so the margins of velocity"
+            " hold, those of acceleration and torque are for the designed timing.",
         )
         text = render(
             "Sunrise.java.j2",
@@ -114,8 +136,14 @@ class SunriseFormat(ProgramFormat):
         sheet = sheet_text(
             request,
             (
-                "Written by KUKA's DataRecorder: two columns of time, then positions, measured torques and external torques of A1 to A7.",
-                "Compare the columns with the first line of the log; other versions may order them differently.",
+                (
+                    "Written by KUKA's DataRecorder: two columns of time, then positions, measured"
+                    " torques and external torques of A1 to A7."
+                ),
+                (
+                    "Compare the columns with the first line of the log; other versions may order"
+                    " them differently."
+                ),
                 SIGN_NOTE,
             ),
             {
@@ -128,7 +156,10 @@ class SunriseFormat(ProgramFormat):
                 "units": {"position": "rad", "torque": "N m"},
             },
         )
-        return (ProgramFile("program", f"{name}.java", text), ProgramFile("sheet", f"{request.stem}_log.toml", sheet))
+        return (
+            ProgramFile("program", f"{name}.java", text),
+            ProgramFile("sheet", f"{request.stem}_log.toml", sheet),
+        )
 
 
 def _spline_stretches(request: ProgramRequest) -> tuple[Stretch, ...]:

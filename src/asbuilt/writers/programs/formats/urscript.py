@@ -27,7 +27,15 @@ APPROACH_ACCELERATION = 0.3
 RATES = (125.0, 500.0)
 """Rates of the RTDE: CB3 and e-Series [Hz]."""
 
-FIELDS = ("actual_q", "actual_qd", "actual_current", "target_q", "target_current", "target_moment", "joint_temperatures")
+FIELDS = (
+    "actual_q",
+    "actual_qd",
+    "actual_current",
+    "target_q",
+    "target_current",
+    "target_moment",
+    "joint_temperatures",
+)
 """What is recorded: vectors of six."""
 
 
@@ -41,21 +49,39 @@ class UrScriptFormat(ProgramFormat):
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return both scripts, the RTDE recipe and the sheet of the log."""
-        if request.rate > RATES[1] or abs(RATES[1] / request.rate - round(RATES[1] / request.rate)) > 1e-9:
+        if (
+            request.rate > RATES[1]
+            or abs(RATES[1] / request.rate - round(RATES[1] / request.rate)) > 1e-9
+        ):
             raise MotionError(
-                f"the RTDE of a UR delivers 500 Hz (e-Series) or 125 Hz (CB3), or a whole fraction; {request.rate:g} Hz is none"
+                "the RTDE of a UR delivers 500 Hz (e-Series) or 125 Hz (CB3), or a whole fraction;"
+                f" {request.rate:g} Hz is none"
             )
         stem = request.stem
         recipe = f"{stem}_rtde.xml"
         use = (
-            f"Copy {stem}_dry_run.script and {stem}.script to the controller; in PolyScope add a Script node of type File with the one to run. "
-            "Installation: payload and centre of gravity as mounted, safety limits active, speed slider at 100 % (a lower slider also works, "
-            "and then the motion takes longer).",
-            f"{stem}_dry_run.script first, to its end. It stops and asks before it moves to the start pose, and again before the motion.",
-            f"Record with Universal Robots' RTDE client library: python record.py --host ROBOT --frequency {request.rate:g} --config {recipe} "
-            f"--output {stem}_log.csv",
-            f"Then {stem}.script. The emergency stop and the stop button of the pendant stop the robot.",
-            f"Keep {stem}_log.toml beside the log and enter the gains of your robot's joints: asbuilt identify ROBOT {stem}_log.csv",
+            (
+                f"Copy {stem}_dry_run.script and {stem}.script to the controller; in PolyScope add"
+                " a Script node of type File with the one to run. Installation: payload and centre"
+                " of gravity as mounted, safety limits active, speed slider at 100 % (a lower"
+                " slider also works, and then the motion takes longer)."
+            ),
+            (
+                f"{stem}_dry_run.script first, to its end. It stops and asks before it moves to the"
+                " start pose, and again before the motion."
+            ),
+            (
+                "Record with Universal Robots' RTDE client library: python record.py --host ROBOT"
+                f" --frequency {request.rate:g} --config {recipe} --output {stem}_log.csv"
+            ),
+            (
+                f"Then {stem}.script. The emergency stop and the stop button of the pendant stop"
+                " the robot."
+            ),
+            (
+                f"Keep {stem}_log.toml beside the log and enter the gains of your robot's joints:"
+                f" asbuilt identify ROBOT {stem}_log.csv"
+            ),
         )
         head = commented(preamble(request, self.title, use), "#")
         knots = hermite_knots(request.motion, TOLERANCE)
@@ -70,7 +96,10 @@ class UrScriptFormat(ProgramFormat):
             "spacing": f"{knots[-1] / (knots.size - 1):.9f}",
             "start": numbers(request.motion.start, 7),
             "title": plain_text(request.name)[:40],
-            "points": [(numbers(a, 7).replace(" ", ""), numbers(b, 7).replace(" ", "")) for a, b in zip(q, v, strict=True)],
+            "points": [
+                (numbers(a, 7).replace(" ", ""), numbers(b, 7).replace(" ", ""))
+                for a, b in zip(q, v, strict=True)
+            ],
         }
         full = render(
             "urscript.script.j2",
@@ -100,7 +129,10 @@ class UrScriptFormat(ProgramFormat):
 
 def _recipe(request: ProgramRequest) -> str:
     fields = "\n".join(f'    <field name="{name}" type="VECTOR6D"/>' for name in FIELDS)
-    comment = f"What to record of motion {plain_text(request.name)}, for Universal Robots' RTDE client library".replace("--", "- -")
+    comment = (
+        f"What to record of motion {plain_text(request.name)}, for Universal Robots' RTDE client"
+        " library".replace("--", "- -")
+    )
     return (
         f'<?xml version="1.0"?>\n<!-- {comment} -->\n<rtde_config>\n  <recipe key="out">\n'
         f'    <field name="timestamp" type="DOUBLE"/>\n{fields}\n  </recipe>\n</rtde_config>\n'
@@ -110,14 +142,27 @@ def _recipe(request: ProgramRequest) -> str:
 def _sheet(request: ProgramRequest) -> str:
     columns = {
         quantity: f"{field}_0-{field}_5"
-        for quantity, field in (("position", "actual_q"), ("velocity", "actual_qd"), ("torque", "actual_current"))
+        for quantity, field in (
+            ("position", "actual_q"),
+            ("velocity", "actual_qd"),
+            ("torque", "actual_current"),
+        )
     }
     return sheet_text(
         request,
         (
-            "Written by record.py of Universal Robots' RTDE client library: joint currents [A], not torques.",
-            "MISSING: the gains below. Without them torques stay in amperes and identify refuses them.",
-            "With PolyScope 5.23 or later record actual_current_as_torque instead: N m already, torque_source is then motor.",
+            (
+                "Written by record.py of Universal Robots' RTDE client library: joint currents [A],"
+                " not torques."
+            ),
+            (
+                "MISSING: the gains below. Without them torques stay in amperes and identify"
+                " refuses them."
+            ),
+            (
+                "With PolyScope 5.23 or later record actual_current_as_torque instead: N m already,"
+                " torque_source is then motor."
+            ),
         ),
         {
             "joints": list(request.model.joint_names),
