@@ -1,4 +1,6 @@
-"""Time to find the base parameters, structure and numeric check together, for arms of 7 and 30 joints."""
+"""Time to find the base parameters, structure and numeric check together, for arms of 7 and 30
+joints.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Whether 95 % intervals cover the truth in 95 % of cases: 200 virtual recordings of each robot, torque noise of several colours; of real bodies 100, some near what is possible."""
+"""Whether 95 % intervals cover the truth in 95 % of cases.
+
+200 virtual recordings of each robot, torque noise of several colours; of real bodies 100, some near
+what is possible.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +61,10 @@ STUDIES_OF_BODIES = (
     ("franka-panda", 0.5, 60.0, 0.3, 0.004),
     ("ur10e", 0.05, 30.0, 0.3, 0.004),
 )
-"""The same, then the noise [N m] and the smallest eigenvalue of `P0^-1 P` of every other link: the fit allows no less than 0.001."""
+"""The same, then the noise [N m] and the smallest eigenvalue of `P0^-1 P` of every other link.
+
+The fit allows no less than 0.001.
+"""
 STUDIES_OF_PULLS = (
     ("kuka-iiwa7-r800", 0.3, 30.0, 0.3, 0.004),
     ("kuka-iiwa7-r800", 0.3, 30.0, 2.0, 1.0),
@@ -76,7 +83,9 @@ def recordings(
     noise: float,
     repetitions: int,
 ) -> Iterator[SquareRootInformation]:
-    """Yield the information of one motion recorded again and again, first-order noise of that correlation time [s] on the torque."""
+    """Yield the information of one motion recorded again and again, first-order noise of that
+    correlation time [s] on the torque.
+    """
     base = find_base_parameters(model, DRIVE)
     recording = machine.record(
         random_fourier(model, rng=11, duration=duration, n_harmonics=10), RATE
@@ -100,7 +109,9 @@ def shares(
     fit: Callable[[SquareRootInformation], Estimate],
     draws: int,
 ) -> dict[str, float]:
-    """Return the share of 95 % intervals that contain the truth, over all parameters and of the worst, for every kind of error."""
+    """Return the share of 95 % intervals that contain the truth, over all parameters and of the
+    worst, for every kind of error.
+    """
     held: dict[str, list[Array]] = {"": [], "_bootstrap": [], "_textbook": []}
     for repetition, information in enumerate(seen):
         estimate = fit(information)
@@ -149,7 +160,9 @@ def coverage_of_bodies(
     *,
     pulled: bool = False,
 ) -> dict[str, float]:
-    """Return the shares of the physically consistent fit, `pulled` to CAD or not, of a robot with other bodies than CAD's, every other one near what is possible."""
+    """Return the shares of the physically consistent fit, `pulled` to CAD or not, of a robot with
+    other bodies than CAD's, every other one near what is possible.
+    """
     model = load_robot(robot)
     base, prior = find_base_parameters(model, DRIVE), cad_prior(model, DRIVE)
     machine = off_from_cad(model, base, prior, edge)
@@ -164,7 +177,11 @@ def coverage_of_bodies(
 def off_from_cad(
     model: RobotModel, base: BaseParameters, prior: CadPrior, edge: float
 ) -> InstalledRobot:
-    """Return a robot of other real bodies; where `edge` is small that is the smallest eigenvalue of every other, and one joint has next to no viscous friction."""
+    """Return a robot of other real bodies.
+
+    Where `edge` is small that is the smallest eigenvalue of every other, and one joint has next to
+    no viscous friction.
+    """
     rng = np.random.default_rng(5)
     bodies = []
     for i, pseudo_inertia in enumerate(prior.pseudo_inertias):

@@ -1,4 +1,5 @@
-"""What `asbuilt excite` designs for the bundled robots in 10, 20 and 40 s, and what recorded motions were worth beside that; Markdown, also in out/designs.md.
+"""What `asbuilt excite` designs for the bundled robots in 10, 20 and 40 s, and what recorded
+motions were worth beside that; Markdown, also in out/designs.md.
 
     python benchmarks/designs.py --time-limit 24 --data ../shared
     python benchmarks/designs.py --only ur10e --only scara
@@ -229,7 +230,9 @@ def _beside_recordings(
 
 
 def condition_numbers(mean: Array) -> tuple[float, float]:
-    """Return the condition number of an observation matrix W from `W^T W`, as it is and with columns of unit length."""
+    """Return the condition number of an observation matrix W from `W^T W`, as it is and with
+    columns of unit length.
+    """
     size = 1.0 / np.sqrt(np.diag(mean))
     return float(np.sqrt(np.linalg.cond(mean))), float(
         np.sqrt(np.linalg.cond(mean * np.outer(size, size)))

@@ -1,4 +1,6 @@
-"""Held-out torque errors of real robots with every set of drive terms, per joint; the table goes to out/drive_terms.csv.
+"""Held-out torque errors of real robots with every set of drive terms, per joint.
+
+The table goes to out/drive_terms.csv.
 
 Recordings are read from ../shared; where it is absent nothing is measured.
 """
@@ -89,7 +91,9 @@ CASES = {
 
 
 def measure(data: Path = SHARED) -> dict[str, float | str]:
-    """Return the geometric mean over joints of the held-out RMS error [N m], per recording and set of terms."""
+    """Return the geometric mean over joints of the held-out RMS error [N m], per recording and set
+    of terms.
+    """
     if not (data / "data").is_dir():
         return {"skipped": "no recordings beside the repository"}
     out = Path("out")

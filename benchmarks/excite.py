@@ -1,4 +1,6 @@
-"""Designs for the iiwa 7 (20 s, 5 harmonics, 21 drive columns) against random search, finite-difference SLSQP and CMA-ES at equal time times cores."""
+"""Designs for the iiwa 7 (20 s, 5 harmonics, 21 drive columns) against random search,
+finite-difference SLSQP and CMA-ES at equal time times cores.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,10 @@ RANDOM_MOTIONS = 1000
 
 
 class Problem:
-    """The same objective and limits for every method, at the same nodes; a method is judged by what holds at 1 kHz."""
+    """The same objective and limits for every method, at the same nodes.
+
+    A method is judged by what holds at 1 kHz.
+    """
 
     def __init__(self) -> None:
         self.model = load_robot(ROBOT)
@@ -90,7 +95,10 @@ class _OverError(Exception):
 
 
 def slsqp(problem: Problem, seconds: float) -> Array:
-    """SLSQP with finite differences from random starts until the time is over; the best feasible point seen."""
+    """SLSQP with finite differences from random starts until the time is over.
+
+    The best feasible point seen.
+    """
     end, best, value = time.monotonic() + seconds, problem.random(0), np.inf
 
     def watched(x: Array) -> float:
@@ -135,7 +143,9 @@ def cma_es(problem: Problem, seconds: float) -> Array:
 
 
 def measure(search_s: float = 240.0) -> dict[str, float | str]:
-    """Return log det per sample of every method, and the D-efficiency of each relative to the best known; `search_s` is what a long search may take [s]."""
+    """Return log det per sample of every method, and the D-efficiency of each relative to the best
+    known; `search_s` is what a long search may take [s].
+    """
     problem = Problem()
     design_motion(
         problem.model,

@@ -1,4 +1,6 @@
-"""Time from samples to solved parameters, 43 base + 21 drive columns, against Pinocchio from Python and `numpy.linalg.lstsq`."""
+"""Time from samples to solved parameters, 43 base + 21 drive columns, against Pinocchio from Python
+and `numpy.linalg.lstsq`.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ RATE = 1000.0
 def recorded(
     model: RobotModel, drive: DriveSet, t: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, ...]:
-    """Return q, qd, qdd and noisy tau of a periodic motion at the times t, the same motion for all parts of a recording."""
+    """Return q, qd, qdd and noisy tau of a periodic motion at the times t, the same motion for all
+    parts of a recording.
+    """
     n, omega = model.n_joints, 2 * np.pi * 0.1
     shape = np.random.default_rng(7)
     q, qd, qdd = (np.zeros((t.size, n)) for _ in range(3))
@@ -56,7 +60,9 @@ def peer_solve(
     qdd: np.ndarray,
     tau: np.ndarray,
 ) -> np.ndarray:
-    """Stack Pinocchio's regressor sample by sample with friction columns and solve by LAPACK's singular values."""
+    """Stack Pinocchio's regressor sample by sample with friction columns and solve by LAPACK's
+    singular values.
+    """
     n, data = model.n_joints, peer.createData()
     w = np.zeros((len(q), n, len(chosen) + 3 * n))
     for i in range(len(q)):

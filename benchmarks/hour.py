@@ -1,4 +1,7 @@
-"""An hour of a 7-joint arm at 1 kHz, 3.6 million samples in Parquet, identified on two threads: wall time and peak memory."""
+"""An hour of a 7-joint arm at 1 kHz, 3.6 million samples in Parquet, identified on two threads.
+
+Wall time and peak memory.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ CHUNK = 60_000
 
 
 def measure() -> dict[str, float | str]:
-    """Return seconds and megabytes of a process that does nothing else, the second to run after the caches are warm."""
+    """Return seconds and megabytes of a process that does nothing else, the second to run after the
+    caches are warm.
+    """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hour.parquet"
         write_hour(path)

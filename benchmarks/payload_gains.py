@@ -1,4 +1,7 @@
-"""Payloads weighed by drives whose gains are off by 7 % at random: how often the stated errors hold the truth, with and without what gains leave open."""
+"""Payloads weighed by drives whose gains are off by 7 % at random.
+
+How often the stated errors hold the truth, with and without what gains leave open.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,9 @@ TWO_SIDED = 1.96
 
 
 def measure() -> dict[str, float | str]:
-    """Return the share of draws in which the 95 % interval holds the truth, by robot and by how much of the error all joints have in common."""
+    """Return the share of draws in which the 95 % interval holds the truth, by robot and by how
+    much of the error all joints have in common.
+    """
     found: dict[str, float | str] = {}
     for name in ROBOTS:
         model = bundled_robot(name)

@@ -1,4 +1,7 @@
-"""What the benchmarks measure with: the shortest of several runs, and the same robot in Pinocchio called from Python."""
+"""What the benchmarks measure with.
+
+The shortest of several runs, and the same robot in Pinocchio called from Python.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,10 @@ from asbuilt.description.model import RobotModel
 
 
 def best(work: Callable[[], object], n_samples: int, repeats: int) -> float:
-    """Return the shortest of several runs [microseconds per sample]; the first call, which compiles, does not count."""
+    """Return the shortest of several runs [microseconds per sample].
+
+    The first call, which compiles, does not count.
+    """
     work()
     times = []
     for _ in range(repeats):

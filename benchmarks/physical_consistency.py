@@ -1,4 +1,6 @@
-"""Processor time of the physically consistent estimators on 7 joints, 43 base + 21 drive parameters, from square-root information."""
+"""Processor time of the physically consistent estimators on 7 joints, 43 base + 21 drive
+parameters, from square-root information.
+"""
 
 from __future__ import annotations
 

@@ -1,10 +1,12 @@
-"""Held-out torque errors of real robots, per joint, by every way to identify them, beside those of a plain fit; Markdown, also in out/recordings.md.
+"""Held-out torque errors of real robots, per joint, by every way to identify them, beside those of
+a plain fit; Markdown, also in out/recordings.md.
 
     python benchmarks/run.py recordings --data ../shared
     python benchmarks/recordings.py --data ../shared --only "LWR4+" --out table.md
 
-Recordings are read from the folder given; where it is absent nothing is measured. The figures of the plain fit, of the manufacturer's model and of CAD that
-stand in front are those of `data/README.md` in that folder.
+Recordings are read from the folder given; where it is absent nothing is measured. The figures of
+the plain fit, of the manufacturer's model and of CAD that stand in front are those of
+`data/README.md` in that folder.
 """
 
 from __future__ import annotations
@@ -63,7 +65,10 @@ STATED: dict[str, dict[tuple[str, str], tuple[float, ...]]] = {
         (PLAIN, "ur-20_01_17-ptp_10_points.csv"): (2.36, 3.49, 1.37, 0.26, 1.13, 1.44),
     },
 }
-"""RMS errors [N m] that data/README.md states: by case, then what they are of and the recording where there are several."""
+"""RMS errors [N m] that data/README.md states.
+
+By case, then what they are of and the recording where there are several.
+"""
 SPRINGS = re.compile(r"spring:joints=[\d/]+")
 """How a warning names springs that it suspects, from the data used alone."""
 HALF_A_DIGIT = 0.005
@@ -72,7 +77,9 @@ REAL = "yes"
 
 
 class Way(NamedTuple):
-    """One way to identify: estimator, drive terms where they are not the default ones, whether the mounting is estimated."""
+    """One way to identify: estimator, drive terms where they are not the default ones, whether the
+    mounting is estimated.
+    """
 
     method: str
     drive: str | None = None
@@ -86,7 +93,10 @@ WAYS = (Way("wls"), Way("consistent"), Way("auto"), Way("auto", "auto"))
 
 
 class Row(NamedTuple):
-    """Say how one recording is predicted: by `way`, which took `method`, whose parameters `bodies` can or cannot have; or what went wrong."""
+    """Say how one recording is predicted.
+
+    By `way`, which took `method`, whose parameters `bodies` can or cannot have; or what went wrong.
+    """
 
     way: str
     judged: str = "as below"
@@ -126,7 +136,9 @@ class Row(NamedTuple):
 def measure(
     data: Path = SHARED, only: tuple[str, ...] = (), out: Path = Path("out/recordings.md")
 ) -> dict[str, float | str]:
-    """Print the tables row by row, write them, and return the held-out relative errors and how many results real bodies have."""
+    """Print the tables row by row, write them, and return the held-out relative errors and how many
+    results real bodies have.
+    """
     if not (data / "data").is_dir():
         return {
             "skipped": (

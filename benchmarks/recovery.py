@@ -1,4 +1,8 @@
-"""Virtual robots in MuJoCo: how fast 20 s are recorded, and how often stated errors hold the truth, over several robots of each kind."""
+"""Virtual robots in MuJoCo.
+
+How fast 20 s are recorded, and how often stated errors hold the truth, over several robots of each
+kind.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Time of the regressor and the equations of motion per sample, 7 joints, one core, against Pinocchio called from Python."""
+"""Time of the regressor and the equations of motion per sample, 7 joints, one core, against
+Pinocchio called from Python.
+"""
 
 from __future__ import annotations
 

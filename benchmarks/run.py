@@ -1,7 +1,9 @@
-"""Run every benchmark beside this file in one go, print the numbers with ratios to the peers, and write them as JSON.
+"""Run every benchmark beside this file in one go, print the numbers with ratios to the peers, and
+write them as JSON.
 
-Each benchmark is a module with `measure() -> dict[str, float | str]`; a key that ends in `_us_per_sample`, `_s`, `_ms` or `_mb` carries its unit,
-and a key that starts with `ratio_` says how many times faster than the peer it names.
+Each benchmark is a module with `measure() -> dict[str, float | str]`; a key that ends in
+`_us_per_sample`, `_s`, `_ms` or `_mb` carries its unit, and a key that starts with `ratio_` says
+how many times faster than the peer it names.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Move a virtual iiwa 7 along a random Fourier series and along a spline, and record it twice: as designed and as installed."""
+"""Move a virtual iiwa 7 along a random Fourier series and along a spline, and record it twice.
+
+As designed and as installed.
+"""
 
 from __future__ import annotations
 

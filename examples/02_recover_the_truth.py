@@ -1,9 +1,12 @@
-"""Does identification find the truth? Virtual robots, not as described, are recorded in MuJoCo, identified, and held against it.
+"""Does identification find the truth? Virtual robots, not as described, are recorded in MuJoCo,
+identified, and held against it.
 
-In the laboratory they have joint torque sensors, friction, rotors, encoders that count, and mass distributions about 3 % off the description. In the
-factory their torques are motor currents times a nominal torque constant that is 3 % off, joint by joint, and that no motion of the bare arm can tell; so the robot
-is recorded again with a weight of known mass and inertia, `identify_gains` finds the constants, and the same recordings are identified once more.
-Each robot is identified from three random motions of 20 s, and judged on a fourth.
+In the laboratory they have joint torque sensors, friction, rotors, encoders that count, and mass
+distributions about 3 % off the description. In the factory their torques are motor currents times a
+nominal torque constant that is 3 % off, joint by joint, and that no motion of the bare arm can
+tell; so the robot is recorded again with a weight of known mass and inertia, `identify_gains` finds
+the constants, and the same recordings are identified once more. Each robot is identified from three
+random motions of 20 s, and judged on a fourth.
 """
 
 from __future__ import annotations
@@ -30,7 +33,9 @@ from asbuilt.workflow.study import StudyOptions, run_study
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")
 WEIGHTS = {"ur10e": 8.0, "scara": 4.0}
-"""What the robots of the factory, which have no torque sensors, carry to have their gains found [kg]."""
+"""What the robots of the factory, which have no torque sensors, carry to have their gains found
+[kg].
+"""
 SEED = 1
 
 
@@ -72,7 +77,9 @@ def recovered(robot: VirtualRobot, recordings: Sequence[Recording]) -> tuple[Rec
 def calibrated(
     robot: VirtualRobot, bare: Sequence[Recording], kilograms: float
 ) -> tuple[list[Recording], float]:
-    """Return the recordings with gains found from a known weight, and the largest error that is left in a gain."""
+    """Return the recordings with gains found from a known weight, and the largest error that is
+    left in a gain.
+    """
     model, centre, inertia = (
         robot.described,
         [0.03, 0.02, 0.08],

@@ -1,4 +1,7 @@
-"""From a recording to a result that predicts another motion: the main job from Python, on a virtual UR10e."""
+"""From a recording to a result that predicts another motion.
+
+The main job from Python, on a virtual UR10e.
+"""
 
 import asbuilt
 from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point

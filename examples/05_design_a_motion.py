@@ -1,4 +1,6 @@
-"""Design motions for four robots, hold them against random ones and against the bound, and keep one clear of its cell."""
+"""Design motions for four robots, hold them against random ones and against the bound, and keep one
+clear of its cell.
+"""
 
 from __future__ import annotations
 

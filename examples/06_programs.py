@@ -1,4 +1,6 @@
-"""Write the programs that run a motion on real controllers, for each format and every bundled robot that it can move."""
+"""Write the programs that run a motion on real controllers, for each format and every bundled robot
+that it can move.
+"""
 
 from __future__ import annotations
 

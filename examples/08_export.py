@@ -1,4 +1,7 @@
-"""Identify a virtual UR10e and hand the model to other software: URDF, MJCF and C code that a compiler checks."""
+"""Identify a virtual UR10e and hand the model to other software.
+
+URDF, MJCF and C code that a compiler checks.
+"""
 
 from __future__ import annotations
 

@@ -18,7 +18,10 @@ EXTRA = {"identify": {"payload", "cutoff_sweep"}}
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Run a command; returns exit status, stdout, stderr. A document that it printed must have the fields of the documentation."""
+    """Run a command; returns exit status, stdout, stderr.
+
+    A document that it printed must have the fields of the documentation.
+    """
     with pytest.raises(SystemExit) as end:
         main([str(argument) for argument in arguments])
     out, err = capsys.readouterr()

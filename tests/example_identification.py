@@ -1,4 +1,7 @@
-"""An identification small enough to do by hand: four joints, one of them sliding, names from a stranger's file; fixtures of two rooms."""
+"""An identification small enough to do by hand.
+
+Four joints, one of them sliding, names from a stranger's file; fixtures of two rooms.
+"""
 
 from __future__ import annotations
 

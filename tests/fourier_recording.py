@@ -10,7 +10,10 @@ from asbuilt.experiment.recording import Recording
 
 
 def record(model: RobotModel, seed: int, torque: object = None) -> Recording:
-    """Move every joint on its own Fourier course; the robot differs from the model by 20 % per link, rubs, and is noisy."""
+    """Move every joint on its own Fourier course.
+
+    The robot differs from the model by 20 % per link, rubs, and is noisy.
+    """
     rng = np.random.default_rng(seed)
     t, n = np.arange(4000) / 200, model.n_joints
     w = 2 * np.pi * np.arange(1, 6) / 10

@@ -1,4 +1,6 @@
-"""What the documentation tells a reader to type must be there to be typed, and what there is must be told."""
+"""What the documentation tells a reader to type must be there to be typed, and what there is must
+be told.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,10 @@ def test_python_blocks_name_what_there_is(page: str, block: str) -> None:
 
 @pytest.fixture(scope="module")
 def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the pages speak of without making it: a robot and its file, recordings and their files, results."""
+    """What the pages speak of without making it.
+
+    A robot and its file, recordings and their files, results.
+    """
     folder = tmp_path_factory.mktemp("pages")
     model = asbuilt.load_robot("kuka-iiwa7-r800")
     write_urdf(folder / "arm.urdf", model)
@@ -170,7 +175,10 @@ def test_formulas_are_written_as_the_pages_render_them() -> None:
 
 
 def test_no_bar_stands_escaped_in_code() -> None:
-    """In code of tables GitHub wants bars escaped, and the pages show the escape: there are other words."""
+    """In code of tables GitHub wants bars escaped, and the pages show the escape.
+
+    There are other words.
+    """
     shown = {
         page.name: re.findall(r"`[^`\n]*\\\|[^`\n]*`", page.read_text(encoding="utf-8"))
         for page in PAGES

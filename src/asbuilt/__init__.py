@@ -1,4 +1,5 @@
-"""The dynamic model of a robot arm as built, from its description and a recording of its motion and torque.
+"""The dynamic model of a robot arm as built, from its description and a recording of its motion and
+torque.
 
 >>> import asbuilt
 >>> model = asbuilt.load_robot("kuka-iiwa7-r800")

@@ -1,10 +1,50 @@
-"""The exceptions of asbuilt; each also inherits the builtin it specialises, and its message carries values and a way out."""
+"""The exceptions of asbuilt: message, cure and fields, each a child of the builtin it specialises."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from asbuilt.findings import Cure
+
 
 class AsbuiltError(Exception):
-    """Any error that asbuilt raises on purpose; its message is meant for the user, whole."""
+    """Any error that asbuilt raises on purpose.
+
+    Parameters
+    ----------
+    message
+        What is wrong, with the value, and what was expected; for people.
+    cure
+        What to do, as data; its text follows the message.
+    fields
+        Values for programs, such as `joint="A3"`, `value=7.1`, `lower=-2.9`, `file="log.csv"`;
+        they are attributes of the error too.
+    """
+
+    def __init__(self, message: str = "", *, cure: Cure | None = None, **fields: Any) -> None:
+        super().__init__(message)
+        self.message = message
+        self.cure = cure
+        self.fields = fields
+
+    def __getattr__(self, name: str) -> Any:
+        fields = self.__dict__.get("fields", {})
+        if name in fields:
+            return fields[name]
+        raise AttributeError(f"{type(self).__name__} has no field {name!r}; it has {[*fields]}")
+
+    def __str__(self) -> str:
+        return f"{self.message}; {self.cure}" if self.cure else self.message
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (_restored, (type(self), self.message, self.cure, self.fields))
+
+
+def _restored(kind: type[AsbuiltError], message: str, cure: Any, fields: Any) -> AsbuiltError:
+    error = kind.__new__(kind)
+    AsbuiltError.__init__(error, message, cure=cure, **fields)
+    return error
 
 
 class DescriptionError(AsbuiltError, ValueError):
@@ -12,7 +52,7 @@ class DescriptionError(AsbuiltError, ValueError):
 
 
 class InertiaError(DescriptionError):
-    """Inertial parameters are impossible for a rigid body."""
+    """Inertial parameters are physically inconsistent."""
 
 
 class RecordingError(AsbuiltError, ValueError):
@@ -41,5 +81,7 @@ class MissingExtraError(AsbuiltError, ImportError):
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(
             f"{purpose} needs the package {package}, which is not installed: pip install"
-            f" 'asbuilt[{extra}]'"
+            f" 'asbuilt[{extra}]'",
+            package=package,
+            extra=extra,
         )

@@ -1,35 +1,96 @@
-"""One thing that is wrong, or worth knowing, about a recording."""
+"""Findings: what is wrong, or worth knowing, with code, severity, message and cure."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 Severity = Literal["error", "warning", "info"]
+SEVERITIES: tuple[Severity, ...] = ("error", "warning", "info")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
+class Cure:
+    """Say what to do about a finding or an error.
+
+    Parameters
+    ----------
+    text
+        Advice in the imperative, without a full stop and without names of options.
+    settings
+        Fields of an options class (`StudyOptions`, `ReadingOptions`, ...) with the value that
+        cures, such as `{"flip_torque": True}`; a caller adds the spelling of its own interface.
+    call
+        Name of the public function that helps, such as `"find_gains"`; empty if none does.
+    """
+
+    text: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    call: str = ""
+
+    def __str__(self) -> str:
+        return self.text
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return text, settings and call as plain data."""
+        return {"text": self.text, "settings": dict(self.settings), "call": self.call}
+
+
+@dataclass(frozen=True, slots=True)
 class Finding:
-    """Say what is wrong with a recording (`message`: place and value, one sentence) and what to do about it (`cure`).
+    """Name what is wrong (`message`: place and value) and what to do about it (`cure`).
 
-    `severity` "error" means that an identification would be wrong, "warning" that it would be poor, "info" that one should know.
-    `joint` is a joint name, `time` the first affected time [s].
+    Parameters
+    ----------
+    code
+        Stable name for programs, in snake_case; `docs/reference/findings.md` lists all.
+    severity
+        `"error"`: an identification would be wrong; `"warning"`: it would be poor; `"info"`: good
+        to know.
+    message
+        One or two sentences without the final full stop.
+    cure
+        What to do.
+    joint
+        Name of the joint concerned.
+    time
+        First affected time [s].
     """
 
     code: str
     severity: Severity
     message: str
-    cure: str = ""
+    cure: Cure | str | None = None
     joint: str | None = None
     time: float | None = None
 
     def __str__(self) -> str:
-        return f"{self.severity.upper()} {self.code}: {self.message}." + (
-            f" {self.cure}." if self.cure else ""
-        )
+        advice = f" {self.cure}." if self.cure else ""
+        return f"{self.severity.upper()} {self.code}: {self.message}.{advice}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the finding as plain data."""
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            "message": self.message,
+            "cure": self.cure.as_dict() if isinstance(self.cure, Cure) else self.cure,
+            "joint": self.joint,
+            "time": self.time,
+        }
 
 
-def joined(names: list[str] | tuple[str, ...], most: int = 7) -> str:
-    """Join names with commas, the last with "and"; long lists are cut."""
-    listed = list(names[:most]) + ([f"{len(names) - most} more"] if len(names) > most else [])
+def ranked(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Sort findings by severity, errors first; equal severities keep their order."""
+    return tuple(sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity)))
+
+
+def joined(names: Sequence[str], most: int = 7) -> str:
+    """Join names with commas, the last with "and"; a list longer than `most` ends in "n more".
+
+    >>> joined(["A1", "A2", "A3"]), joined(["A1", "A2", "A3"], most=1)
+    ('A1, A2 and A3', 'A1 and 2 more')
+    """
+    listed = [*names[:most], *([f"{len(names) - most} more"] if len(names) > most else [])]
     return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}"

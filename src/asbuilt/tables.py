@@ -42,8 +42,9 @@ Cell = str | int | float | Shown | None
 def rounded(value: float, error: float | None) -> tuple[str, str]:
     """Round a value and its standard error to the error's second significant digit.
 
-    Both share their last digit, and beyond seven decimals their exponent. Without a usable error the value has six significant digits.
-    Source: the usual rule of metrology (GUM, JCGM 100:2008, 7.2.6).
+    Both share their last digit, and beyond seven decimals their exponent. Without a usable error
+    the value has six significant digits. Source: the usual rule of metrology (GUM, JCGM 100:2008,
+    7.2.6).
 
     >>> rounded(0.0309871, 0.00412)
     ('0.0310', '0.0041')
@@ -106,7 +107,9 @@ def share(fraction: float | None, digits: int = 1) -> str:
 
 
 def beside(value: float, error: float | None) -> str:
-    """Return a number that stands beside another of standard error `error`: four digits of its own, fewer where it is far below the error.
+    """Return a number that stands beside another of standard error `error`.
+
+    Four digits of its own, fewer where it is far below the error.
 
     >>> beside(0.023661, 0.4), beside(6.666386, 0.0023), beside(1e-9, 0.4)
     ('0.02366', '6.666', '0.0000')
@@ -160,7 +163,8 @@ def shortened(text: str, width: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: header, unit, alignment, and how a float that comes without its own text is printed.
+    """One column: header, unit, alignment, and how a float that comes without its own text is
+    printed.
 
     `width` limits what text shows of a long cell; HTML and CSV have it whole.
     """
@@ -209,7 +213,9 @@ class Table:
         return self.as_text()
 
     def as_text(self) -> str:
-        """Return the table in fixed-width characters, no trailing spaces, lines ending in a newline."""
+        """Return the table in fixed-width characters, no trailing spaces, lines ending in a
+        newline.
+        """
         body = [
             [
                 _clipped(_plain(column.shown(cell)), column.width)
@@ -239,7 +245,10 @@ class Table:
         return "".join(line.rstrip() + "\n" for line in lines)
 
     def as_html(self, identifier: str = "") -> str:
-        """Return the table as an HTML `table` element; every text is escaped, numbers carry their full value in `data-value`."""
+        """Return the table as an HTML `table` element.
+
+        Every text is escaped, numbers carry their full value in `data-value`.
+        """
         label = f' id="{html.escape(identifier)}"' if identifier else ""
         caption = f"<caption>{html.escape(self.title)}</caption>" if self.title else ""
         head = "".join(
@@ -267,7 +276,10 @@ class Table:
         return table + (f'\n<div class="notes">{notes}</div>' if notes else "")
 
     def as_csv(self) -> str:
-        """Return the table as CSV: one header row with units in brackets, numbers in full, empty where there is none."""
+        """Return the table as CSV.
+
+        One header row with units in brackets, numbers in full, empty where there is none.
+        """
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(

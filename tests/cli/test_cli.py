@@ -23,7 +23,9 @@ def refuse_constant(name: str) -> float:
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A training and a test recording of each robot, as it stands on the floor, and one noise-free by design."""
+    """A training and a test recording of each robot, as it stands on the floor, and one noise-free
+    by design.
+    """
     folder = tmp_path_factory.mktemp("recorded")
     logs = {}
     for robot in ROBOTS:

@@ -24,7 +24,10 @@ ROBOTS = ("kuka-iiwa7-r800", "ur10e", "scara")
 
 
 def log(path: Path, robot: str, torque, *, seed: int = 2) -> Path:
-    """Write a recording of a robot along a random motion; `torque(model, q, qd, qdd)` is what it logs."""
+    """Write a recording of a robot along a random motion.
+
+    `torque(model, q, qd, qdd)` is what it logs.
+    """
     model = bundled_robot(robot)
     motion = random_fourier(model, seed, duration=25.0).sample(100.0)
     tau = torque(model, motion.q, motion.qd, motion.qdd) + 0.02 * np.random.default_rng(
@@ -210,7 +213,9 @@ def test_recordings_scaled_by_different_gains_are_refused(capsys, tmp_path, pair
 def coupled(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, int]:
-    """A robot file whose last motor turns with the joint before it too, and has friction and inertia of its own."""
+    """A robot file whose last motor turns with the joint before it too, and has friction and
+    inertia of its own.
+    """
     model = bundled_robot(request.param)
     n = model.n_joints
     terms = {

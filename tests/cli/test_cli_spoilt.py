@@ -28,7 +28,9 @@ def write(path: Path, table: np.ndarray) -> Path:
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
-    """Return a folder with the logs of an arm without and with a payload, `bare.csv` and `loaded.csv`, and the motors' beside the first."""
+    """Return a folder with the logs of an arm without and with a payload, `bare.csv` and
+    `loaded.csv`, and the motors' beside the first.
+    """
     folder = tmp_path_factory.mktemp("logs")
     model = bundled_robot(ROBOT)
     ball = LinkInertia.from_com(MASS, [0.02, 0.0, 0.1], 0.01 * np.eye(3))
@@ -179,7 +181,10 @@ def test_wrists_that_only_the_known_arm_tells_apart_are_put_right(
     signs: tuple[int, int],
     said: str,
 ) -> None:
-    """Friction of a wrist is as large as what CAD knows of its torque; with the arm identified any body at the flange leaves the wrong order unexplained."""
+    """Friction of a wrist is as large as what CAD knows of its torque.
+
+    With the arm identified any body at the flange leaves the wrong order unexplained.
+    """
     table = np.loadtxt(logs[1], delimiter=",", skiprows=1)
     table[:, [11, 12]] = table[:, list(columns)] * signs
     bad = write(tmp_path / "bad.csv", table)

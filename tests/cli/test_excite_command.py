@@ -218,7 +218,9 @@ def test_options_that_would_do_nothing_are_refused(capsys, tmp_path: Path) -> No
 def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
     capsys, tmp_path: Path
 ) -> None:
-    """Of the recorded torque, a column times its standard error, both RMS along the motion that was written."""
+    """Of the recorded torque, a column times its standard error, both RMS along the motion that was
+    written.
+    """
     file = tmp_path / "motion.csv"
     status, out, err = call(
         capsys,

@@ -105,7 +105,10 @@ def test_the_ur10e_needs_the_torques_of_the_manufacturers_urdf(shared):
 
 
 def test_the_panda_reproduces_the_coefficients_it_was_retrieved_from():
-    """Gaz et al. (2019) publish the identified coefficients; their retrieved parameters meet them within 0.01 kg m."""
+    """Gaz et al. (2019) publish the identified coefficients.
+
+    Their retrieved parameters meet them within 0.01 kg m.
+    """
     link = {i + 1: link.inertia for i, link in enumerate(load_robot("franka-panda").links)}
     m = {i: one.mass for i, one in link.items()}
     h = {i: one.first_moment for i, one in link.items()}
@@ -125,7 +128,9 @@ def test_the_panda_reproduces_the_coefficients_it_was_retrieved_from():
 
 
 def test_the_puma_falls_as_published():
-    """Gravity torque of joint 2 with the arm stretched out, from the weights and arms of Armstrong, Khatib and Burdick (1986)."""
+    """Gravity torque of joint 2 with the arm stretched out, from the weights and arms of Armstrong,
+    Khatib and Burdick (1986).
+    """
     from asbuilt.dynamics.newton_euler import gravity_torque
 
     puma = load_robot("puma-560")

@@ -1,4 +1,7 @@
-"""What a robot model refuses: placements that are none, frames that hang on nothing, kinds of joints that do not exist."""
+"""What a robot model refuses.
+
+Placements that are none, frames that hang on nothing, kinds of joints that do not exist.
+"""
 
 from __future__ import annotations
 

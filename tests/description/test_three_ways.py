@@ -1,4 +1,6 @@
-"""One robot given as standard DH, as modified DH in TOML and as URDF moves alike and needs the same torques."""
+"""One robot given as standard DH, as modified DH in TOML and as URDF moves alike and needs the same
+torques.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +75,10 @@ def distal(row: DHRow) -> np.ndarray:
 
 
 def modified_toml(rows: list[DHRow]) -> str:
-    """Frame i moves to the axis of joint i: row i takes length and twist of its parent row, link i moves by its own."""
+    """Frame i moves to the axis of joint i.
+
+    Row i takes length and twist of its parent row, link i moves by its own.
+    """
     text = 'name = "modified"\nconvention = "modified"\n'
     for i, row in enumerate(rows):
         before = rows[row.parent] if row.parent != ROOT else DHRow()
@@ -92,7 +97,9 @@ def modified_toml(rows: list[DHRow]) -> str:
 
 
 def urdf_text(rows: list[DHRow], turned: bool) -> str:
-    """Each link frame sits on its joint axis, turned at random where asked, so that the axis points anywhere."""
+    """Each link frame sits on its joint axis, turned at random where asked, so that the axis points
+    anywhere.
+    """
     rng = np.random.default_rng(4)
     C = [placement(Rotation.random(rng=rng).as_matrix()) if turned else np.eye(4) for _ in rows]
     A = [composed(placement(rotation_z(row.theta), (0, 0, row.b)), distal(row)) for row in rows]

@@ -13,7 +13,10 @@ PINOCCHIO_ORDER = np.array([9, 6, 7, 8, 0, 1, 3, 2, 4, 5])
 
 
 def pinocchio_model(model: RobotModel) -> pin.Model:
-    """Build the same robot in Pinocchio; joint i+1 there is joint i here, its frame being our joint frame after the motion."""
+    """Build the same robot in Pinocchio.
+
+    Joint i+1 there is joint i here, its frame being our joint frame after the motion.
+    """
     built = pin.Model()
     built.gravity.linear = np.array(model.gravity)
     for i, joint in enumerate(model.joints):
@@ -67,7 +70,8 @@ def random_robot(
 ) -> RobotModel:
     """Draw a tree (or chain) of revolute and prismatic joints under gravity of any direction.
 
-    `style` is "general" (any placement on both sides), "distal" (placements after the joint, turned about x) or "proximal" (before it).
+    `style` is "general" (any placement on both sides), "distal" (placements after the joint, turned
+    about x) or "proximal" (before it).
     """
     joints, links = [], []
     for i in range(n_joints):

@@ -1,4 +1,6 @@
-"""The regressor against inverse dynamics and Pinocchio, its structural zeros, plans, columns, samples and threads."""
+"""The regressor against inverse dynamics and Pinocchio, its structural zeros, plans, columns,
+samples and threads.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,9 @@ def test_every_column_is_that_of_pinocchio(style, n):
 
 
 def carried(after: pin.SE3) -> np.ndarray:
-    """Parameters about the link frame, our order, to parameters about the joint frame, Pinocchio's order: 10 x 10, column by column."""
+    """Parameters about the link frame, our order, to parameters about the joint frame, Pinocchio's
+    order: 10 x 10, column by column.
+    """
     r, p = after.rotation, after.translation
     columns = []
     for unit in np.eye(10):

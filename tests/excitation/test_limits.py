@@ -17,7 +17,9 @@ SILENT = DriveValues()
 
 
 def arm(limits: tuple[JointLimits, JointLimits], drive: DriveValues = SILENT) -> RobotModel:
-    """A turning pendulum (horizontal axis, 2 kg at 0.5 m) that carries a slide of 1 kg along its own axis."""
+    """A turning pendulum (horizontal axis, 2 kg at 0.5 m) that carries a slide of 1 kg along its
+    own axis.
+    """
     pendulum = Joint(
         "turn", "revolute", -1, placement(rotation_x(np.pi / 2)), np.eye(4), limits[0], drive
     )

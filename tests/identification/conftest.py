@@ -1,4 +1,7 @@
-"""Fixtures of this room: robots whose bodies differ from their description, moved along an exact motion."""
+"""Fixtures of this room.
+
+Robots whose bodies differ from their description, moved along an exact motion.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,9 @@ def real_bodies(prior, rng, spread=0.1):
 def make_trial(
     robot, drive=FULL, *, noise=0.0, seed=0, duration=20.0, spread=0.1, chi=None, rate=25.0
 ):
-    """A robot with real bodies of its own, and what a motion of it with white noise (a fraction of each joint's torque) tells."""
+    """A robot with real bodies of its own, and what a motion of it with white noise (a fraction of
+    each joint's torque) tells.
+    """
     rng = np.random.default_rng(seed)
     model = load_robot(robot) if isinstance(robot, str) else robot
     base = find_base_parameters(model, DriveSet.parse(drive))

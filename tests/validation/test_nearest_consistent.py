@@ -1,4 +1,6 @@
-"""A model in place of the identified one, judged from what the result carries, against predictions from the samples themselves."""
+"""A model in place of the identified one, judged from what the result carries, against predictions
+from the samples themselves.
+"""
 
 from __future__ import annotations
 

@@ -67,7 +67,10 @@ def test_durbin_watson_does_not_step_over_gaps() -> None:
 
 
 def test_whiteness_in_the_band_does_not_depend_on_cutoff_or_rate() -> None:
-    """White noise behind an ideal low-pass is white up to it; a random walk is slow at every cutoff."""
+    """White noise behind an ideal low-pass is white up to it.
+
+    A random walk is slow at every cutoff.
+    """
     n, rate = 2**16, 500.0
     rng = np.random.default_rng(5)
     noise = np.column_stack([rng.normal(size=n), np.cumsum(rng.normal(size=n))])

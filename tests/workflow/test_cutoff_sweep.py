@@ -41,7 +41,10 @@ def sweep(recording: Recording) -> CutoffSweep:
 
 
 def test_too_high_a_cutoff_costs(sweep: CutoffSweep) -> None:
-    """Noise of 0.5 N m is the floor; encoder steps swamp accelerations at 30 Hz; at 0.6 Hz the filter needs more time than a block has."""
+    """Noise of 0.5 N m is the floor; encoder steps swamp accelerations at 30 Hz.
+
+    At 0.6 Hz the filter needs more time than a block has.
+    """
     assert [trial.cutoff for trial in sweep.trials] == [3.0, 6.0, 30.0]
     assert sweep.chosen in (3.0, 6.0)
     assert sweep.trials[-1].score > 1.5
@@ -80,7 +83,10 @@ def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
 
 
 def test_cutoffs_tried_are_apart(recording: Recording) -> None:
-    """Else two would be written over each other in the figure: the highest is bounded by the sampling rate."""
+    """Else two would be written over each other in the figure.
+
+    The highest is bounded by the sampling rate.
+    """
     slow = recording.between(0.0, 12.0)
     tried = np.array(
         [trial.cutoff for trial in sweep_cutoffs(load_robot("ur10e"), [slow], drive=DRIVE).trials]

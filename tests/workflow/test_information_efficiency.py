@@ -56,7 +56,10 @@ def test_a_standing_joint_is_named(recording: Recording) -> None:
 
 
 def test_it_says_how_a_joint_held_back(recording: Recording) -> None:
-    """Travel and top speed are those of the motion that was sampled; a slower one is called slow, a smaller one small."""
+    """Travel and top speed are those of the motion that was sampled.
+
+    A slower one is called slow, a smaller one small.
+    """
     model = load_robot("two-link")
     wide = recorded_information(model, recording)
     bounds = MotionBounds.assumed(model)
@@ -80,7 +83,10 @@ def test_it_says_how_a_joint_held_back(recording: Recording) -> None:
 
 
 def test_the_worst_parameter_is_that_of_least_information(recording: Recording) -> None:
-    """The ratio of standard errors comes from the covariances: own observation matrix against the bound's information."""
+    """The ratio of standard errors comes from the covariances.
+
+    Own observation matrix against the bound's information.
+    """
     model = load_robot("two-link")
     found = recorded_information(model, recording)
     base = found.efficiency.base

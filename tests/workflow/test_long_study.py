@@ -10,7 +10,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment import long_recordings
+from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
@@ -72,7 +72,10 @@ def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
 
 
 def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch, capsys, tmp_path):
-    """The same verdict within what choosing the filters by the beginning alone makes; nothing is read as a whole."""
+    """The same verdict within what choosing the filters by the beginning alone makes.
+
+    Nothing is read as a whole.
+    """
     result = document(capsys, "identify", "kuka-iiwa7-r800", log, "--out", tmp_path)["files"][
         "result"
     ]

@@ -21,8 +21,8 @@ from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.calibration.mounting import Mounting
 from asbuilt.identification.identify import identify
 from asbuilt.identification.result.result import IdentificationWarning
-from asbuilt.validation import hidden_causes
 from asbuilt.validation.attribution.attribution import attribute
+from asbuilt.validation.generalisation import hidden_causes
 from asbuilt.workflow.study import Study, StudyOptions, run_study
 
 UR10E_SHEET = """
@@ -135,7 +135,9 @@ def recorded_rms(study: Study) -> list[np.ndarray]:
 
 
 def test_med7_beats_the_manufacturers_model(shared: Path) -> None:
-    """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m (tau - tau_ext of the file)."""
+    """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m
+    (tau - tau_ext of the file).
+    """
     options = StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), holdout="blocks:5s:3")
     study = study_of(
         shared,
@@ -267,7 +269,10 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
 def test_a_tilt_that_explains_nothing_is_not_spoken_of(
     left: float, said: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However sure the angle is: bodies that follow the torque as badly when the robot stands so are refused for another reason."""
+    """However sure the angle is.
+
+    Bodies that follow the torque as badly when the robot stands so are refused for another reason.
+    """
     model, drive = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
     robot = InstalledRobot.ideal(model).with_noise(SensorNoise(torque_noise=0.02))
     samples = prepare_samples(

@@ -15,7 +15,9 @@ FLAGS = (
 
 
 def chromium(profile: Path, flags: str, **logs: str) -> Any:
-    """Start a browser with more flags and a level for each log, or skip the test where there is none."""
+    """Start a browser with more flags and a level for each log, or skip the test where there is
+    none.
+    """
     browser = (
         shutil.which("chromium")
         or shutil.which("chromium-browser")

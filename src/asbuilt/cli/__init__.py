@@ -1,1 +1,3 @@
-"""The command line: one file per group of commands, the demonstration and the reproduction of the 2015 paper."""
+"""The command line: one file per group of commands, the demonstration and the reproduction of the
+2015 paper.
+"""

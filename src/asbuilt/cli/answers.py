@@ -1,4 +1,7 @@
-"""How the commands answer: one document or one text on stdout, progress on stderr, the files they wrote."""
+"""How the commands answer.
+
+One document or one text on stdout, progress on stderr, the files they wrote.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,10 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield `report(what, fraction)`; draws a bar on stderr where that is a terminal, for anything that takes over a second."""
+    """Yield `report(what, fraction)`.
+
+    Draws a bar on stderr where that is a terminal, for anything that takes over a second.
+    """
     if not sys.stderr.isatty():
         yield lambda what, fraction: None
         return
@@ -53,7 +59,9 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 def listed_files(
     files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None
 ) -> str:
-    """Return the lines that say which files were written and what is to be known of them, empty where none were."""
+    """Return the lines that say which files were written and what is to be known of them, empty
+    where none were.
+    """
     if not files:
         return ""
     from asbuilt.writers.files import file_lines

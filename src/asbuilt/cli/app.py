@@ -29,7 +29,10 @@ app = typer.Typer(
 )
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What linear algebra libraries read when they are loaded, which commands do: their threads only get in each other's way on small matrices."""
+"""What linear algebra libraries read when they are loaded, which commands do.
+
+Their threads only get in each other's way on small matrices.
+"""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C, with which typer ends a command, too."""
@@ -58,7 +61,9 @@ for command in (
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; every failure is one message on stderr and an exit status of 1 (data, robot) or 2 (usage)."""
+    """Run the command line; every failure is one message on stderr and an exit status of 1 (data,
+    robot) or 2 (usage).
+    """
     for setting in BLAS_THREADS:
         os.environ.setdefault(setting, "1")
     try:

@@ -1,4 +1,7 @@
-"""The whole story on bundled data: design a motion, record a virtual robot, identify, validate, compare, export, write everything down."""
+"""The whole story on bundled data.
+
+Design a motion, record a virtual robot, identify, validate, compare, export, write everything down.
+"""
 
 from __future__ import annotations
 
@@ -53,9 +56,11 @@ WIDTH = 140
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demo:
-    """Hold the story: the motion designed, both recordings, the study of them, what was found of the truth, what was exported, the files written.
+    """Hold the story: the motion designed, both recordings, the study of them, what was found of
+    the truth, what was exported, the files written.
 
-    `recovery` is None without MuJoCo, whose robot alone logs torques with the drive terms that are identified.
+    `recovery` is None without MuJoCo, whose robot alone logs torques with the drive terms that are
+    identified.
     """
 
     model: RobotModel
@@ -132,7 +137,10 @@ def run_demo(
 
 
 def _recorded(model: RobotModel, motion: Motion, seed: int, name: str) -> SimulatedRecording:
-    """Record the virtual robot on its engine; without the engine, by inverse dynamics along the commanded motion."""
+    """Record the virtual robot on its engine.
+
+    Without the engine, by inverse dynamics along the commanded motion.
+    """
     try:
         simulated = _virtual_robot(model).record(motion, seed)
     except MissingExtraError:
@@ -150,7 +158,9 @@ def _virtual_robot(model: RobotModel) -> VirtualRobot:
 
 
 def _recovered(model: RobotModel, study: Study) -> Recovery | None:
-    """Hold the result against the parameters of the robot that moved, along a motion of its own and without its sensors."""
+    """Hold the result against the parameters of the robot that moved, along a motion of its own and
+    without its sensors.
+    """
     robot = _virtual_robot(model)
     bare = replace(
         robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)

@@ -1,6 +1,7 @@
 """The facts of the 2015 paper that asbuilt grew from, and its expressions in asbuilt's notation.
 
-Hayat, Abhishek and Saha, "Dynamic Identification of Manipulator: Comparison between CAD and Actual Parameters", iNaCoMM 2015-94.
+Hayat, Abhishek and Saha, "Dynamic Identification of Manipulator: Comparison between CAD and Actual
+Parameters", iNaCoMM 2015-94.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ _TERM = re.compile(r"([+-]?)\s*(?:([0-9.]+)\*)?(?:I(\d)([xyz]{2})|m(\d)\*d\5([xy
 
 @dataclass(frozen=True, slots=True)
 class PublishedParameter:
-    """One row of Table 2: id of 70, expression (corrected; `printed` where the paper has a misprint), CAD and robot value."""
+    """One row of Table 2: id of 70, expression (corrected; `printed` where the paper has a
+    misprint), CAD and robot value.
+    """
 
     id: int
     expression: str
@@ -30,7 +33,9 @@ class PublishedParameter:
     printed: str | None = None
 
     def coefficients(self, standard_names: Sequence[str]) -> Array:
-        """Return the expression as a row of coefficients of the standard parameters, shape (n_standard,)."""
+        """Return the expression as a row of coefficients of the standard parameters, shape
+        (n_standard,).
+        """
         row = np.zeros(len(standard_names))
         for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(
             self.expression

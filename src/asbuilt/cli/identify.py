@@ -87,7 +87,10 @@ def identify(
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a robot from recordings: base parameters with errors, what they predict, and how CAD compares."""
+    """Identify a robot from recordings.
+
+    Base parameters with errors, what they predict, and how CAD compares.
+    """
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.identification.drives.drive_choice import is_auto
     from asbuilt.identification.errors.error_basis import ERROR_KINDS
@@ -255,7 +258,10 @@ def compare(
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare CAD with the robot as built: what differs, what that costs in torque, which causes explain it; or two results of one robot."""
+    """Compare CAD with the robot as built.
+
+    What differs, what that costs in torque, which causes explain it; or two results of one robot.
+    """
     from asbuilt.experiment.quality.checks import refuse_spoilt
     from asbuilt.identification.result.determination import determination
     from asbuilt.validation.attribution.attribution import attribute

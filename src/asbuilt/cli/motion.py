@@ -187,7 +187,9 @@ def excite(
     ] = Path("motion.csv"),
     as_json: AsJson = False,
 ) -> None:
-    """Design the most informative motion within the limits of a robot, and say how near it comes to the best there could be."""
+    """Design the most informative motion within the limits of a robot, and say how near it comes to
+    the best there could be.
+    """
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.excitation.collision.constraint import watched
     from asbuilt.excitation.design.design import USUAL_DRIVE, design_motion

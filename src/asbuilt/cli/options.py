@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 
 def writable_folder(folder: Path | None) -> Path | None:
-    """Return a folder that can be written to or made; raises `UsageError` before any work is done otherwise."""
+    """Return a folder that can be written to or made.
+
+    Raises `UsageError` before any work is done otherwise.
+    """
     from asbuilt.writers.files import check_writable
 
     if folder is not None:
@@ -33,7 +36,10 @@ def writable_folder(folder: Path | None) -> Path | None:
 
 
 def writable_file(file: Path | None) -> Path | None:
-    """Return a file whose folder can be written to or made; raises `UsageError` before any work is done otherwise."""
+    """Return a file whose folder can be written to or made.
+
+    Raises `UsageError` before any work is done otherwise.
+    """
     writable_folder(None if file is None else file.parent)
     return file
 
@@ -217,7 +223,11 @@ class Filtering:
 
 
 def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command as typer wants it: in place of each parameter that is a group of options (`Reading`, `Filtering`), the options of that group."""
+    """Return the command as typer wants it.
+
+    In place of each parameter that is a group of options (`Reading`, `Filtering`), the options of
+    that group.
+    """
     hints = get_type_hints(command, include_extras=True)
     groups: dict[str, type[Any]] = {
         name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)
@@ -289,14 +299,20 @@ def read_result(path: Path) -> IdentificationResult:
 
 
 def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
-    """Return a value that is among the known (what it stands for, where these are a mapping); raises `UsageError` otherwise."""
+    """Return a value that is among the known (what it stands for, where these are a mapping).
+
+    Raises `UsageError` otherwise.
+    """
     if value not in known:
         raise UsageError(f"{option} {value!r} is not one of {', '.join(known)}")
     return known[value] if isinstance(known, Mapping) else value
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:
-    """Return the numbers of a list separated by commas, none where there is no text; raises `UsageError` unless all are finite, and `count` of them."""
+    """Return the numbers of a list separated by commas, none where there is no text.
+
+    Raises `UsageError` unless all are finite, and `count` of them.
+    """
     if text is None:
         return ()
     try:
@@ -313,7 +329,10 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
 
 
 def distinct_logs(*groups: Sequence[Path] | None) -> None:
-    """Raise `UsageError` where a log is given twice, in one place or in two: counted twice it seems surer than it is, and it judges itself."""
+    """Raise `UsageError` where a log is given twice, in one place or in two.
+
+    Counted twice it seems surer than it is, and it judges itself.
+    """
     given = [path.resolve() for group in groups for path in group or ()]
     repeated = next((path for path in given if given.count(path) > 1), None)
     if repeated is not None:
@@ -321,7 +340,9 @@ def distinct_logs(*groups: Sequence[Path] | None) -> None:
 
 
 def refuse_idle(why: str, given: Mapping[str, bool]) -> None:
-    """Raise `UsageError`, saying why, where options were `given` that the command would not look at."""
+    """Raise `UsageError`, saying why, where options were `given` that the command would not look
+    at.
+    """
     idle = [option for option, present in given.items() if present]
     if idle:
         raise UsageError(f"{why}; leave out {', '.join(idle)}")

@@ -95,7 +95,8 @@ def gains(
     filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
-    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass, and print the --gain that uses it.
+    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass, and
+    print the --gain that uses it.
 
     Gains of a sheet or of --gain scale the torques as usual; what is printed stands in their place.
     """
@@ -171,7 +172,9 @@ def channels(
     filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
-    """Identify links, link-side friction and motor side from torques recorded on both sides of the gears."""
+    """Identify links, link-side friction and motor side from torques recorded on both sides of the
+    gears.
+    """
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.experiment.quality.checks import refuse_spoilt
     from asbuilt.experiment.signal.signal_chain import prepare_samples
@@ -282,7 +285,10 @@ def simulate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Record a virtual robot along a motion, or let a robot go; the parameters it was made with are written beside the recording."""
+    """Record a virtual robot along a motion, or let a robot go.
+
+    The parameters it was made with are written beside the recording.
+    """
     from asbuilt.description.tool import tool_from_text
     from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.excitation.motions.random_motion import random_fourier

@@ -1,6 +1,7 @@
 """The 2015 paper, table by table and figure by figure: ours beside what it prints.
 
-The recordings behind its Table 3 and Figures 3 and 4 were never published, so these are repeated on a virtual installed robot.
+The recordings behind its Table 3 and Figures 3 and 4 were never published, so these are repeated on
+a virtual installed robot.
 """
 
 from __future__ import annotations
@@ -43,7 +44,10 @@ SEED = 2015
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReproducedParameter:
-    """One row of Table 2: ours beside the paper's; `tolerance` is what the rounding of Tables 1 and 2 allows."""
+    """One row of Table 2: ours beside the paper's.
+
+    `tolerance` is what the rounding of Tables 1 and 2 allows.
+    """
 
     id: int
     printed: str
@@ -66,9 +70,11 @@ class ReproducedParameter:
 class Reproduction:
     """Hold all that the paper shows, redone.
 
-    `parameters` is Table 2; `ids_equal` counts equal ids; `mismatches_with_printed_alpha` how many CAD values Table 1 as printed (alpha_7 = 90 deg) would miss;
-    `cad_margin` and `robot_margin` are the best attainable smallest eigenvalues of the links' pseudo-inertias for the two columns;
-    `rigid` is the paper's method on the virtual robot (Table 3, Figures 3 and 4), `full` ours on the same recordings.
+    `parameters` is Table 2; `ids_equal` counts equal ids; `mismatches_with_printed_alpha` how many
+    CAD values Table 1 as printed (alpha_7 = 90 deg) would miss; `cad_margin` and `robot_margin` are
+    the best attainable smallest eigenvalues of the links' pseudo-inertias for the two columns;
+    `rigid` is the paper's method on the virtual robot (Table 3, Figures 3 and 4), `full` ours on
+    the same recordings.
     """
 
     model: RobotModel
@@ -165,7 +171,10 @@ def installed_robot(model: RobotModel) -> tuple[InstalledRobot, tuple[str, ...]]
 
 
 def _identified_from_simulation(model: RobotModel) -> Array:
-    """Return the base parameters found as in section 3.1: quintic motions, noise-free torque, least squares."""
+    """Return the base parameters found as in section 3.1.
+
+    Quintic motions, noise-free torque, least squares.
+    """
     bounds = MotionBounds.assumed(model, 0.8)
     rng = np.random.default_rng(SEED)
     poses = rng.uniform(bounds.lower, bounds.upper, size=(12, model.n_joints))
@@ -215,7 +224,9 @@ def _half_digit(value: float) -> float:
 
 
 def _table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
-    """Return how far half a unit in the last printed digit of every entry of Table 1 can move each base parameter, shape (n_base,)."""
+    """Return how far half a unit in the last printed digit of every entry of Table 1 can move each
+    base parameter, shape (n_base,).
+    """
     total = np.zeros(base.n_base)
     parameters = np.array(model.parameters)
     for i, link in enumerate(model.links):
@@ -245,7 +256,9 @@ def _table_1_rounding(model: RobotModel, base: BaseParameters) -> Array:
 
 
 def _mismatches_with_printed_alpha(model: RobotModel, base: BaseParameters, paper: Paper) -> int:
-    """Count the CAD values of Table 2 that link 7 with alpha_7 as printed in Table 1 would not give."""
+    """Count the CAD values of Table 2 that link 7 with alpha_7 as printed in Table 1 would not
+    give.
+    """
     offsets = [model.lengths.get(f"b{i + 1}", 0.0) for i in range(model.n_joints)]
     twists = [90.0, -90.0, -90.0, 90.0, 90.0, -90.0, paper.alpha_7_printed]
     rows = [

@@ -25,7 +25,9 @@ VISIBLE = 5e-7
 
 
 def table_1(redone: Reproduction) -> Table:
-    """Return the kinematic parameters and masses of Table 1 as bundled, and where that is not what the paper prints."""
+    """Return the kinematic parameters and masses of Table 1 as bundled, and where that is not what
+    the paper prints.
+    """
     rows = []
     for k, (joint, link) in enumerate(zip(redone.model.joints, redone.model.links, strict=True)):
         com = " ".join(f"{value:.6g}" for value in link.inertia.com + 0.0)
@@ -66,7 +68,9 @@ def table_1(redone: Reproduction) -> Table:
 
 
 def table_2(redone: Reproduction) -> Table:
-    """Return Table 2: id, expression, the paper's CAD value, ours, what least squares on simulated motion gives, the paper's robot value."""
+    """Return Table 2: id, expression, the paper's CAD value, ours, what least squares on simulated
+    motion gives, the paper's robot value.
+    """
     rows = tuple(
         (
             k,
@@ -127,7 +131,9 @@ def table_2(redone: Reproduction) -> Table:
 
 
 def table_3(redone: Reproduction) -> Table:
-    """Return Table 3: RMS torque error on the test motion, the paper's robot beside the virtual one."""
+    """Return Table 3: RMS torque error on the test motion, the paper's robot beside the virtual
+    one.
+    """
     joints = redone.paper.table3_joints
     rigid, full = redone.rigid.validations[0], redone.full.validations[0]
     pick = np.array(joints) - 1

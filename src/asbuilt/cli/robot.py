@@ -1,4 +1,7 @@
-"""Commands about a robot: what it is, what torques can tell of it, how it looks, and what other software needs."""
+"""Commands about a robot.
+
+What it is, what torques can tell of it, how it looks, and what other software needs.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +51,9 @@ def show(robot: Robot, as_json: AsJson = False) -> None:
 
 
 def base(robot: Robot, drive: Drive = "none", as_json: AsJson = False) -> None:
-    """Find the base parameters, and say of each standard parameter whether torques tell it, and why."""
+    """Find the base parameters, and say of each standard parameter whether torques tell it, and
+    why.
+    """
     from asbuilt.dynamics.base.base_parameters import find_base_parameters
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.writers.tables.robot_tables import base_table, standard_table
@@ -97,7 +102,10 @@ def view(
     ] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids; Ctrl-C ends it."""
+    """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids.
+
+    Ctrl-C ends it.
+    """
     from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.writers.files import atomic_write, path_texts
 

@@ -39,7 +39,10 @@ def demo(
     ] = Path("asbuilt-demo"),
     as_json: AsJson = False,
 ) -> None:
-    """Run the whole story on bundled data: move, record, identify, validate, compare, export, report."""
+    """Run the whole story on bundled data.
+
+    Move, record, identify, validate, compare, export, report.
+    """
     from asbuilt.cli.demo import demo_document, demo_text, run_demo
 
     with progress_bar() as report:

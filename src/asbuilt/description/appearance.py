@@ -1,4 +1,7 @@
-"""How a robot is drawn where there are no meshes: rods and housings from its geometry, ellipsoids from its inertias."""
+"""How a robot is drawn where there are no meshes.
+
+Rods and housings from its geometry, ellipsoids from its inertias.
+"""
 
 from __future__ import annotations
 
@@ -20,14 +23,17 @@ TAPER = 0.5
 SHORTEST = 1e-3
 """Rods shorter than this are not drawn [m]."""
 BEND = 0.35
-"""Share of a link's length that has to lie along its joint axis, and square to it, for the link to be drawn with a corner."""
+"""Share of a link's length that has to lie along its joint axis, and square to it, for the link to
+be drawn with a corner.
+"""
 TRAVEL = 0.3
 """Length of a sliding rod whose travel is not limited [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A round body fixed to a link (ROOT for the root link), from `start` to `stop` (3,) in link axes [m], with `radius` [m].
+    """A round body fixed to a link (ROOT for the root link), from `start` to `stop` (3,) in link
+    axes [m], with `radius` [m].
 
     A `rod` has round ends, a `housing` sits around a joint axis and has flat ones.
     """
@@ -45,9 +51,12 @@ class Solid:
 
 
 def link_solids(model: RobotModel) -> tuple[Solid, ...]:
-    """Return what stands in for the robot's shape: a rod along each link to whatever hangs on it, and a housing around each joint axis.
+    """Return what stands in for the robot's shape.
 
-    Radii come from the length of the stretched robot and shrink towards the tip. They are for the eye alone: no mass, no collision.
+    A rod along each link to whatever hangs on it, and a housing around each joint axis.
+
+    Radii come from the length of the stretched robot and shrink towards the tip. They are for the
+    eye alone: no mass, no collision.
     """
     return tuple(_solids(model))
 
@@ -58,10 +67,11 @@ def stretched_length(model: RobotModel) -> float:
 
 
 def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
-    """Return semi-axes (3,) [m] and axes (3, 3), as columns in link axes, of the ellipsoid of uniform density with the same inertia.
+    """Return semi-axes (3,) [m] and axes (3, 3), as columns in link axes, of the ellipsoid of
+    uniform density with the same inertia.
 
-    It sits at the centre of mass: `I_1 = m (b^2 + c^2) / 5` and cyclically, so `a^2 = 5 (I_2 + I_3 - I_1) / (2 m)`. None where no body of
-    positive mass has this inertia.
+    It sits at the centre of mass: `I_1 = m (b^2 + c^2) / 5` and cyclically, so `a^2 = 5 (I_2 + I_3
+    - I_1) / (2 m)`. None where no body of positive mass has this inertia.
     """
     if not inertia.mass > 0.0 or not inertia.is_consistent:
         return None
@@ -108,7 +118,10 @@ def _solids(model: RobotModel) -> Iterator[Solid]:
 
 
 def _rods(origin: Array, point: Array, axis: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield the pieces from the joint to a point on the link: along the axis and then square to it where both are long, else straight."""
+    """Yield the pieces from the joint to a point on the link.
+
+    Along the axis and then square to it where both are long, else straight.
+    """
     along = ((point - origin) @ axis) * axis
     across = point - origin - along
     corners = [origin, point]

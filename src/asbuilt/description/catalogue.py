@@ -23,14 +23,14 @@ def robot_names() -> tuple[str, ...]:
 
 
 def bundled_robot(name: str) -> RobotModel:
-    """Return a bundled robot; raises `DescriptionError` with the names there are and the nearest one.
+    """Return a bundled robot.
+
+    Raises `DescriptionError` with the names there are and the nearest one.
 
     >>> bundled_robot("kuka-iiwa7-r800").n_joints
     7
     """
-    from asbuilt.description.formats.toml import (
-        robot_from_toml,
-    )  # noqa: PLC0415 - pydantic loads when a robot is read, not when names are listed
+    from asbuilt.description.formats.toml import robot_from_toml  # noqa: PLC0415 - light start
 
     if name not in robot_names():
         raise DescriptionError(
@@ -43,7 +43,9 @@ def bundled_robot(name: str) -> RobotModel:
 
 
 def nearest(name: str) -> str:
-    """Return `" (did you mean 'puma-560'?)"` for the bundled robot nearest in spelling, or an empty text."""
+    """Return `" (did you mean 'puma-560'?)"` for the bundled robot nearest in spelling, or an empty
+    text.
+    """
     matches = difflib.get_close_matches(
         name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4
     )

@@ -8,7 +8,9 @@ from asbuilt.errors import DescriptionError
 
 
 def finite_number(text: str, what: str) -> float:
-    """Return the finite number that a text says; raises `DescriptionError` with `what` it is and the text otherwise.
+    """Return the finite number that a text says.
+
+    Raises `DescriptionError` with `what` it is and the text otherwise.
 
     >>> finite_number("1e-3", "line 2: mass")
     0.001

@@ -11,12 +11,16 @@ from asbuilt.arrays import Array
 from asbuilt.errors import InertiaError
 
 PARAMETER_NAMES = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m")
-"""The ten standard inertial parameters of a link about its origin, in the order used everywhere in asbuilt."""
+"""The ten standard inertial parameters of a link about its origin, in the order used everywhere in
+asbuilt.
+"""
 
 PARAMETER_UNITS = ("kg m^2",) * 6 + ("kg m",) * 3 + ("kg",)
 
 CONSISTENCY_TOLERANCE = 1e-9
-"""A moment may miss a condition of physical consistency by this much of the link's trace of inertia: the trace of rounding, not of physics."""
+"""A moment may miss a condition of physical consistency by this much of the link's trace of
+inertia: the trace of rounding, not of physics.
+"""
 
 _PINOCCHIO_ORDER = np.array([9, 6, 7, 8, 0, 1, 3, 2, 4, 5])
 _TRIANGLES = (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy"))
@@ -24,7 +28,9 @@ _TRIANGLES = (("Ixx", "Iyy", "Izz"), ("Iyy", "Izz", "Ixx"), ("Izz", "Ixx", "Iyy"
 
 @dataclass(frozen=True, eq=False)
 class LinkInertia:
-    """Hold the ten inertial parameters of a link about its origin, in link axes: `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m` [kg m^2, kg m, kg].
+    """Hold the ten inertial parameters of a link about its origin, in link axes.
+
+    `Ixx Ixy Ixz Iyy Iyz Izz mx my mz m` [kg m^2, kg m, kg].
 
     Raises `InertiaError` for another number of them, and for one that is not finite.
     """
@@ -46,7 +52,8 @@ class LinkInertia:
 
     @classmethod
     def from_com(cls, mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> LinkInertia:
-        """Build from mass [kg], centre of mass [m] and the 3 x 3 inertia about it [kg m^2], all in link axes.
+        """Build from mass [kg], centre of mass [m] and the 3 x 3 inertia about it [kg m^2], all in
+        link axes.
 
         Huygens-Steiner: `I_origin = I_com + m (c.c 1 - c c^T)`.
         """
@@ -57,7 +64,9 @@ class LinkInertia:
 
     @classmethod
     def from_origin(cls, mass: float, first_moment: ArrayLike, inertia: ArrayLike) -> LinkInertia:
-        """Build from mass [kg], first moment `m c` [kg m] and the 3 x 3 inertia about the link origin [kg m^2]."""
+        """Build from mass [kg], first moment `m c` [kg m] and the 3 x 3 inertia about the link
+        origin [kg m^2].
+        """
         h = np.asarray(first_moment, dtype=np.float64)
         i = np.asarray(inertia, dtype=np.float64)
         return cls(
@@ -103,12 +112,16 @@ class LinkInertia:
 
     @property
     def pseudo_inertia(self) -> Array:
-        """Pseudo-inertia `[[Sigma, h], [h^T, m]]` with `Sigma = tr(I)/2 1 - I`, shape (4, 4) (Wensing, Kim and Slotine, 2018, eq. 10)."""
+        """Pseudo-inertia `[[Sigma, h], [h^T, m]]` with `Sigma = tr(I)/2 1 - I`, shape (4, 4)
+        (Wensing, Kim and Slotine, 2018, eq. 10).
+        """
         return pseudo_inertias(self.parameters)
 
     @classmethod
     def from_pseudo_inertia(cls, pseudo_inertia: ArrayLike) -> LinkInertia:
-        """Build from the 4 x 4 pseudo-inertia: `I = tr(Sigma) 1 - Sigma` (Wensing, Kim and Slotine, 2018).
+        """Build from the 4 x 4 pseudo-inertia.
+
+        `I = tr(Sigma) 1 - Sigma` (Wensing, Kim and Slotine, 2018).
 
         Raises `InertiaError` for another shape and for a matrix that is not symmetric.
         """
@@ -127,8 +140,9 @@ class LinkInertia:
     def log_cholesky(self) -> Array:
         """Log-Cholesky parameters `alpha d1 d2 d3 s12 s23 s13 t1 t2 t3`, shape (10,).
 
-        `pseudo_inertia = U U^T`, `U = exp(alpha) [[exp(d1), s12, s13, t1], [0, exp(d2), s23, t2], [0, 0, exp(d3), t3], [0, 0, 0, 1]]`
-        (Rucker and Wensing, 2022, eq. 10). Raises `InertiaError` where the pseudo-inertia is not positive definite.
+        `pseudo_inertia = U U^T`, `U = exp(alpha) [[exp(d1), s12, s13, t1], [0, exp(d2), s23, t2],
+        [0, 0, exp(d3), t3], [0, 0, 0, 1]]` (Rucker and Wensing, 2022, eq. 10). Raises
+        `InertiaError` where the pseudo-inertia is not positive definite.
         """
         flipped = self.pseudo_inertia[::-1, ::-1]
         try:
@@ -156,7 +170,9 @@ class LinkInertia:
 
     @classmethod
     def from_log_cholesky(cls, theta: ArrayLike) -> LinkInertia:
-        """Build from log-Cholesky parameters, shape (10,); any ten finite numbers give a physically consistent link (Rucker and Wensing, 2022).
+        """Build from log-Cholesky parameters, shape (10,).
+
+        Any ten finite numbers give a physically consistent link (Rucker and Wensing, 2022).
 
         Raises `InertiaError` for another shape.
         """
@@ -178,12 +194,18 @@ class LinkInertia:
         return cls(_parameters_of(U @ U.T))
 
     def to_pinocchio_order(self) -> Array:
-        """Return the ten parameters as Pinocchio's `toDynamicParameters` has them: `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz` (about the origin)."""
+        """Return the ten parameters as Pinocchio's `toDynamicParameters` has them.
+
+        `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz` (about the origin).
+        """
         return np.take(self.parameters, _PINOCCHIO_ORDER)
 
     @classmethod
     def from_pinocchio_order(cls, parameters: ArrayLike) -> LinkInertia:
-        """Build from `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz`, the inverse of `to_pinocchio_order`; raises `InertiaError` for another shape."""
+        """Build from `m mx my mz Ixx Ixy Iyy Ixz Iyz Izz`, the inverse of `to_pinocchio_order`.
+
+        Raises `InertiaError` for another shape.
+        """
         given = np.asarray(parameters, dtype=np.float64)
         if given.shape != (10,):
             raise InertiaError(
@@ -194,7 +216,10 @@ class LinkInertia:
         return cls(ordered)
 
     def moved(self, placement: ArrayLike) -> LinkInertia:
-        """Return the same body seen from another frame; `placement` (4, 4) is the pose of the present frame in the new one: `J' = T J T^T`."""
+        """Return the same body seen from another frame.
+
+        `placement` (4, 4) is the pose of the present frame in the new one: `J' = T J T^T`.
+        """
         T = np.asarray(placement, dtype=np.float64)
         return LinkInertia(_parameters_of(T @ self.pseudo_inertia @ T.T))
 
@@ -209,8 +234,9 @@ class LinkInertia:
     def inconsistency(self) -> str | None:
         """Return why no rigid body has these parameters, with the amount, or None where one has.
 
-        The pseudo-inertia must be positive semidefinite, that is: mass >= 0, and the moments about the centre of mass are
-        non-negative and satisfy the triangle inequalities in every axes (Wensing, Kim and Slotine, 2018).
+        The pseudo-inertia must be positive semidefinite, that is: mass >= 0, and the moments about
+        the centre of mass are non-negative and satisfy the triangle inequalities in every axes
+        (Wensing, Kim and Slotine, 2018).
         """
         if not self.parameters.any():
             return None
@@ -245,12 +271,16 @@ class LinkInertia:
 
     @property
     def is_consistent(self) -> bool:
-        """Whether a rigid body with these parameters can exist (the pseudo-inertia is positive semidefinite)."""
+        """Whether a rigid body with these parameters can exist (the pseudo-inertia is positive
+        semidefinite).
+        """
         return self.inconsistency() is None
 
 
 def pseudo_inertias(parameters: ArrayLike) -> Array:
-    """Return the pseudo-inertias of ten-vectors, shape (..., 10) -> (..., 4, 4) (Wensing, Kim and Slotine, 2018)."""
+    """Return the pseudo-inertias of ten-vectors, shape (..., 10) -> (..., 4, 4) (Wensing, Kim and
+    Slotine, 2018).
+    """
     chi = np.asarray(parameters, dtype=np.float64)
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = np.moveaxis(chi, -1, 0)
     rows = (
@@ -281,9 +311,11 @@ def _parameters_of(pseudo_inertia: Array) -> Array:
 
 
 def shift_matrix(placement: ArrayLike) -> Array:
-    """Return the 10 x 10 matrix S with `chi_parent = S chi_child` for a child frame at `placement` (4, 4) in its parent.
+    """Return the 10 x 10 matrix S with `chi_parent = S chi_child` for a child frame at `placement`
+    (4, 4) in its parent.
 
-    `S` is the map `J -> T J T^T` of pseudo-inertias, written for ten-vectors; it holds Huygens-Steiner and the rotation of the tensor.
+    `S` is the map `J -> T J T^T` of pseudo-inertias, written for ten-vectors; it holds
+    Huygens-Steiner and the rotation of the tensor.
     """
     T = np.asarray(placement, dtype=np.float64)
     return _parameters_of(T @ pseudo_inertias(np.eye(10)) @ T.T).T

@@ -16,9 +16,12 @@ SUFFIXES = (".toml", ".csv", ".urdf", ".xml", ".mjcf")
 
 
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
-    """Load a bundled robot by name, or a description by path: `.toml`, `.csv` (DH and mass table), `.urdf`, `.xml` (MJCF or URDF, by content).
+    """Load a bundled robot by name, or a description by path.
 
-    Raises `DescriptionError` where there is neither such a robot nor such a file, or the file makes no sense.
+    `.toml`, `.csv` (DH and mass table), `.urdf`, `.xml` (MJCF or URDF, by content).
+
+    Raises `DescriptionError` where there is neither such a robot nor such a file, or the file makes
+    no sense.
 
     Examples
     --------

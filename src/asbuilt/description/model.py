@@ -16,10 +16,16 @@ from asbuilt.errors import DescriptionError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
 Letters = tuple[tuple[tuple[float, str], ...], ...]
-"""A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g. `(((1.0, "a2"),), (), ((1.0, "b2"),))`."""
+"""A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g.
+
+`(((1.0, "a2"),), (), ((1.0, "b2"),))`.
+"""
 
 USUAL_GRAVITY = (0.0, 0.0, -9.81)
-"""Acceleration of free fall [m/s^2] where a description does not say: what other programs take, z pointing up."""
+"""Acceleration of free fall [m/s^2] where a description does not say.
+
+What other programs take, z pointing up.
+"""
 PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that a description states by themselves; all others are further terms."""
 ROOT = -1
@@ -28,7 +34,9 @@ ROOT = -1
 
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """Limits of one joint: rad or m for position and its derivatives, N m or N for torque; infinite where unknown.
+    """Limits of one joint: rad or m for position and its derivatives, N m or N for torque.
+
+    Infinite where unknown.
 
     Raises `DescriptionError` where they leave no position, or a limit is negative or not a number.
     """
@@ -56,10 +64,14 @@ class JointLimits:
 
 @dataclass(frozen=True, slots=True)
 class DriveValues:
-    """What the description says of one drive: armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent.
+    """What the description says of one drive.
 
-    All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint (rad per m where it slides), and takes them to the motor's. `terms` are
-    further terms of the drive by key, each with its parameters by letter and its shapes by name: `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`.
+    Armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent.
+
+    All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint
+    (rad per m where it slides), and takes them to the motor's. `terms` are further terms of the
+    drive by key, each with its parameters by letter and its shapes by name: `{"stribeck": {"Fs":
+    0.3, "velocity": 0.05, "power": 2.0}}`.
     """
 
     armature: float | None = None
@@ -74,8 +86,9 @@ class DriveValues:
 class Joint:
     """Connect a parent link to the link of the same index.
 
-    The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the motion is a rotation about z or a translation along z.
-    Raises `DescriptionError` for another kind, and for matrices that are no placements.
+    The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the
+    motion is a rotation about z or a translation along z. Raises `DescriptionError` for another
+    kind, and for matrices that are no placements.
     """
 
     name: str
@@ -111,7 +124,9 @@ class Joint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """One moving rigid body: `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
+    """One moving rigid body.
+
+    `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
 
     `inertia_known` is False where the description gave none and zeros stand in.
     """
@@ -124,7 +139,9 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A named frame fixed to a link (`link` = ROOT for the root link), such as a flange or a merged link; `placement` is 4 x 4 [m]."""
+    """A named frame fixed to a link (`link` = ROOT for the root link), such as a flange or a merged
+    link; `placement` is 4 x 4 [m].
+    """
 
     name: str
     link: int
@@ -142,8 +159,9 @@ class Frame:
 class Geometry:
     """The kinematic arrays that the batched kernels take; n joints.
 
-    `parent` (n,) int64, -1 for the root; `revolute` (n,) bool; `before_rotation`, `after_rotation` (n, 3, 3);
-    `before_translation`, `after_translation` (n, 3); `gravity` (3,) m/s^2 in the root frame.
+    `parent` (n,) int64, -1 for the root; `revolute` (n,) bool; `before_rotation`, `after_rotation`
+    (n, 3, 3); `before_translation`, `after_translation` (n, 3); `gravity` (3,) m/s^2 in the root
+    frame.
     """
 
     parent: NDArray[np.int64]
@@ -157,13 +175,17 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """Describe a robot: joint i moves link i; every parent precedes its children; fixed joints are already merged.
+    """Describe a robot: joint i moves link i; every parent precedes its children.
 
-    `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value of each letter that the joints use.
-    `drives_by_design` is False where the joints' drive values are settings for a simulator (URDF, MJCF) rather than facts of the design.
-    `motor_coupling` T (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints (gear ratios divided out), where a
-    motor turns with more than its own joint, as in the wrists of many arms; the motors' torques act on the joints by its transpose. None means T = 1.
-    `source` says where the description came from, `citation` whose facts they are.
+    Fixed joints are already merged.
+
+    `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
+    of each letter that the joints use. `drives_by_design` is False where the joints' drive values
+    are settings for a simulator (URDF, MJCF) rather than facts of the design. `motor_coupling` T
+    (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints
+    (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
+    many arms; the motors' torques act on the joints by its transpose. None means T = 1. `source`
+    says where the description came from, `citation` whose facts they are.
     """
 
     name: str
@@ -274,7 +296,9 @@ class RobotModel:
 
     @property
     def motor_shares(self) -> Array:
-        """How motors turn with joints, (n, n), with rows of zeros for motors that turn with their own joint alone."""
+        """How motors turn with joints, (n, n), with rows of zeros for motors that turn with their
+        own joint alone.
+        """
         n = self.n_joints
         T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
         alone = np.count_nonzero(T, axis=1) <= 1
@@ -289,7 +313,10 @@ class RobotModel:
         return tuple(reversed(chain))
 
     def with_parameters(self, parameters: ArrayLike) -> RobotModel:
-        """Return the same robot with other standard inertial parameters, shape (10 n,); raises `DescriptionError` for another shape."""
+        """Return the same robot with other standard inertial parameters, shape (10 n,).
+
+        Raises `DescriptionError` for another shape.
+        """
         values = np.asarray(parameters, dtype=np.float64)
         if values.shape != (10 * self.n_joints,):
             raise DescriptionError(
@@ -304,11 +331,16 @@ class RobotModel:
         return replace(self, links=links)
 
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:
-        """Return the same robot mounted so that free fall accelerates by `gravity` [m/s^2] in the root frame."""
+        """Return the same robot mounted so that free fall accelerates by `gravity` [m/s^2] in the
+        root frame.
+        """
         return replace(self, gravity=np.asarray(gravity, dtype=np.float64))
 
     def with_limits(self, limits: Sequence[JointLimits]) -> RobotModel:
-        """Return the same robot with other joint limits, one per joint; raises `DescriptionError` for another number of them."""
+        """Return the same robot with other joint limits, one per joint.
+
+        Raises `DescriptionError` for another number of them.
+        """
         if len(limits) != self.n_joints:
             raise DescriptionError(
                 f"{self.name} has {self.n_joints} joints, got {len(limits)} limits; give one per"

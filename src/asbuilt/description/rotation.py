@@ -16,7 +16,9 @@ EXACT_TOLERANCE = 1e-12
 """Angles [rad] this near a multiple of pi/2, and matrix entries this near 0 or +-1, count as exact."""
 
 READING_TOLERANCE = 1e-5
-"""Angles [rad] that a file gives this near a multiple of pi/2 (1.5708, 1.571e0 is not) are taken as that multiple."""
+"""Angles [rad] that a file gives this near a multiple of pi/2 (1.5708, 1.571e0 is not) are taken as
+that multiple.
+"""
 
 NOTED_CHANGE = 1e-9
 """A change of an angle [rad] beyond this is worth a note."""
@@ -29,7 +31,8 @@ _QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
 
 
 def right_angle(angle: float) -> float:
-    """Return the multiple of pi/2 that `angle` [rad] stands for, or `angle` itself where none is within `READING_TOLERANCE`.
+    """Return the multiple of pi/2 that `angle` [rad] stands for, or `angle` itself where none is
+    within `READING_TOLERANCE`.
 
     >>> right_angle(1.5708) == math.pi / 2
     True
@@ -41,7 +44,9 @@ def right_angle(angle: float) -> float:
 
 
 def straightened(angle: float, what: str, notes: list[str]) -> float:
-    """Return `right_angle(angle)` and add a note that names `what` where this moves it by more than 1e-9 rad."""
+    """Return `right_angle(angle)` and add a note that names `what` where this moves it by more than
+    1e-9 rad.
+    """
     exact = right_angle(angle)
     if abs(exact - angle) > NOTED_CHANGE:
         notes.append(f"{what} is given as {angle:.10g} rad {_STRAIGHTENED} {exact:.10g}")
@@ -88,13 +93,18 @@ def rotation_z(angle: float) -> Array:
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
-    """Return `Rz(yaw) Ry(pitch) Rx(roll)` for roll, pitch, yaw [rad] about the fixed axes, as URDF has it."""
+    """Return `Rz(yaw) Ry(pitch) Rx(roll)` for roll, pitch, yaw [rad] about the fixed axes, as URDF
+    has it.
+    """
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
     return snapped(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
 
 
 def rpy_from_rotation(rotation: ArrayLike) -> Array:
-    """Return roll, pitch, yaw [rad] with `rotation_from_rpy(rpy) = rotation`; yaw is 0 where the pitch is +-pi/2."""
+    """Return roll, pitch, yaw [rad] with `rotation_from_rpy(rpy) = rotation`.
+
+    Yaw is 0 where the pitch is +-pi/2.
+    """
     R = np.asarray(rotation, dtype=np.float64)
     cosine = math.hypot(R[0, 0], R[1, 0])
     pitch = math.atan2(-R[2, 0], cosine)
@@ -121,7 +131,8 @@ def rotation_from_quaternion(wxyz: ArrayLike) -> Array:
 def quaternion_from_rotation(rotation: ArrayLike) -> Array:
     """Return the unit quaternion `w x y z` of a rotation, with its largest component positive.
 
-    Each row of `4 q q^T`, read off the rotation matrix, is q times a component; the row of the largest is taken (Shepperd, 1978).
+    Each row of `4 q q^T`, read off the rotation matrix, is q times a component; the row of the
+    largest is taken (Shepperd, 1978).
     """
     R = np.asarray(rotation, dtype=np.float64)
     (a, b, c), (d, e, f), (g, h, i) = R
@@ -138,7 +149,10 @@ def quaternion_from_rotation(rotation: ArrayLike) -> Array:
 
 
 def rotation_onto(axis: ArrayLike) -> Array:
-    """Return a rotation that carries z onto the unit vector `axis`: exact for the six coordinate directions."""
+    """Return a rotation that carries z onto the unit vector `axis`.
+
+    Exact for the six coordinate directions.
+    """
     x, y, z = snapped(np.asarray(axis, dtype=np.float64))
     if math.hypot(x, y) == 0.0:
         return np.eye(3) if z > 0.0 else rotation_x(math.pi)
@@ -146,7 +160,9 @@ def rotation_onto(axis: ArrayLike) -> Array:
 
 
 def snapped(matrix: ArrayLike) -> Array:
-    """Return `matrix` with every entry within `EXACT_TOLERANCE` of 0, 1 or -1 replaced by that number."""
+    """Return `matrix` with every entry within `EXACT_TOLERANCE` of 0, 1 or -1 replaced by that
+    number.
+    """
     result = np.array(matrix, dtype=np.float64)
     nearest = np.rint(result)
     near = (np.abs(result - nearest) <= EXACT_TOLERANCE) & (np.abs(nearest) <= 1.0)
@@ -164,7 +180,9 @@ def rotation_fault(matrix: ArrayLike) -> str | None:
 
 
 def axes_across(vector: ArrayLike) -> Array:
-    """Return two unit axes across a vector and each other, as rows (2, 3), as near as may be to two coordinate axes: x and y across z, and across zero."""
+    """Return two unit axes across a vector and each other, as rows (2, 3), as near as may be to two
+    coordinate axes: x and y across z, and across zero.
+    """
     v = np.asarray(vector, dtype=np.float64)
     along = v / (np.linalg.norm(v) or 1.0)
     first, second = (
@@ -177,7 +195,10 @@ def axes_across(vector: ArrayLike) -> Array:
 
 
 def checked_placement(values: ArrayLike, what: str) -> Array:
-    """Return a placement as a read-only 4 x 4 matrix of its own; raises `DescriptionError`, naming `what` it is, where it is none."""
+    """Return a placement as a read-only 4 x 4 matrix of its own.
+
+    Raises `DescriptionError`, naming `what` it is, where it is none.
+    """
     T = np.array(values, dtype=np.float64)
     if T.shape != (4, 4) or not np.all(np.isfinite(T)):
         raise DescriptionError(
@@ -198,7 +219,9 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
 
 
 def placement(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
-    """Return the 4 x 4 homogeneous matrix of a rotation (default: none) followed by a translation [m] (default: none)."""
+    """Return the 4 x 4 homogeneous matrix of a rotation (default: none) followed by a translation
+    [m] (default: none).
+    """
     T = np.eye(4)
     if rotation is not None:
         T[:3, :3] = rotation

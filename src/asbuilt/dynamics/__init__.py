@@ -1,1 +1,4 @@
-"""What is true before any measurement: equations of motion, their regressor, drives and base parameters."""
+"""What is true before any measurement.
+
+Equations of motion, their regressor, drives and base parameters.
+"""

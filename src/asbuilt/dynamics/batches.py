@@ -65,7 +65,10 @@ def joint_samples(model: RobotModel, **given: ArrayLike) -> tuple[Array, ...]:
 
 
 def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Array:
-    """Return the standard inertial parameters as (n_joints, 10); the model's own where none are given; raises `UsageError` for another number."""
+    """Return the standard inertial parameters as (n_joints, 10).
+
+    The model's own where none are given; raises `UsageError` for another number.
+    """
     chi = model.parameters if parameters is None else np.array(parameters, dtype=np.float64)
     if chi.shape != (10 * model.n_joints,):
         raise UsageError(
@@ -76,7 +79,10 @@ def inertial_parameters(model: RobotModel, parameters: ArrayLike | None) -> Arra
 
 
 def flat(array: Array) -> Array:
-    """Return a one-dimensional read-only view; read-only throughout, so that the kernels are compiled once."""
+    """Return a one-dimensional read-only view.
+
+    Read-only throughout, so that the kernels are compiled once.
+    """
     view = array.reshape(-1)
     view.flags.writeable = False
     return view
@@ -85,7 +91,9 @@ def flat(array: Array) -> Array:
 def over_samples(
     work: Callable[[int, int], object], n_samples: int, threads: int | None = 1
 ) -> None:
-    """Call `work(start, stop)` on ranges of whole blocks that together cover all samples, in parallel threads; None chooses their number."""
+    """Call `work(start, stop)` on ranges of whole blocks that together cover all samples, in
+    parallel threads; None chooses their number.
+    """
     wanted = chosen_threads(threads, min(available_cores(), n_samples // _WORTH_A_THREAD))
     blocks = -(-n_samples // BLOCK)
     parts = max(1, min(wanted, blocks))

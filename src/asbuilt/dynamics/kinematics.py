@@ -38,7 +38,8 @@ def _motions(model: RobotModel, q: Array) -> Array:
 
 
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:
-    """Return the pose of every link in the root frame, shape (n_joints, 4, 4), or (n_samples, n_joints, 4, 4) for many samples.
+    """Return the pose of every link in the root frame, shape (n_joints, 4, 4), or (n_samples,
+    n_joints, 4, 4) for many samples.
 
     `T_i = T_parent before_i motion(q_i) after_i`.
     """
@@ -51,9 +52,11 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
 
 
 def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
-    """Return the Jacobian of every link in link axes, shape (n_joints, 6, n_joints), or with n_samples before that for many samples.
+    """Return the Jacobian of every link in link axes, shape (n_joints, 6, n_joints), or with
+    n_samples before that for many samples.
 
-    Rows: angular velocity, then velocity of the link origin, so that `J_i qd` is the twist of link i.
+    Rows: angular velocity, then velocity of the link origin, so that `J_i qd` is the twist of link
+    i.
     """
     (qs,) = joint_samples(model, q=q)
     samples, n = qs.shape

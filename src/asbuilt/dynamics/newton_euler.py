@@ -1,4 +1,6 @@
-"""The rigid-body equations of motion `M(q) qdd + C(q, qd) qd + g(q) = tau`, by Newton and Euler, for one sample or many."""
+"""The rigid-body equations of motion `M(q) qdd + C(q, qd) qd + g(q) = tau`, by Newton and Euler,
+for one sample or many.
+"""
 
 from __future__ import annotations
 
@@ -70,10 +72,13 @@ def inverse_dynamics(
     parameters: ArrayLike | None = None,
     threads: int | None = None,
 ) -> Array:
-    """Return the joint torques `tau = M(q) qdd + C(q, qd) qd + g(q)` of the rigid bodies [N m; N for prismatic joints].
+    """Return the joint torques `tau = M(q) qdd + C(q, qd) qd + g(q)` of the rigid bodies [N m.
 
-    `q, qd, qdd` have shape (n_joints,) or (n_samples, n_joints), and so has the result. `parameters` (10 n_joints,) replace the model's own.
-    `threads` None uses all cores for long inputs; the result does not depend on it. Raises UsageError for shapes that do not fit and for
+    N for prismatic joints].
+
+    `q, qd, qdd` have shape (n_joints,) or (n_samples, n_joints), and so has the result.
+    `parameters` (10 n_joints,) replace the model's own. `threads` None uses all cores for long
+    inputs; the result does not depend on it. Raises UsageError for shapes that do not fit and for
     values that are not finite. Source: Luh, Walker and Paul (1980).
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
@@ -104,7 +109,9 @@ def coriolis_torque(
 
 
 def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
-    """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples, n_joints, n_joints) for many samples."""
+    """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples,
+    n_joints, n_joints) for many samples.
+    """
     (qs,) = joint_samples(model, q=q)
     return _joint_space(
         model, qs, qs, inertial_parameters(model, parameters), coriolis=False
@@ -114,11 +121,14 @@ def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None
 def coriolis_matrix(
     model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
 ) -> Array:
-    """Return the factor `C(q, qd)` for which `dM/dt - 2 C` is skew-symmetric and `C qd` is the Coriolis torque; shape as `mass_matrix`.
+    """Return the factor `C(q, qd)` for which `dM/dt - 2 C` is skew-symmetric and `C qd` is the
+    Coriolis torque; shape as `mass_matrix`.
 
-    `C = sum_i J_i^T (I_i dJ_i/dt + B_i J_i)` with the skew-symmetric `B = -[[hat(L), hat(p)], [hat(p), 0]]`, where p and L are the momentum of
-    link i and its moment about the link origin, so that `B v` is the gyroscopic wrench. Source: the factorisations of Niemeyer and Slotine
-    (1991), written for link frames. It is not the Christoffel factor, which agrees with it only in these two properties.
+    `C = sum_i J_i^T (I_i dJ_i/dt + B_i J_i)` with the skew-symmetric `B = -[[hat(L), hat(p)],
+    [hat(p), 0]]`, where p and L are the momentum of link i and its moment about the link origin, so
+    that `B v` is the gyroscopic wrench. Source: the factorisations of Niemeyer and Slotine (1991),
+    written for link frames. It is not the Christoffel factor, which agrees with it only in these
+    two properties.
     """
     qs, qds = joint_samples(model, q=q, qd=qd)
     return _joint_space(
@@ -170,7 +180,10 @@ def kinetic_energy(
 def potential_energy(
     model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None
 ) -> Array:
-    """Return `-sum_i gravity . (m_i p_i + R_i h_i)` [J], zero with all mass at the root origin; shape () or (n_samples,)."""
+    """Return `-sum_i gravity . (m_i p_i + R_i h_i)` [J], zero with all mass at the root origin.
+
+    Shape () or (n_samples,).
+    """
     (qs,) = joint_samples(model, q=q)
     chi = inertial_parameters(model, parameters)
     poses = link_poses(model, qs)

@@ -1,4 +1,7 @@
-"""Names, units and values of the standard parameters: ten per link, link by link, then those of the drives, joint by joint."""
+"""Names, units and values of the standard parameters.
+
+Ten per link, link by link, then those of the drives, joint by joint.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +20,29 @@ def parameter_count(model: RobotModel, drive: DriveSet = NO_DRIVE) -> int:
 
 
 def parameter_names(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
-    """Return the names of the standard parameters: `Ixx1 ... m1 Ixx2 ... mn`, then `Ia1 Fv1 Fc1 Fo1 Ia2 ...` as chosen."""
+    """Return the names of the standard parameters.
+
+    `Ixx1 ... m1 Ixx2 ... mn`, then `Ia1 Fv1 Fc1 Fo1 Ia2 ...` as chosen.
+    """
     numbers = range(1, model.n_joints + 1)
     links = tuple(f"{name}{number}" for number in numbers for name in PARAMETER_NAMES)
     return links + tuple(name for number in numbers for name in drive.names(number))
 
 
 def parameter_units(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str, ...]:
-    """Return the unit of each standard parameter; a drive parameter's depends on whether its joint turns or slides."""
+    """Return the unit of each standard parameter.
+
+    A drive parameter's depends on whether its joint turns or slides.
+    """
     drives = tuple(unit for joint in model.joints for unit in drive.units(joint.kind))
     return PARAMETER_UNITS * model.n_joints + drives
 
 
 def parameter_values(model: RobotModel, drive: DriveSet = NO_DRIVE) -> Array:
-    """Return the values the description gives, shape (n_standard,); NaN for a drive value on which it is silent, or gives with other shapes."""
+    """Return the values the description gives, shape (n_standard,).
+
+    NaN for a drive value on which it is silent, or gives with other shapes.
+    """
     drives = [
         value for k, joint in enumerate(model.joints) for value in drive.at(k).values(joint.drive)
     ]

@@ -54,7 +54,10 @@ def _checked_columns(model: RobotModel, drive: DriveSet, columns: ArrayLike | No
 
 
 def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> list[Indices]:
-    """Return for each joint the positions in `columns` that can be non-zero in its row: links it carries, its own drive, motors it turns."""
+    """Return for each joint the positions in `columns` that can be non-zero in its row.
+
+    Links it carries, its own drive, motors it turns.
+    """
     chosen, n = _checked_columns(model, drive, columns), model.n_joints
     carried = np.zeros((n, n), dtype=bool)
     for i in range(n):
@@ -70,12 +73,15 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
 
 @dataclass(frozen=True, eq=False)
 class RegressorPlan:
-    """Hold what the evaluation of chosen regressor columns needs, prepared once for millions of samples; see `RegressorPlan.of`.
+    """Hold what the evaluation of chosen regressor columns needs, prepared once for millions of
+    samples; see `RegressorPlan.of`.
 
-    Rows run joint by joint: the `support[k]` columns of joint k, in the order of `columns`, then `spare_rows` that are left to the caller (for the
-    torque, say). `bounds[k]` are the first row of joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint k
-    and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among the drive columns of joint k in its own torque, and their
-    rows; `motor_rows` lists (motor, column, joint, row) for motors that several joints turn.
+    Rows run joint by joint: the `support[k]` columns of joint k, in the order of `columns`, then
+    `spare_rows` that are left to the caller (for the torque, say). `bounds[k]` are the first row of
+    joint k and the row after its last, spare rows excluded. `places[k, i, c]` is the row for joint
+    k and parameter c of link i, -1 where it was not chosen; `drive_rows[k]` are the chosen among
+    the drive columns of joint k in its own torque, and their rows; `motor_rows` lists (motor,
+    column, joint, row) for motors that several joints turn.
 
     >>> from asbuilt.description.load import load_robot
     >>> plan = RegressorPlan.of(load_robot("kuka-iiwa7-r800"), columns=range(60, 70))
@@ -103,7 +109,9 @@ class RegressorPlan:
         *,
         spare_rows: int = 0,
     ) -> RegressorPlan:
-        """Plan the evaluation of `columns` (zero-based, all where None) of the standard parameters of a robot and its drives."""
+        """Plan the evaluation of `columns` (zero-based, all where None) of the standard parameters
+        of a robot and its drives.
+        """
         chosen, n, per = (
             _checked_columns(model, drive, columns),
             model.n_joints,
@@ -145,7 +153,9 @@ class RegressorPlan:
         return int(self.bounds[-1, 1]) + self.spare_rows
 
     def buffer(self, n_samples: int) -> Array:
-        """Return an uninitialised `out` for up to `n_samples`, aligned and padded so that its rows do not compete for the same cache lines."""
+        """Return an uninitialised `out` for up to `n_samples`, aligned and padded so that its rows
+        do not compete for the same cache lines.
+        """
         width = (-(-n_samples // _LINE) | 1) * _LINE
         memory = np.empty(self.n_rows * width + _LINE)
         first = (-(memory.ctypes.data // memory.itemsize)) % _LINE
@@ -154,11 +164,13 @@ class RegressorPlan:
     def evaluate(
         self, q: Array, qd: Array, qdd: Array, out: Array | None = None, *, threads: int | None = 1
     ) -> tuple[Array, ...]:
-        """Return one view of `out` per joint, shape (n_support_k + spare_rows, n_samples), samples innermost; spare rows are not touched.
+        """Return one view of `out` per joint, shape (n_support_k + spare_rows, n_samples), samples
+        innermost; spare rows are not touched.
 
-        `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows, at least n_samples), best from `buffer`;
-        the views are good until the next call with it. The numbers depend neither on `threads` nor on how a recording is cut into calls.
-        Raises UsageError for shapes that do not fit.
+        `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows,
+        at least n_samples), best from `buffer`; the views are good until the next call with it. The
+        numbers depend neither on `threads` nor on how a recording is cut into calls. Raises
+        UsageError for shapes that do not fit.
         """
         inputs = self.checked_inputs(q, qd, qdd)
         n_samples = inputs[0].shape[0]
@@ -194,7 +206,10 @@ class RegressorPlan:
         )
 
     def stack(self, q: Array, qd: Array, qdd: Array, *, threads: int | None = 1) -> Array:
-        """Return the observation matrix, sample-major, shape (n_samples n_joints, n_columns); inputs as in `evaluate`."""
+        """Return the observation matrix, sample-major, shape (n_samples n_joints, n_columns).
+
+        Inputs as in `evaluate`.
+        """
         inputs = self.checked_inputs(q, qd, qdd)
         n_samples, n = inputs[0].shape
         order = np.zeros(self.n_rows, dtype=np.int64)
@@ -219,7 +234,10 @@ class RegressorPlan:
         return matrix
 
     def checked_inputs(self, *arrays: Array) -> tuple[Array, ...]:
-        """Return q, qd and qdd as contiguous doubles; raises UsageError where they are not all (n_samples, n_joints)."""
+        """Return q, qd and qdd as contiguous doubles.
+
+        Raises UsageError where they are not all (n_samples, n_joints).
+        """
         shapes = [array.shape for array in arrays]
         if len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][1] != self.model.n_joints:
             raise UsageError(
@@ -231,7 +249,9 @@ class RegressorPlan:
     def _drive_columns(
         self, q: Array, qd: Array, qdd: Array
     ) -> Iterator[tuple[int, Some | int, Array]]:
-        """Yield, of the chosen drive columns, the joint whose torque they enter, their rows and what to write there."""
+        """Yield, of the chosen drive columns, the joint whose torque they enter, their rows and
+        what to write there.
+        """
         if not self.drive:
             return
         load = inverse_dynamics(self.model, q, qd, qdd) if self.drive.needs_load else None
@@ -264,9 +284,12 @@ def observation_matrix(
     columns: ArrayLike | None = None,
     threads: int | None = None,
 ) -> Array:
-    """Stack the regressors of all samples, sample-major: row `n_joints s + k` is joint k at sample s, shape (n_samples n_joints, n_columns).
+    """Stack the regressors of all samples, sample-major.
 
-    `columns` (zero-based) chooses among the standard parameters, those of the links first, then those of the drives joint by joint; None takes all.
+    Row `n_joints s + k` is joint k at sample s, shape (n_samples n_joints, n_columns).
+
+    `columns` (zero-based) chooses among the standard parameters, those of the links first, then
+    those of the drives joint by joint; None takes all.
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
     return _planned(model, drive, columns).stack(qs, qds, qdds, threads=threads)
@@ -275,9 +298,12 @@ def observation_matrix(
 def regressor(
     model: RobotModel, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, drive: DriveSet = NO_DRIVE
 ) -> Array:
-    """Return Y of one sample, shape (n_joints, n_standard): `Y parameter_values(model, drive)` is the torque of the bodies and the drives.
+    """Return Y of one sample, shape (n_joints, n_standard).
 
-    Source: Atkeson, An and Hollerbach (1986). Raises UsageError for more than one sample; see `observation_matrix`.
+    `Y parameter_values(model, drive)` is the torque of the bodies and the drives.
+
+    Source: Atkeson, An and Hollerbach (1986). Raises UsageError for more than one sample; see
+    `observation_matrix`.
     """
     if np.shape(q) != (model.n_joints,):
         raise UsageError(

@@ -17,13 +17,18 @@ ALLOWED_EXCESS = 1e-9
 """A limit counts as violated when it is exceeded by more than this fraction (rounding)."""
 
 ASSUMED_RANGE = {True: np.pi, False: 0.5}
-"""Position limit assumed for generated motions where the description gives none: +-, in rad (revolute) or m (prismatic)."""
+"""Position limit assumed for generated motions where the description gives none.
+
++-, in rad (revolute) or m (prismatic).
+"""
 
 ASSUMED_VELOCITY = {True: 1.5, False: 0.5}
 """Velocity limit assumed where the description gives none, in rad/s or m/s."""
 
 RAMP_TIME = 0.4
-"""Time in which a joint is assumed to reach its velocity limit where the description gives no acceleration limit [s]."""
+"""Time in which a joint is assumed to reach its velocity limit where the description gives no
+acceleration limit [s].
+"""
 
 _UNITS = {
     "position": ("rad", "m"),
@@ -36,7 +41,10 @@ _UNITS = {
 
 @dataclass(frozen=True, eq=False)
 class MotionBounds:
-    """Hold the limits of all joints as read-only arrays (n,), infinite where unknown; all but the position limits are symmetric."""
+    """Hold the limits of all joints as read-only arrays (n,), infinite where unknown.
+
+    All but the position limits are symmetric.
+    """
 
     lower: Array
     upper: Array
@@ -64,10 +72,11 @@ class MotionBounds:
 
     @classmethod
     def assumed(cls, model: RobotModel, fraction: float = 1.0) -> MotionBounds:
-        """Return limits finite in position, velocity and acceleration, for generated motions, reduced to `fraction` of what is allowed.
+        """Return limits finite in position, velocity and acceleration, for generated motions,
+        reduced to `fraction` of what is allowed.
 
-        Where the description is silent: +-pi rad or +-0.5 m, 1.5 rad/s or 0.5 m/s, and the velocity limit reached in 0.4 s. Position limits are
-        reduced about their middle.
+        Where the description is silent: +-pi rad or +-0.5 m, 1.5 rad/s or 0.5 m/s, and the velocity
+        limit reached in 0.4 s. Position limits are reduced about their middle.
         """
         if not 0 < fraction <= 1:
             raise MotionError(
@@ -105,9 +114,12 @@ class MotionBounds:
 
 @dataclass(frozen=True, slots=True)
 class LimitMargin:
-    """Say how near one joint comes to one limit: `margin = min(upper - x, x - lower) / ((upper - lower) / 2)` where it is smallest.
+    """Say how near one joint comes to one limit.
 
-    For the symmetric limits this is `1 - |x| / limit`. 1 is the middle of the range, 0 the limit, negative beyond it.
+    `margin = min(upper - x, x - lower) / ((upper - lower) / 2)` where it is smallest.
+
+    For the symmetric limits this is `1 - |x| / limit`. 1 is the middle of the range, 0 the limit,
+    negative beyond it.
     """
 
     quantity: str
@@ -194,8 +206,9 @@ class LimitReport:
 def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> LimitReport:
     """Compare a motion, sampled at `rate` [Hz] and at its end, with the limits of the robot.
 
-    The torque is that of the rigid bodies and of the drive terms whose values the description gives. A limit that is infinite is not reported, nor is the
-    jerk of motions whose acceleration jumps, which a controller rounds off as it likes.
+    The torque is that of the rigid bodies and of the drive terms whose values the description
+    gives. A limit that is infinite is not reported, nor is the jerk of motions whose acceleration
+    jumps, which a controller rounds off as it likes.
 
     Raises
     ------

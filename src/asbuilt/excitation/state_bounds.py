@@ -1,4 +1,7 @@
-"""The states that a robot may take: limits completed where the description is silent, and random states within them."""
+"""The states that a robot may take.
+
+Limits completed where the description is silent, and random states within them.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,9 @@ SCALING_STATES = 500
 
 
 def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
-    """Return the robot with the limits that a design keeps to, and the names of those that the description does not give."""
+    """Return the robot with the limits that a design keeps to, and the names of those that the
+    description does not give.
+    """
     bounds = MotionBounds.assumed(model)
     assumed: list[str] = []
     limits = []
@@ -44,7 +49,10 @@ def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
 def random_states(
     bounds: MotionBounds, count: int, rng: np.random.Generator, *, extreme: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Return states (count, n), uniform within the bounds; velocities and accelerations sit at a limit or at zero with probability `extreme`."""
+    """Return states (count, n), uniform within the bounds.
+
+    Velocities and accelerations sit at a limit or at zero with probability `extreme`.
+    """
     n = bounds.lower.size
     q = rng.uniform(bounds.lower, bounds.upper, size=(count, n))
     found = [q]
@@ -58,7 +66,10 @@ def random_states(
 
 
 def parameter_scale(information: Information, bounds: MotionBounds) -> Array:
-    """Return a natural unit for each base parameter (p,): what changes the torque by one noise standard deviation, RMS over admissible states."""
+    """Return a natural unit for each base parameter (p,).
+
+    What changes the torque by one noise standard deviation, RMS over admissible states.
+    """
     states = random_states(bounds, SCALING_STATES, np.random.default_rng(0))
     rows = information.rows(*states, smooth=False)
     size = np.diag(information.matrix(rows, SCALING_STATES)) / SCALING_STATES

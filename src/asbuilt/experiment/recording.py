@@ -21,11 +21,13 @@ TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "unkno
 class Recording:
     """Hold one recording as the robot logged it, before any filtering.
 
-    `t` (N,) s; `q`, `tau` and, where logged, `qd`, `qdd` (N, n) in rad or m, N m or N, and their derivatives, column k belonging to
-    `joint_names[k]`; `tau` is positive in the direction in which the drive pushes the joint. `torque_source` says what measured it: a joint torque
-    "sensor", a "motor"-side estimate, a "current" (times a gain) or "unknown". `extra` keeps other quantities of shape (N,) or (N, m) under
-    their role names, such as `tau_ext`. `notes` says in sentences what the reader assumed or changed. `gains` is what the logged torques were multiplied by,
-    one per joint, None where they were left as logged; signs are not among them.
+    `t` (N,) s; `q`, `tau` and, where logged, `qd`, `qdd` (N, n) in rad or m, N m or N, and their
+    derivatives, column k belonging to `joint_names[k]`; `tau` is positive in the direction in which
+    the drive pushes the joint. `torque_source` says what measured it: a joint torque "sensor", a
+    "motor"-side estimate, a "current" (times a gain) or "unknown". `extra` keeps other quantities
+    of shape (N,) or (N, m) under their role names, such as `tau_ext`. `notes` says in sentences
+    what the reader assumed or changed. `gains` is what the logged torques were multiplied by, one
+    per joint, None where they were left as logged; signs are not among them.
 
     Values may be NaN and times may run back: that is what `check_recording` looks for.
 
@@ -116,7 +118,10 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]: the inverse of the median positive time step; NaN where there is none."""
+        """Sampling rate [Hz]: the inverse of the median positive time step.
+
+        NaN where there is none.
+        """
         return median_rate(self.t)
 
     @property
@@ -125,7 +130,9 @@ class Recording:
         return time_span(self.t)
 
     def flipped(self) -> Recording:
-        """Return the recording with the opposite torque sign (also of extra torques), for controllers that log the load's torque."""
+        """Return the recording with the opposite torque sign (also of extra torques), for
+        controllers that log the load's torque.
+        """
         extra = {
             name: -value if name.startswith("tau") else value for name, value in self.extra.items()
         }
@@ -137,7 +144,9 @@ class Recording:
         )
 
     def scaled(self, gain: ArrayLike) -> Recording:
-        """Return the recording with each joint's torque column multiplied by `gain`, one number or one per joint, e.g. N m per ampere."""
+        """Return the recording with each joint's torque column multiplied by `gain`, one number or
+        one per joint, e.g. N m per ampere.
+        """
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
         if gains.ndim != 1 or gains.size not in (1, self.n_joints):
             raise RecordingError(
@@ -160,7 +169,9 @@ class Recording:
         )
 
     def reordered(self, names: Sequence[str]) -> Recording:
-        """Return the recording with columns in the order of `names`, every one of which it must have; other joints are dropped."""
+        """Return the recording with columns in the order of `names`, every one of which it must
+        have; other joints are dropped.
+        """
         missing = [name for name in names if name not in self.joint_names]
         if missing:
             raise RecordingError(
@@ -207,7 +218,10 @@ class Recording:
 
 
 def median_rate(t: Array) -> float:
-    """Return the sampling rate [Hz] of times (N,) [s]: the inverse of the median positive step; NaN where there is none."""
+    """Return the sampling rate [Hz] of times (N,) [s]: the inverse of the median positive step.
+
+    NaN where there is none.
+    """
     steps = np.diff(t)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     return float(1.0 / np.median(steps)) if steps.size else float("nan")

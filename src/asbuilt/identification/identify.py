@@ -53,14 +53,21 @@ if TYPE_CHECKING:
 POOR_RELATIVE_ERROR = 0.5
 """A standard error of this fraction of the larger of estimate and CAD value is poor,"""
 POOR_TORQUE = 0.05
-"""if the torque it stands for is this fraction of the residual; below, the parameter hardly matters in this motion."""
+"""if the torque it stands for is this fraction of the residual.
+
+Below, the parameter hardly matters in this motion.
+"""
 LOAD_ITERATIONS = 6
 LOAD_CONVERGENCE = 1e-4
-"""Friction that depends on load is settled where renewing the load lowers no joint's squared error by more than this fraction."""
+"""Friction that depends on load is settled where renewing the load lowers no joint's squared error
+by more than this fraction.
+"""
 PULLED = ("ridge", "entropic", "euclidean")
 """Methods that lean on CAD."""
 LARGE_CONDITION = 200.0
-"""Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR 1992, ask for less than 100)."""
+"""Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR
+1992, ask for less than 100).
+"""
 
 
 def identify(
@@ -78,10 +85,14 @@ def identify(
 ) -> IdentificationResult:
     """Identify the base parameters of a robot from the samples of one or more recordings.
 
-    Shapes of `drive` that are not stated are fitted first. `base` saves finding the base parameters again, its drive terms with every shape stated; `fitted_shapes` are those of
-    them that were fitted to these samples, so that standard errors count what they leave open. `method` names an estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do not excite keep their CAD values, with a warning, or are
-    refused (`unexcited="refuse"`). `errors` says how standard errors are judged: `"blocks"` by formula from time blocks,
-    `"bootstrap"` by drawing them, all choices of the estimator held fixed, `"textbook"` as if residuals were independent.
+    Shapes of `drive` that are not stated are fitted first. `base` saves finding the base parameters
+    again, its drive terms with every shape stated; `fitted_shapes` are those of them that were
+    fitted to these samples, so that standard errors count what they leave open. `method` names an
+    estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do
+    not excite keep their CAD values, with a warning, or are refused (`unexcited="refuse"`).
+    `errors` says how standard errors are judged: `"blocks"` by formula from time blocks,
+    `"bootstrap"` by drawing them, all choices of the estimator held fixed, `"textbook"` as if
+    residuals were independent.
 
     Raises
     ------
@@ -194,7 +205,9 @@ def _with_own_load(
     block_seconds: float | None,
     threads: int | None,
 ) -> tuple[SquareRootInformation, Estimate]:
-    """Repeat until the load that friction depends on is that of the estimate itself, not that of the description."""
+    """Repeat until the load that friction depends on is that of the estimate itself, not that of
+    the description.
+    """
     base = information.base
     for _ in range(LOAD_ITERATIONS):
         loading = carrying(model, base, estimate.beta)
@@ -223,9 +236,12 @@ def conclude(
     uncertainty: Uncertainty | None = None,
     shapes: ShapeErrors | None = None,
 ) -> IdentificationResult:
-    """Make a result of an estimate: errors, with those of `shapes` fitted along, physical consistency, verdicts.
+    """Make a result of an estimate.
 
-    Without `train` and `cad` both come from the information alone, as for recordings larger than memory; the largest error is then unknown.
+    Errors, with those of `shapes` fitted along, physical consistency, verdicts.
+
+    Without `train` and `cad` both come from the information alone, as for recordings larger than
+    memory; the largest error is then unknown.
     """
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
@@ -302,9 +318,12 @@ def conclude(
 
 
 def design_values(model: RobotModel, base: BaseParameters) -> Array:
-    """Return the base parameters by design, shape (p,); NaN where the description is silent on something they contain.
+    """Return the base parameters by design, shape (p,).
 
-    A drive value on which it is silent, or that it states for a simulator's sake, adds nothing to sums with links and is NaN by itself.
+    NaN where the description is silent on something they contain.
+
+    A drive value on which it is silent, or that it states for a simulator's sake, adds nothing to
+    sums with links and is NaN by itself.
     """
     chi, links = parameter_values(model, base.drive), 10 * model.n_joints
     for i, link in enumerate(model.links):
@@ -318,7 +337,10 @@ def design_values(model: RobotModel, base: BaseParameters) -> Array:
 
 
 def information_metrics(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
-    """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN, which sums of squares do not tell."""
+    """Return the torque metrics of beta on the data behind the information.
+
+    `max_abs` is NaN, which sums of squares do not tell.
+    """
     n = information.n_samples
     error, energy = information.residual_energy(beta), information.torque_energy
     spread = energy - information.torque_sum.sum(axis=0) ** 2 / n

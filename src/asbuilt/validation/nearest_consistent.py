@@ -1,4 +1,7 @@
-"""A model that stands in for the identified one, such as the nearest that real bodies have: what it costs on the recordings themselves."""
+"""A model that stands in for the identified one, such as the nearest that real bodies have.
+
+What it costs on the recordings themselves.
+"""
 
 from __future__ import annotations
 
@@ -19,17 +22,21 @@ if TYPE_CHECKING:
 
 
 BADLY = 1.5
-"""Error of a joint, in multiples of that of the identified model, from which a stand-in predicts it badly,"""
+"""Error of a joint, in multiples of that of the identified model, from which a stand-in predicts it
+badly,
+"""
 NOTICEABLE = 0.1
 """unless it is below this part of the joint's own torque."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandIn:
-    """Hold RMS torques and errors of every joint, each (n,) [N m or N], of the identified model and of the one that stands in.
+    """Hold RMS torques and errors of every joint, each (n,) [N m or N], of the identified model and
+    of the one that stands in.
 
-    `identified`, `stand_in` and `cad` are errors on what the result was `judged_by`; `torque` is the torque measured there; `identified_fitted` and `stand_in_fitted` are errors
-    on the data used.
+    `identified`, `stand_in` and `cad` are errors on what the result was `judged_by`; `torque` is
+    the torque measured there; `identified_fitted` and `stand_in_fitted` are errors on the data
+    used.
     """
 
     joint_names: tuple[str, ...]
@@ -102,7 +109,9 @@ class StandIn:
 
 
 def stand_in(result: IdentificationResult, beta: ArrayLike) -> StandIn | None:
-    """Hold other base parameters (p,) against those of a result, on the motions that it was identified from and judged by; None where it carries no evidence."""
+    """Hold other base parameters (p,) against those of a result, on the motions that it was
+    identified from and judged by; None where it carries no evidence.
+    """
     evidence = result.evidence
     if evidence is None:
         return None

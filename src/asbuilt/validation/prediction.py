@@ -1,4 +1,7 @@
-"""Hold an identified model against a recording: measured torque, the prediction as built and the prediction by design."""
+"""Hold an identified model against a recording.
+
+Measured torque, the prediction as built and the prediction by design.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +34,8 @@ if TYPE_CHECKING:
 class Validation:
     """Hold torques of a recording, all (N, n) at the times `t` (N,) of the filtered grid, N m or N.
 
-    `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that follow velocity (friction, offset).
+    `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that
+    follow velocity (friction, offset).
     """
 
     source: str
@@ -64,7 +68,10 @@ class Validation:
 
     @property
     def friction(self) -> Array:
-        """Measured torque minus the rigid-body part of the prediction as built, (N, n): what the drives took."""
+        """Measured torque minus the rigid-body part of the prediction as built, (N, n).
+
+        What the drives took.
+        """
         return self.error + self.drive
 
     def residuals(self) -> ResidualAnalysis:
@@ -82,10 +89,12 @@ class Validation:
 def validate(
     result: IdentificationResult, samples: Samples, *, cad: RobotModel | None = None
 ) -> Validation:
-    """Predict a recording from the values as built and by design, the torque and both predictions through the same filter.
+    """Predict a recording from the values as built and by design, the torque and both predictions
+    through the same filter.
 
-    `cad` replaces the description that the result carries, such as the manufacturer's; it must have the same joints and geometry. Design
-    values on which it is silent add nothing. Raises ResultError where joints do not fit.
+    `cad` replaces the description that the result carries, such as the manufacturer's; it must have
+    the same joints and geometry. Design values on which it is silent add nothing. Raises
+    ResultError where joints do not fit.
     """
     if tuple(samples.joint_names) != tuple(result.joint_names):
         raise ResultError(
@@ -117,7 +126,9 @@ def validate(
 def _metrics(
     result: IdentificationResult, beta: Array, samples: Samples, prediction: Prediction
 ) -> TorqueMetrics:
-    """Return the metrics of a prediction on its filtered grid, with the error against the torque as recorded beside them."""
+    """Return the metrics of a prediction on its filtered grid, with the error against the torque as
+    recorded beside them.
+    """
     recorded = predict_torque(
         result.model, result.base, beta, replace(samples, tau=samples.tau_raw, parallel=None)
     )
@@ -128,7 +139,8 @@ def _metrics(
 
 
 def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:
-    """Predict a recording with a robot as described, drives included, through the filter of the samples, and return how far off that is.
+    """Predict a recording with a robot as described, drives included, through the filter of the
+    samples, and return how far off that is.
 
     Raises ResultError where joints do not fit.
     """
@@ -154,9 +166,12 @@ def torque_units(model: RobotModel) -> tuple[str, ...]:
 
 
 def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
-    """Return the base parameters that another description of the same robot gives, shape (p,); NaN where it is silent.
+    """Return the base parameters that another description of the same robot gives, shape (p,).
 
-    Raises ResultError where the two differ in joints or geometry, since base parameters then mean different things.
+    NaN where it is silent.
+
+    Raises ResultError where the two differ in joints or geometry, since base parameters then mean
+    different things.
     """
     if cad.n_joints != result.model.n_joints:
         raise ResultError(
@@ -188,7 +203,10 @@ def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
 
 
 def _drive_torque(result: IdentificationResult, samples: Samples) -> Array:
-    """Return the filtered torque of the identified drive terms other than armature, (N, n); a term regrouped with others adds nothing."""
+    """Return the filtered torque of the identified drive terms other than armature, (N, n).
+
+    A term regrouped with others adds nothing.
+    """
     drive = result.base.drive
     own = drive.without("armature", "motor_armature", "spring", "balancer")
     identified = {parameter.name: parameter.estimate for parameter in result.parameters}

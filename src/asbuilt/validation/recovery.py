@@ -16,10 +16,13 @@ from asbuilt.identification.result.result import IdentificationResult
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recovery:
-    """Hold what was found of a truth: `truth`, `estimate` and `std_error` (p,) of the base parameters `names`; `of_links` (p,) says which are of bodies, not of drives.
+    """Hold what was found of a truth.
 
-    `torque_error` is what the errors of the parameters make wrong in the torque of a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` the same for
-    the values of the description.
+    `truth`, `estimate` and `std_error` (p,) of the base parameters `names`; `of_links` (p,) says
+    which are of bodies, not of drives.
+
+    `torque_error` is what the errors of the parameters make wrong in the torque of a motion, `|W
+    (estimate - truth)| / |W truth|`; `cad_error` the same for the values of the description.
     """
 
     robot: str
@@ -33,11 +36,16 @@ class Recovery:
 
     @property
     def deviations(self) -> Array:
-        """`(estimate - truth) / std_error`, shape (p,); NaN for parameters that were dropped, which have no error."""
+        """`(estimate - truth) / std_error`, shape (p,).
+
+        NaN for parameters that were dropped, which have no error.
+        """
         return (self.estimate - self.truth) / self.std_error
 
     def within(self, sigmas: float, *, of_links: bool | None = None) -> float:
-        """Return the share of parameters that lie within so many of their standard errors from the truth: of all that have one, of links, or of drives (`of_links` False)."""
+        """Return the share of parameters that lie within so many of their standard errors from the
+        truth: of all that have one, of links, or of drives (`of_links` False).
+        """
         chosen = np.isfinite(self.std_error) & (
             True if of_links is None else self.of_links == of_links
         )
@@ -45,10 +53,11 @@ class Recovery:
 
 
 def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecording) -> Recovery:
-    """Hold a result against the truth behind a simulated recording that logged velocities and accelerations, and predict its torque from both.
+    """Hold a result against the truth behind a simulated recording that logged velocities and
+    accelerations, and predict its torque from both.
 
-    Truth and result must have the same drive terms. The truth's own mounting counts: a robot that stands askew has other base parameters than its
-    description, and the difference shows.
+    Truth and result must have the same drive terms. The truth's own mounting counts: a robot that
+    stands askew has other base parameters than its description, and the difference shows.
 
     Raises
     ------

@@ -1,4 +1,7 @@
-"""What the torque error looks like: is it white, how much of it is independent, where in frequency and velocity does it live."""
+"""What the torque error looks like.
+
+Is it white, how much of it is independent, where in frequency and velocity does it live.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +42,11 @@ def contiguous_runs(t: Array) -> Runs:
 
 
 def autocorrelation(residual: Array, runs: Runs, max_lag: int) -> Array:
-    """Return the autocorrelation at lags 0..max_lag of `residual` (N,), pairs never spanning two runs, shape (max_lag + 1,).
+    """Return the autocorrelation at lags 0..max_lag of `residual` (N,), pairs never spanning two
+    runs, shape (max_lag + 1,).
 
-    rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed; lags that no run reaches are zero.
+    rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed; lags that no run reaches
+    are zero.
     """
     e = residual - residual.mean()
     energy = float(e @ e)
@@ -58,14 +63,17 @@ def autocorrelation(residual: Array, runs: Runs, max_lag: int) -> Array:
 
 
 def durbin_watson(residual: Array, runs: Runs) -> float:
-    """Return sum (e_t - e_(t-1))^2 / sum e_t^2, 2 for a white residual, near 0 for a slow one (Durbin and Watson, 1950)."""
+    """Return sum (e_t - e_(t-1))^2 / sum e_t^2, 2 for a white residual, near 0 for a slow one
+    (Durbin and Watson, 1950).
+    """
     energy = float(residual @ residual)
     steps = sum(float(np.sum(np.diff(residual[start:stop]) ** 2)) for start, stop in runs)
     return steps / energy if energy > 0 else float("nan")
 
 
 def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
-    """Return the statistic Q = n (n + 2) sum_k rho_k^2 / (n - k) over lags 1..lags and its probability for a white residual.
+    """Return the statistic Q = n (n + 2) sum_k rho_k^2 / (n - k) over lags 1..lags and its
+    probability for a white residual.
 
     Source: Ljung and Box, Biometrika 65 (1978), equation 1.3.
     """
@@ -77,7 +85,9 @@ def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
 
 
 def effective_samples(rho: Array, n_samples: int) -> float:
-    """Return n / (1 + 2 sum_k rho_k), summed while neighbouring pairs of lags are positive (Geyer 1992, initial positive sequence)."""
+    """Return n / (1 + 2 sum_k rho_k), summed while neighbouring pairs of lags are positive (Geyer
+    1992, initial positive sequence).
+    """
     usable = len(rho) // 2 * 2
     pairs = rho[:usable].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0)
@@ -86,10 +96,13 @@ def effective_samples(rho: Array, n_samples: int) -> float:
 
 
 def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, Array]:
-    """Return, each (n,), how white a low-passed `residual` (N, n) at times `t` (N,) is up to `cutoff` [Hz], whatever the rate at which it is kept.
+    """Return, each (n,), how white a low-passed `residual` (N, n) at times `t` (N,) is up to
+    `cutoff` [Hz], whatever the rate at which it is kept.
 
-    First Durbin and Watson's statistic between samples half a period of the cutoff apart, `mean (e_t - e_(t-1/2f))^2 / mean e_t^2`: 2 where the residual is white up to
-    the cutoff, near 0 where it is slow. Then the samples that it is worth, as a fraction of the 2 f a second that a white one is.
+    First Durbin and Watson's statistic between samples half a period of the cutoff apart, `mean
+    (e_t - e_(t-1/2f))^2 / mean e_t^2`: 2 where the residual is white up to the cutoff, near 0 where
+    it is slow. Then the samples that it is worth, as a fraction of the 2 f a second that a white
+    one is.
     """
     runs, step = contiguous_runs(t), float(np.median(np.diff(t)))
     lag = max(1, round(0.5 / (cutoff * step)))
@@ -120,8 +133,9 @@ def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
 class ResidualAnalysis:
     """Describe the torque error of each joint.
 
-    `mean`, `rms`, `durbin_watson`, `ljung_box`, `probability_white`, `effective_samples` have shape (n,), `autocorrelation` (lags + 1, n) at `lags` [s],
-    `spectrum` (F, n) [torque^2 / Hz] at `frequencies` [Hz].
+    `mean`, `rms`, `durbin_watson`, `ljung_box`, `probability_white`, `effective_samples` have shape
+    (n,), `autocorrelation` (lags + 1, n) at `lags` [s], `spectrum` (F, n) [torque^2 / Hz] at
+    `frequencies` [Hz].
     """
 
     joint_names: tuple[str, ...]
@@ -168,7 +182,9 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
 
 
 def _spectrum(residual: Array, runs: Runs, rate: float) -> tuple[Array, Array]:
-    """Return frequencies (F,) and one-sided density (F, n), Welch with Hann windows of at most 1024 samples inside each run."""
+    """Return frequencies (F,) and one-sided density (F, n), Welch with Hann windows of at most 1024
+    samples inside each run.
+    """
     lengths = [stop - start for start, stop in runs]
     window = min(1024, max(lengths))
     total, weight = np.zeros((window // 2 + 1, residual.shape[1])), 0
@@ -184,7 +200,10 @@ def _spectrum(residual: Array, runs: Runs, rate: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class VelocityCurve:
-    """A torque against joint velocity in bins of equal width: centres, quartiles and counts, each (bins,); NaN in bins of under three samples."""
+    """A torque against joint velocity in bins of equal width.
+
+    Centres, quartiles and counts, each (bins,); NaN in bins of under three samples.
+    """
 
     velocity: Array
     lower: Array
@@ -194,7 +213,9 @@ class VelocityCurve:
 
 
 def velocity_curve(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve:
-    """Sort `torque` (N,) of one joint by its velocity `qd` (N,) into bins, none of which spans zero velocity."""
+    """Sort `torque` (N,) of one joint by its velocity `qd` (N,) into bins, none of which spans zero
+    velocity.
+    """
     largest = float(np.max(np.abs(qd), initial=0.0)) or 1.0
     half = max(1, bins // 2)
     index = np.clip(np.floor(qd / largest * half).astype(np.int64), -half, half - 1) + half

@@ -1,4 +1,7 @@
-"""The maker's own model, as far as a controller gives it away: measured torque less the external torque it makes of it."""
+"""The maker's own model, as far as a controller gives it away.
+
+Measured torque less the external torque it makes of it.
+"""
 
 from __future__ import annotations
 
@@ -26,10 +29,12 @@ EXTERNAL = "tau_ext"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerComparison:
-    """Hold the controller's model beside CAD and the robot as built, on data held out, and its parameters beside those as built.
+    """Hold the controller's model beside CAD and the robot as built, on data held out, and its
+    parameters beside those as built.
 
-    `identified` are the parameters identified from the torque that the controller predicts, with the same drive terms; `difference` compares them with the
-    result's. `controller` is the error of the controller's own prediction, `rebuilt` how well the identified parameters repeat it.
+    `identified` are the parameters identified from the torque that the controller predicts, with
+    the same drive terms; `difference` compares them with the result's. `controller` is the error of
+    the controller's own prediction, `rebuilt` how well the identified parameters repeat it.
     """
 
     robot: str
@@ -110,10 +115,13 @@ def compare_with_controller(
     holdout: str = "blocks:5s:3",
     chain: SignalChain | None = None,
 ) -> ControllerComparison:
-    """Compare a result with the model of the controller that logged `recording`: `tau - tau_ext` is what that model predicts.
+    """Compare a result with the model of the controller that logged `recording`.
 
-    Parameters are identified from the controller's prediction on what `holdout` leaves and all models are judged on what it holds out, which is
-    also new to the result where it was identified with the same rule. Raises RecordingError where no external torque was logged.
+    `tau - tau_ext` is what that model predicts.
+
+    Parameters are identified from the controller's prediction on what `holdout` leaves and all
+    models are judged on what it holds out, which is also new to the result where it was identified
+    with the same rule. Raises RecordingError where no external torque was logged.
     """
     external = recording.extra.get(EXTERNAL)
     if external is None or external.shape != recording.tau.shape:

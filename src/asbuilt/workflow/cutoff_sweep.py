@@ -1,4 +1,7 @@
-"""Which low-pass cutoff the held-out torque asks for: the whole chain run at several, judged where no filter can flatter."""
+"""Which low-pass cutoff the held-out torque asks for.
+
+The whole chain run at several, judged where no filter can flatter.
+"""
 
 from __future__ import annotations
 
@@ -32,15 +35,20 @@ APART = 1.2
 HOLDOUT = "blocks:2s:3"
 """What is held out to choose by where the user holds nothing out."""
 AS_GOOD = 1.02
-"""Held-out error, in multiples of the smallest, that counts as equally good; of these the lowest cutoff is taken."""
+"""Held-out error, in multiples of the smallest, that counts as equally good.
+
+Of these the lowest cutoff is taken.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutoffTrial:
-    """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean squared error relative to the joint's noise.
+    """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean
+    squared error relative to the joint's noise.
 
-    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever the cutoff, NaN where all runs are shorter than half its period; `effective_share` how many samples it is worth of
-    the 2 cutoff a second that it then would be.
+    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever
+    the cutoff, NaN where all runs are shorter than half its period; `effective_share` how many
+    samples it is worth of the 2 cutoff a second that it then would be.
     """
 
     cutoff: float
@@ -54,7 +62,9 @@ class CutoffTrial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutoffSweep:
-    """Hold the trials in rising order, the cutoff that was chosen, why in a sentence, and the rule by which recordings were held out to judge by."""
+    """Hold the trials in rising order, the cutoff that was chosen, why in a sentence, and the rule
+    by which recordings were held out to judge by.
+    """
 
     joint_names: tuple[str, ...]
     trials: tuple[CutoffTrial, ...]
@@ -137,10 +147,12 @@ def sweep_cutoffs(
     cutoffs: Sequence[float] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> CutoffSweep:
-    """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as recorded, is within 2 % of the smallest.
+    """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as
+    recorded, is within 2 % of the smallest.
 
-    Weighted least squares each time. The error in the filter's band falls with the cutoff whatever the model is worth and must not choose it. Raises RecordingError where
-    no cutoff leaves enough samples, UsageError where the rule cannot be read.
+    Weighted least squares each time. The error in the filter's band falls with the cutoff whatever
+    the model is worth and must not choose it. Raises RecordingError where no cutoff leaves enough
+    samples, UsageError where the rule cannot be read.
     """
     start = (chain or SignalChain()).resolved(*recordings)
     assert start.cutoff is not None

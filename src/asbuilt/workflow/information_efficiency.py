@@ -20,21 +20,27 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import joined
 
 TOO_LITTLE = 1e-3
-"""Share of the attainable information on its worst told parameter below which a joint is said to have moved too little."""
+"""Share of the attainable information on its worst told parameter below which a joint is said to
+have moved too little.
+"""
 SLOW = 0.25
 """Top speed, as part of the limit, below which a joint is said to have moved slowly."""
 NARROW = 0.3
-"""Travel, as part of its range or of one turn, below which a joint is said to have moved within a small range."""
+"""Travel, as part of its range or of one turn, below which a joint is said to have moved within a
+small range.
+"""
 MOST_NAMED = 3
 """Parameters named in words."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attainment:
-    """Hold the share of the attainable information that a recording carries, as a whole and at each joint, for the drive terms of its torque source.
+    """Hold the share of the attainable information that a recording carries, as a whole and at each
+    joint, for the drive terms of its torque source.
 
-    `travel` (n,) is how much of its range, or of one turn where that is less, each joint went through; `top_speed` (n,) its largest speed as part of the
-    limit. `assumed` names the kinds of limit that the description does not give.
+    `travel` (n,) is how much of its range, or of one turn where that is less, each joint went
+    through; `top_speed` (n,) its largest speed as part of the limit. `assumed` names the kinds of
+    limit that the description does not give.
     """
 
     joint_names: tuple[str, ...]
@@ -51,12 +57,16 @@ class Attainment:
 
     @property
     def std_error_ratios(self) -> Array:
-        """Standard error of each joint's worst told parameter over that of the best motion of the same length (n,); infinite where it is not told at all."""
+        """Standard error of each joint's worst told parameter over that of the best motion of the
+        same length (n,); infinite where it is not told at all.
+        """
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / np.sqrt(self.efficiency.by_joint))
 
     def as_text(self) -> str:
-        """Return what is carried, which joints held it back and how, and which parameters suffer most."""
+        """Return what is carried, which joints held it back and how, and which parameters suffer
+        most.
+        """
         limits = f"; limits of {joined(list(self.assumed))} assumed" if self.assumed else ""
         whole = (
             f"It carries {100 * self.efficiency.d_efficiency:.2g} % of the attainable information"
@@ -135,9 +145,11 @@ class Attainment:
 
 
 def recorded_information(model: RobotModel, recording: Recording | RecordingStream) -> Attainment:
-    """Compare the states of a recording, after the default signal chain, with the best that the robot's limits admit.
+    """Compare the states of a recording, after the default signal chain, with the best that the
+    robot's limits admit.
 
-    The drive terms are those that the torque source calls for. Raises RecordingError where the recording is too short for the filters.
+    The drive terms are those that the torque source calls for. Raises RecordingError where the
+    recording is too short for the filters.
     """
     drive = DriveSet.default(head_of(recording).torque_source)
     samples = prepare_logged(recording, SignalChain())
@@ -153,7 +165,9 @@ def recorded_information(model: RobotModel, recording: Recording | RecordingStre
 
 
 def _use_of_limits(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
-    """Return the travel of each joint as part of its range or of one turn, and its top speed as part of the limit, two (n,)."""
+    """Return the travel of each joint as part of its range or of one turn, and its top speed as
+    part of the limit, two (n,).
+    """
     bounds = MotionBounds.assumed(model)
     turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, np.inf)
     full = np.minimum(bounds.upper - bounds.lower, turn)

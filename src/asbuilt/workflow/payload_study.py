@@ -31,10 +31,13 @@ def run_payload_study(
     gain_uncertainty: ArrayLike | None = None,
     checked: bool = True,
 ) -> Payload:
-    """Identify what the flange carries and judge it on what was held out of the loaded recordings, on other ones, or else on the data used.
+    """Identify what the flange carries and judge it on what was held out of the loaded recordings,
+    on other ones, or else on the data used.
 
-    All recordings go through one signal chain, whose open choices are made for the loaded ones. `gain_uncertainty` and errors as of `identify_payload`. Raises RecordingError where
-    a check finds that a recording is spoilt or its torques do not belong to their joints, unless `checked` is False.
+    All recordings go through one signal chain, whose open choices are made for the loaded ones.
+    `gain_uncertainty` and errors as of `identify_payload`. Raises RecordingError where a check
+    finds that a recording is spoilt or its torques do not belong to their joints, unless `checked`
+    is False.
     """
     if not loaded:
         raise UsageError(f"no recording under load is given for {result.robot}")

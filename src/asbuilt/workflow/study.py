@@ -1,4 +1,7 @@
-"""The whole of an identification: check, prepare, hold out, identify, predict what was held out, compare with CAD."""
+"""The whole of an identification.
+
+Check, prepare, hold out, identify, predict what was held out, compare with CAD.
+"""
 
 from __future__ import annotations
 
@@ -82,10 +85,13 @@ class StudyOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """Hold a result with all that it was judged by: checks of the recordings, predictions of held-out data, comparison with CAD, and why CAD is off, where that was asked.
+    """Hold a result with all that it was judged by.
 
-    `training` predicts the data used; `validations` what was held out, then the other recordings, in the order given. `cutoffs` says how the cutoff was chosen,
-    where it was swept.
+    Checks of the recordings, predictions of held-out data, comparison with CAD, and why CAD is off,
+    where that was asked.
+
+    `training` predicts the data used; `validations` what was held out, then the other recordings,
+    in the order given. `cutoffs` says how the cutoff was chosen, where it was swept.
     """
 
     result: IdentificationResult
@@ -105,10 +111,12 @@ def run_study(
     options: StudyOptions | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Identify a robot from recordings (or samples already prepared) and judge the result on what was held out.
+    """Identify a robot from recordings (or samples already prepared) and judge the result on what
+    was held out.
 
-    Recordings go through one signal chain, whose open choices follow the motion in all of them, so that none is cut short; of a stream the first stretch is
-    checked and chosen by. Raises RecordingError where a check finds an error.
+    Recordings go through one signal chain, whose open choices follow the motion in all of them, so
+    that none is cut short; of a stream the first stretch is checked and chosen by. Raises
+    RecordingError where a check finds an error.
     """
     options = options or StudyOptions()
     report = progress or (lambda what, fraction: None)
@@ -209,7 +217,9 @@ def _with_evidence(
     judging: Sequence[Samples],
     block_seconds: float | None,
 ) -> IdentificationResult:
-    """Return the result with the evidence of causes, or with a warning that there is too little of it."""
+    """Return the result with the evidence of causes, or with a warning that there is too little of
+    it.
+    """
     try:
         return replace(
             result,
@@ -265,7 +275,9 @@ def _prepared(item: Recording | RecordingStream | Samples, chain: SignalChain) -
 
 
 def _with_drive_choice(result: IdentificationResult, chosen: DriveChoice) -> IdentificationResult:
-    """Return the result with how its drive terms were chosen, among its warnings where terms were added or do not pay."""
+    """Return the result with how its drive terms were chosen, among its warnings where terms were
+    added or do not pay.
+    """
     spoken = [
         IdentificationWarning("drive_terms", f"{sentence[0].upper()}{sentence[1:]}.")
         for sentence in chosen.sentences

@@ -11,9 +11,11 @@ from asbuilt.errors import UsageError
 
 
 def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
-    """Write `data` (text as UTF-8, line ends kept) under a temporary name beside `path`, then rename it onto `path`.
+    """Write `data` (text as UTF-8, line ends kept) under a temporary name beside `path`, then
+    rename it onto `path`.
 
-    Missing folders are made. Raises UsageError, with the system's reason, where the place is not writable.
+    Missing folders are made. Raises UsageError, with the system's reason, where the place is not
+    writable.
     """
     target = Path(path)
     content = data.encode("utf-8") if isinstance(data, str) else data
@@ -50,14 +52,19 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
 
 
 def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
-    """Return the paths of what was written as texts, by kind, for documents; none where nothing was."""
+    """Return the paths of what was written as texts, by kind, for documents.
+
+    None where nothing was.
+    """
     return {kind: os.fspath(path) for kind, path in (files or {}).items()}
 
 
 def file_lines(
     files: Mapping[str, Path], notes: Mapping[str, Sequence[str]], width: int
 ) -> list[str]:
-    """Return the lines that name every file by kind, in a column of this width, with what is to be known of it; of a kind without a file the notes stand in its place."""
+    """Return the lines that name every file by kind, in a column of this width, with what is to be
+    known of it; of a kind without a file the notes stand in its place.
+    """
     lines = []
     for kind in dict.fromkeys((*files, *notes)):
         said = list(notes.get(kind, ()))
@@ -67,7 +74,10 @@ def file_lines(
 
 
 def check_writable(folder: Path) -> None:
-    """Raise `UsageError` unless files can be written into a folder, or the folder itself be made; nothing is made."""
+    """Raise `UsageError` unless files can be written into a folder, or the folder itself be made.
+
+    Nothing is made.
+    """
     try:
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     except OSError as error:

@@ -21,10 +21,13 @@ def write_motion(
     joint_names: Sequence[str],
     rate: float = 1000.0,
 ) -> Path:
-    """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV; numbers have the digits that read back to the same double.
+    """Write a motion, sampled at `rate` [Hz], or a trajectory as CSV.
 
-    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does so in the file. Raises MotionError if names and joints do
-    not go together, UsageError if the place is not writable.
+    Numbers have the digits that read back to the same double.
+
+    The end of a motion is its last line whatever the rate, so that a motion that ends at rest does
+    so in the file. Raises MotionError if names and joints do not go together, UsageError if the
+    place is not writable.
     """
     trajectory = motion if isinstance(motion, Trajectory) else _sampled_to_end(motion, rate)
     names = tuple(joint_names)

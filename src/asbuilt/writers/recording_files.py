@@ -1,4 +1,6 @@
-"""Recordings as files that `asbuilt identify` and other programs read, and the truth behind simulated ones."""
+"""Recordings as files that `asbuilt identify` and other programs read, and the truth behind
+simulated ones.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ from asbuilt.writers.tables.tabular import write_json
 
 
 def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
-    """Write a recording as CSV or Parquet, by suffix: `t`, then `q_NAME`, `qd_NAME` where logged, and `tau_NAME` for every joint."""
+    """Write a recording as CSV or Parquet, by suffix.
+
+    `t`, then `q_NAME`, `qd_NAME` where logged, and `tau_NAME` for every joint.
+    """
     suffix = Path(path).suffix.lower()
     if suffix not in (".csv", ".parquet"):
         raise UsageError(f"a recording is written as .csv or .parquet, not as {Path(path).name!r}")
@@ -51,7 +56,9 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
 def write_simulation(
     path: str | os.PathLike[str], simulated: SimulatedRecording
 ) -> dict[str, Path]:
-    """Write a simulated recording, the sheet that says what its torques are (LOG.toml), and the parameters (JSON) and the robot (TOML) that made it."""
+    """Write a simulated recording, the sheet that says what its torques are (LOG.toml), and the
+    parameters (JSON) and the robot (TOML) that made it.
+    """
     log = write_recording(path, simulated.recording)
     sheet = atomic_write(
         log.with_name(f"{log.name}.toml"), _sheet_text(simulated.recording, log.name)

@@ -1,4 +1,7 @@
-"""Base parameters of known robots: the paper's Table 2, published counts, letters, and files of other people."""
+"""Base parameters of known robots.
+
+The paper's Table 2, published counts, letters, and files of other people.
+"""
 
 from __future__ import annotations
 

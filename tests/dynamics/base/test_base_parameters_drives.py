@@ -1,4 +1,7 @@
-"""Base parameters with every set of drive terms: structure against singular values, on random trees, balancers and coupled wrists included."""
+"""Base parameters with every set of drive terms.
+
+Structure against singular values, on random trees, balancers and coupled wrists included.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Base parameters of random trees, exact special cases included, against singular values and against Pinocchio."""
+"""Base parameters of random trees, exact special cases included, against singular values and
+against Pinocchio.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,9 @@ def scaled(Y: np.ndarray) -> np.ndarray:
 
 
 def first_independent(Y: np.ndarray) -> list[int]:
-    """Go through the columns in order and keep those that stand out of the span of the kept ones (modified Gram-Schmidt, twice)."""
+    """Go through the columns in order and keep those that stand out of the span of the kept ones
+    (modified Gram-Schmidt, twice).
+    """
     basis = np.zeros((0, Y.shape[0]))
     kept = []
     for j, column in enumerate(scaled(Y).T):

@@ -15,7 +15,10 @@ from asbuilt.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class LoadFriction(DriveTerm):
-    """Two columns, one of them dependent on the load, with a smooth sign of stated width: what a later file may bring."""
+    """Two columns, one of them dependent on the load, with a smooth sign of stated width.
+
+    What a later file may bring.
+    """
 
     width: float = 0.1
     key = "load"
@@ -118,7 +121,10 @@ def test_a_new_term_brings_columns_parameters_and_load():
     "key", sorted(set(available_terms()) - {"stribeck", "smooth_coulomb", "balancer"})
 )
 def test_what_a_gear_does_to_a_parameter_is_what_it_does_to_speed_and_torque(key):
-    """`f(q) = N^(1 - p) f(N q)` for a term whose parameter is divided by N^p; shapes in units of speed and position are those of the joint."""
+    """`f(q) = N^(1 - p) f(N q)` for a term whose parameter is divided by N^p.
+
+    Shapes in units of speed and position are those of the joint.
+    """
     term, ratio = available_terms()[key], 50.0
     q, qd, qdd, load = np.random.default_rng(4).normal(size=(4, 30))
     at_joint, at_motor = np.zeros((2, len(term.letters), 30))

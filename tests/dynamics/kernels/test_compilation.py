@@ -41,7 +41,7 @@ def test_code_is_kept_until_a_source_beside_it_changes(
     [
         "lanes.py",
         "recursion.py",
-        "kernels.py",
+        "rigid_body.py",
         "joint_space.py",
         "regressor_adjoint.py",
         "compilation.py",

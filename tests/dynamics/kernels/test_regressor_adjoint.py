@@ -1,4 +1,6 @@
-"""The adjoint of the regressor against Pinocchio's derivatives of inverse dynamics, one set of parameters per joint."""
+"""The adjoint of the regressor against Pinocchio's derivatives of inverse dynamics, one set of
+parameters per joint.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def weighted(model, parameters):
 @pytest.mark.parametrize("style", ["general", "distal", "proximal"])
 @pytest.mark.parametrize("n", [1, 2, 5, 9])
 def test_derivatives_are_those_of_pinocchio(style: str, n: int) -> None:
-    """sum_kc G_kc Y_kc is the sum over joints of the torque of joint k of a robot with the parameters G_k."""
+    """sum_kc G_kc Y_kc is the sum over joints of the torque of joint k of a robot with the
+    parameters G_k.
+    """
     rng = np.random.default_rng(n)
     model, samples = random_robot(rng, n, chain=True, style=style), 37
     q, qd, qdd = rng.normal(size=(3, samples, n))
@@ -80,7 +84,10 @@ def test_loads_add_the_derivatives_of_weighted_torques() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_branches_are_no_exception(seed: int) -> None:
-    """Pinocchio's derivatives want chains in depth-first order; trees are held against central differences of inverse dynamics."""
+    """Pinocchio's derivatives want chains in depth-first order.
+
+    Trees are held against central differences of inverse dynamics.
+    """
     rng = np.random.default_rng(seed)
     model = random_robot(rng, 7)
     state, loads = rng.normal(size=(3, 20, 7)), rng.normal(size=(20, 7))

@@ -1,4 +1,6 @@
-"""The derivatives of the joint torques against Pinocchio, and against differences of inverse dynamics on trees."""
+"""The derivatives of the joint torques against Pinocchio, and against differences of inverse
+dynamics on trees.
+"""
 
 from __future__ import annotations
 

@@ -282,7 +282,9 @@ def test_a_recording_is_told_how_much_it_carries(arm) -> None:
 
 
 def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) -> None:
-    """A clock that only goes on when looked at makes the time spent a number of looks, whatever the machine."""
+    """A clock that only goes on when looked at makes the time spent a number of looks, whatever the
+    machine.
+    """
     model, _ = arm
     clock = itertools.count(step=0.01)
     monkeypatch.setattr("asbuilt.excitation.design.multistart.time.monotonic", lambda: next(clock))
@@ -324,7 +326,10 @@ def test_an_interrupt_of_the_refinement_keeps_its_best(arm) -> None:
 
 
 def test_a_search_whose_time_is_up_still_has_an_answer() -> None:
-    """The first search runs, no other does; a deadline that has been reached by then is the searches' own to look at."""
+    """The first search runs, no other does.
+
+    A deadline that has been reached by then is the searches' own to look at.
+    """
     ran: list[int] = []
 
     def search(number: int) -> Candidate:
@@ -337,7 +342,9 @@ def test_a_search_whose_time_is_up_still_has_an_answer() -> None:
 
 
 def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
-    """A tenth of a / v: 0.25 Hz for limits that were assumed, more where the description allows more acceleration."""
+    """A tenth of a / v: 0.25 Hz for limits that were assumed, more where the description allows
+    more acceleration.
+    """
     slow = MotionBounds.assumed(load_robot("kuka-iiwa7-r800"))
     assert DesignOptions(duration=20.0).for_limits(slow).size == 5
     quick = replace(slow, acceleration=6.0 * slow.velocity)

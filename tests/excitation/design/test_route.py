@@ -1,4 +1,6 @@
-"""The way through standing poses, in a plane with a wall, and for real robots among bodies and in a box."""
+"""The way through standing poses, in a plane with a wall, and for real robots among bodies and in a
+box.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Torque and power as constraints: values against inverse dynamics of every description, derivatives against differences."""
+"""Torque and power as constraints.
+
+Values against inverse dynamics of every description, derivatives against differences.
+"""
 
 from __future__ import annotations
 

@@ -33,7 +33,10 @@ def two_link():
 
 
 def test_the_bound_is_that_of_the_convex_program(two_link) -> None:
-    """Maximise log det over weights of states by an interior-point solver: below the bound, and near it on the bound's own support."""
+    """Maximise log det over weights of states by an interior-point solver.
+
+    Below the bound, and near it on the bound's own support.
+    """
     model, base, _, bounds, torque, bound = two_link
 
     def best(states) -> float:

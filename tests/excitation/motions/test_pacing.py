@@ -1,4 +1,6 @@
-"""Moves slow down one by one, by what they ask for, and a weight that is too heavy is no matter of speed."""
+"""Moves slow down one by one, by what they ask for, and a weight that is too heavy is no matter of
+speed.
+"""
 
 from __future__ import annotations
 

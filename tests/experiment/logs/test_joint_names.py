@@ -1,4 +1,6 @@
-"""Every column reaches the joint whose name it bears, whatever joints are called and in whatever order they were logged."""
+"""Every column reaches the joint whose name it bears, whatever joints are called and in whatever
+order they were logged.
+"""
 
 from __future__ import annotations
 

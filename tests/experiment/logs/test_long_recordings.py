@@ -11,7 +11,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment import long_recordings
+from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long, open_recordings
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.recording import Recording

@@ -1,4 +1,6 @@
-"""Findings on recordings that were spoilt on purpose, with torques from Pinocchio, and on recordings of real robots."""
+"""Findings on recordings that were spoilt on purpose, with torques from Pinocchio, and on
+recordings of real robots.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from fourier_recording import record
 
-ERRORS_OF_CLEAN = {"weak-excitation"}
+ERRORS_OF_CLEAN = {"weak_excitation"}
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +68,7 @@ def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
     recording = record(model, 4, lambda q, qd, qdd: pin.rnea(oracle, data, q, qd, qdd))
     assert check_recording(model, recording).ok
     check = check_recording(model, recording.flipped())
-    assert [item.code for item in check.errors] == ["torque-flipped"]
+    assert [item.code for item in check.errors] == ["torque_flipped"]
     with pytest.raises(RecordingError, match=r"torque sign looks flipped.*use --flip-torque"):
         check.raise_errors()
     for i in range(6):
@@ -82,14 +84,14 @@ def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
                 item.code
                 for spoilt in (both, torques)
                 for item in check_recording(model, spoilt).errors
-            } == {"joints-swapped"}
+            } == {"joints_swapped"}
 
 
 @pytest.mark.parametrize("joint", [1, 3])
 def test_one_joint_flipped(iiwa: RobotModel, clean: Recording, joint: int) -> None:
     sign = np.ones(7)
     sign[joint] = -1
-    found = finding(iiwa, replace(clean, tau=clean.tau * sign), "joint-torque-flipped")
+    found = finding(iiwa, replace(clean, tau=clean.tau * sign), "joint_torque_flipped")
     assert found.joint == iiwa.joint_names[joint]
     assert f"sign = [{', '.join('-1' if k == joint else '1' for k in range(7))}]" in found.cure
 
@@ -101,7 +103,7 @@ def test_friction_tells_the_sign_of_joints_that_carry_nothing(shared: Path, join
     check = check_recording(
         lwr, replace(recording, tau=recording.tau * np.where(np.arange(7) == joint, -1, 1))
     )
-    assert [item.joint for item in check.findings if item.code == "joint-torque-flipped"] == [
+    assert [item.joint for item in check.findings if item.code == "joint_torque_flipped"] == [
         lwr.joint_names[joint]
     ]
 
@@ -115,30 +117,30 @@ def test_without_friction_nothing_is_said_of_silent_joints(
     check = check_recording(
         iiwa, replace(clean, tau=inverse_dynamics(iiwa, clean.q, clean.qd, qdd, parameters=built))
     )
-    assert "joint-torque-flipped" not in check.codes
+    assert "joint_torque_flipped" not in check.codes
 
 
 def test_swapped_joints_are_named(iiwa: RobotModel, clean: Recording) -> None:
-    found = finding(iiwa, replace(clean, tau=swapped(clean.tau, 1, 3)), "joints-swapped")
+    found = finding(iiwa, replace(clean, tau=swapped(clean.tau, 1, 3)), "joints_swapped")
     assert "A2 fits the position of A2 and the torque of A4" in found.message
     both = replace(
         clean, q=swapped(clean.q, 1, 3), qd=swapped(clean.qd, 1, 3), tau=swapped(clean.tau, 1, 3)
     )
     assert (
-        "A2 fits position and torque logged for A4" in finding(iiwa, both, "joints-swapped").message
+        "A2 fits position and torque logged for A4" in finding(iiwa, both, "joints_swapped").message
     )
 
 
 def test_a_whole_shuffle_is_found(iiwa: RobotModel, clean: Recording) -> None:
     order = [1, 2, 3, 0, 4, 5, 6]
     assert (
-        finding(iiwa, replace(clean, tau=clean.tau[:, order]), "joints-swapped").severity == "error"
+        finding(iiwa, replace(clean, tau=clean.tau[:, order]), "joints_swapped").severity == "error"
     )
 
 
 def test_flipped_and_swapped_at_once(iiwa: RobotModel, clean: Recording) -> None:
     check = check_recording(iiwa, replace(clean, tau=-swapped(clean.tau, 1, 3)))
-    assert {"joints-swapped", "torque-flipped"} <= set(check.codes)
+    assert {"joints_swapped", "torque_flipped"} <= set(check.codes)
 
 
 def test_units(iiwa: RobotModel, clean: Recording) -> None:
@@ -151,40 +153,40 @@ def test_units(iiwa: RobotModel, clean: Recording) -> None:
     )
     assert (
         "degrees per second"
-        in finding(iiwa, replace(clean, qd=clean.qd / degree), "velocity-units").message
+        in finding(iiwa, replace(clean, qd=clean.qd / degree), "velocity_units").message
     )
-    assert "mN m" in finding(iiwa, replace(clean, tau=clean.tau * 1000), "torque-scale").message
-    assert "--gain" in finding(iiwa, replace(clean, tau=clean.tau / 12), "torque-scale").cure
+    assert "mN m" in finding(iiwa, replace(clean, tau=clean.tau * 1000), "torque_scale").message
+    assert "--gain" in finding(iiwa, replace(clean, tau=clean.tau / 12), "torque_scale").cure
 
 
 def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) -> None:
     check = check_recording(iiwa, replace(clean, q=np.degrees(clean.q), qd=None, tau=-clean.tau))
-    assert [item.code for item in check.errors] == ["degrees", "torque-flipped"]
+    assert [item.code for item in check.errors] == ["degrees", "torque_flipped"]
 
 
 def test_velocities(iiwa: RobotModel, clean: Recording) -> None:
     assert clean.qd is not None
     assert (
         "velocity of A3 is that of A6"
-        in finding(iiwa, replace(clean, qd=swapped(clean.qd, 2, 5)), "velocity-swapped").message
+        in finding(iiwa, replace(clean, qd=swapped(clean.qd, 2, 5)), "velocity_swapped").message
     )
-    late = finding(iiwa, replace(clean, qd=np.roll(clean.qd, 4, axis=0)), "velocity-lag")
+    late = finding(iiwa, replace(clean, qd=np.roll(clean.qd, 4, axis=0)), "velocity_lag")
     assert "lag behind the derivative of the positions by 20 to 20 ms" in late.message
     sign = np.array([1, 1, -1, 1, 1, 1, 1])
-    assert finding(iiwa, replace(clean, qd=clean.qd * sign), "velocity-mismatch").joint == "A3"
-    assert finding(iiwa, replace(clean, qd=np.zeros_like(clean.qd)), "velocity-zero")
+    assert finding(iiwa, replace(clean, qd=clean.qd * sign), "velocity_mismatch").joint == "A3"
+    assert finding(iiwa, replace(clean, qd=np.zeros_like(clean.qd)), "velocity_zero")
 
 
 def test_missing_values(iiwa: RobotModel, clean: Recording) -> None:
     tau, q = clean.tau.copy(), clean.q.copy()
     tau[123, 4] = np.nan
     q[7, 0] = np.inf
-    first = finding(iiwa, replace(clean, q=q), "not-finite")
+    first = finding(iiwa, replace(clean, q=q), "not_finite")
     assert (first.joint, first.time) == ("A1", pytest.approx(0.035))
     assert "the first infinite at sample 8" in first.message
     assert (
         "1 of 4000 values of the torque of A5"
-        in finding(iiwa, replace(clean, tau=tau), "not-finite").message
+        in finding(iiwa, replace(clean, tau=tau), "not_finite").message
     )
 
 
@@ -193,19 +195,19 @@ def test_clock(iiwa: RobotModel, clean: Recording) -> None:
     t[2000:] += 0.3
     assert (
         "the longest 0.305 s after 9.995 s"
-        in finding(iiwa, replace(clean, t=t), "clock-gap").message
+        in finding(iiwa, replace(clean, t=t), "clock_gap").message
     )
     t = clean.t.copy()
     t[1000] = t[999]
-    assert finding(iiwa, replace(clean, t=t), "clock-repeated").severity == "warning"
+    assert finding(iiwa, replace(clean, t=t), "clock_repeated").severity == "warning"
     t = clean.t.copy()
     t[1000:] -= 0.1
     assert (
         "from 4.995 s to 4.9 s at sample 1001"
-        in finding(iiwa, replace(clean, t=t), "clock-backward").message
+        in finding(iiwa, replace(clean, t=t), "clock_backward").message
     )
     jitter = clean.t + 0.001 * np.random.default_rng(0).uniform(-1, 1, clean.t.size)
-    assert finding(iiwa, replace(clean, t=jitter), "clock-irregular").severity == "info"
+    assert finding(iiwa, replace(clean, t=jitter), "clock_irregular").severity == "info"
 
 
 def test_stale_samples(iiwa: RobotModel, clean: Recording) -> None:
@@ -213,7 +215,7 @@ def test_stale_samples(iiwa: RobotModel, clean: Recording) -> None:
     found = finding(
         iiwa,
         replace(clean, q=clean.q[held], qd=clean.qd[held], tau=clean.tau[held]),
-        "stale-samples",
+        "stale_samples",
     )
     assert "about every 2 samples (100 Hz)" in found.message
 
@@ -240,10 +242,10 @@ def test_joints_that_stand_or_move_alike(iiwa: RobotModel, clean: Recording) -> 
     q[:, 2] = 0.4 + 0.005 * np.sin(clean.t)
     assert (
         "A3 hardly moves: 0.01 rad"
-        in finding(iiwa, replace(clean, q=q, qd=None), "joint-still").message
+        in finding(iiwa, replace(clean, q=q, qd=None), "joint_still").message
     )
     alike = np.outer(np.sin(clean.t), np.ones(7))
-    assert finding(iiwa, replace(clean, q=alike, qd=None), "joints-alike").severity == "warning"
+    assert finding(iiwa, replace(clean, q=alike, qd=None), "joints_alike").severity == "warning"
 
 
 @pytest.mark.filterwarnings("error")
@@ -254,7 +256,7 @@ def test_values_that_no_robot_logs(
 ) -> None:
     values = getattr(clean, quantity).copy()
     values[500, 2] = value
-    found = finding(iiwa, replace(clean, **{quantity: values}), "not-finite")
+    found = finding(iiwa, replace(clean, **{quantity: values}), "not_finite")
     assert (found.severity, found.joint) == ("error", "A3")
     assert "1 of 4000 values of the" in found.message
     assert "at sample 501, t = 2.5 s" in found.message
@@ -264,7 +266,7 @@ def test_a_row_cut_short_is_told_once(iiwa: RobotModel, clean: Recording) -> Non
     q, tau = clean.q.copy(), clean.tau.copy()
     q[-1, 5:], tau[-1] = np.nan, np.nan
     check = check_recording(iiwa, replace(clean, q=q, tau=tau))
-    assert [item.code for item in check.errors] == ["not-finite"]
+    assert [item.code for item in check.errors] == ["not_finite"]
     assert (
         "the position of A6 and A7 and the torque of A1, A2, A3, A4, A5, A6 and A7"
         in check.errors[0].message
@@ -275,23 +277,23 @@ def test_a_row_cut_short_is_told_once(iiwa: RobotModel, clean: Recording) -> Non
 def test_clocks_in_other_units(
     iiwa: RobotModel, clean: Recording, unit: str, factor: float
 ) -> None:
-    found = finding(iiwa, replace(clean, t=clean.t * factor), "clock-unit")
+    found = finding(iiwa, replace(clean, t=clean.t * factor), "clock_unit")
     assert f"look like {unit}" in found.message
     assert f'time = "{unit}"' in found.cure
-    assert finding(iiwa, replace(clean, t=clean.t / 1e3), "clock-unit").severity == "error"
+    assert finding(iiwa, replace(clean, t=clean.t / 1e3), "clock_unit").severity == "error"
     flipped = check_recording(iiwa, replace(clean, t=clean.t * factor, tau=-clean.tau))
-    assert [item.code for item in flipped.errors] == ["clock-unit"]
+    assert [item.code for item in flipped.errors] == ["clock_unit"]
 
 
 def test_a_robot_that_stands_still_is_refused(iiwa: RobotModel, clean: Recording) -> None:
-    found = finding(iiwa, replace(clean, q=np.full_like(clean.q, 0.3), qd=None), "nothing-moves")
+    found = finding(iiwa, replace(clean, q=np.full_like(clean.q, 0.3), qd=None), "nothing_moves")
     assert found.severity == "error"
 
 
 def test_limits_and_filtering(iiwa: RobotModel, clean: Recording) -> None:
     q = clean.q.copy()
     q[:, 1] += 1.5
-    assert finding(iiwa, replace(clean, q=q), "position-limit").joint == "A2"
+    assert finding(iiwa, replace(clean, q=q), "position_limit").joint == "A2"
     smooth = replace(
         clean,
         tau=inverse_dynamics(
@@ -300,17 +302,17 @@ def test_limits_and_filtering(iiwa: RobotModel, clean: Recording) -> None:
     )
     assert (
         "low-pass filtered before, or simulated without noise"
-        in finding(iiwa, smooth, "already-filtered").message
+        in finding(iiwa, smooth, "already_filtered").message
     )
 
 
 def test_too_little(iiwa: RobotModel, clean: Recording) -> None:
     assert (
         "40 samples are fewer than the 64 parameters"
-        in finding(iiwa, clean.taken(slice(0, 40)), "too-few-samples").message
+        in finding(iiwa, clean.taken(slice(0, 40)), "too_few_samples").message
     )
     assert (
-        finding(iiwa, replace(clean, tau=np.zeros_like(clean.tau)), "no-torque").severity == "error"
+        finding(iiwa, replace(clean, tau=np.zeros_like(clean.tau)), "no_torque").severity == "error"
     )
     with pytest.raises(RecordingError, match=r"has 7 joints .* but ur10e has 6"):
         check_recording(bundled_robot("ur10e"), clean)
@@ -341,7 +343,7 @@ def test_real_recordings(shared: Path) -> None:
     folder = data / "lbr_med7"
     assert codes(
         med7, read_recording(folder / "measurements_with_ext_tau_1_dgr.csv", model=med7, rate=100)
-    ) == {"torque-flipped"}
+    ) == {"torque_flipped"}
     assert (
         codes(
             med7,
@@ -355,22 +357,22 @@ def test_real_recordings(shared: Path) -> None:
         == set()
     )
     fast = read_recording(folder / "measurements.csv", model=med7, rate=100, flip_torque=True)
-    assert codes(med7, fast) == {"weak-excitation"}
+    assert codes(med7, fast) == {"weak_excitation"}
     (states,) = read_recordings(
         sorted(folder.glob("joint_states_*.csv")), model=med7, flip_torque=True
     )
-    assert codes(med7, states) == {"stale-samples", "joints-alike", "weak-excitation"}
+    assert codes(med7, states) == {"stale_samples", "joints_alike", "weak_excitation"}
     lwr = load_robot(models / "kuka_lwr4.urdf")
     for k in (1, 2):
         recording = read_recording(data / "kuka_lwr4" / f"measurements_{k}.npz", model=lwr)
         assert codes(lwr, recording) == {
-            "joints-alike",
-            "velocity-lag",
-            "end-transient",
-            "already-filtered",
+            "joints_alike",
+            "velocity_lag",
+            "end_transient",
+            "already_filtered",
         }
     ur10 = load_robot(models / "ur10.urdf")
-    assert codes(ur10, read_recording(data / "ur10_rosbag2", model=ur10)) == {"already-filtered"}
+    assert codes(ur10, read_recording(data / "ur10_rosbag2", model=ur10)) == {"already_filtered"}
 
 
 def test_real_currents(shared: Path) -> None:
@@ -382,14 +384,17 @@ def test_real_currents(shared: Path) -> None:
     for path in sorted((shared / "data" / "ur10e").glob("*.csv")):
         amperes = read_recording(path, model=ur10e, sheet=sheet)
         assert codes(ur10e, amperes.scaled([14.87, 13.26, 11.13, 10.62, 11.03, 11.47])) == {
-            "clock-irregular"
+            "clock_irregular"
         }
-        assert codes(ur10e, amperes) == {"clock-irregular", "torque-scale"}
+        assert codes(ur10e, amperes) == {"clock_irregular", "torque_scale"}
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_torque_beneath_noise_is_no_torque_of_another_robot(seed: int) -> None:
-    """A SCARA without gravity, its torques as small as the noise of its sensors; the same noise around torques of another time is called unlike."""
+    """A SCARA without gravity, its torques as small as the noise of its sensors.
+
+    The same noise around torques of another time is called unlike.
+    """
     model = bundled_robot("scara")
     recording = record(model, seed)
     rng = np.random.default_rng(seed)
@@ -406,11 +411,11 @@ def test_torque_beneath_noise_is_no_torque_of_another_robot(seed: int) -> None:
             model, replace(recording, tau=recording.tau + noise)
         ).findings
     }
-    assert "torque-unlike-model" not in codes
+    assert "torque_unlike_model" not in codes
     codes = {
         finding.code
         for finding in check_recording(
             model, replace(recording, tau=np.roll(recording.tau, 700, axis=0) + noise)
         ).findings
     }
-    assert "torque-unlike-model" in codes
+    assert "torque_unlike_model" in codes

@@ -15,7 +15,7 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment import long_recordings
+from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
@@ -85,36 +85,36 @@ def resting(recording: Recording) -> Recording:
 
 SPOILT: dict[str, tuple[Callable[[Recording], Recording], set[str]]] = {
     "as it is": (lambda r: r, set()),
-    "flipped": (lambda r: r.flipped(), {"torque-flipped"}),
-    "swapped": (lambda r: replace(r, tau=r.tau[:, [0, 3, 2, 1, 4, 5, 6]]), {"joints-swapped"}),
-    "across stretches": (across, {"clock-gap", "clock-repeated"}),
+    "flipped": (lambda r: r.flipped(), {"torque_flipped"}),
+    "swapped": (lambda r: replace(r, tau=r.tau[:, [0, 3, 2, 1, 4, 5, 6]]), {"joints_swapped"}),
+    "across stretches": (across, {"clock_gap", "clock_repeated"}),
     "time runs back": (
         lambda r: replace(r, t=np.where(np.arange(r.n_samples) < 2 * STRETCH, r.t, r.t - 5.0)),
-        {"clock-backward"},
+        {"clock_backward"},
     ),
-    "samples twice": (doubled, {"stale-samples"}),
+    "samples twice": (doubled, {"stale_samples"}),
     "standing for a while": (resting, set()),
     "a joint stands": (
         lambda r: changed(changed(r, "q", slice(None), 4, 0.1), "qd", slice(None), 4, 0.0),
-        {"joint-still"},
+        {"joint_still"},
     ),
     "joints alike": (
         lambda r: replace(
             r, q=np.repeat(r.q[:, :1], 7, axis=1), qd=np.repeat(r.qd[:, :1], 7, axis=1)
         ),
-        {"joints-alike"},
+        {"joints_alike"},
     ),
     "missing": (
         lambda r: changed(r, "tau", [5, STRETCH, 2 * STRETCH + 1], 2, np.nan),
-        {"not-finite"},
+        {"not_finite"},
     ),
     "absurd": (
         lambda r: changed(r, "q", [STRETCH - 1, 3 * STRETCH], slice(2, 4), 1e20),
-        {"not-finite"},
+        {"not_finite"},
     ),
     "beyond limits": (
         lambda r: changed(r, "q", slice(STRETCH - 10, STRETCH + 20), 1, 2.5),
-        {"position-limit"},
+        {"position_limit"},
     ),
     "cut off": (
         lambda r: replace(r, tau=np.clip(r.tau, -np.inf, np.percentile(r.tau, 90, axis=0))),
@@ -173,7 +173,10 @@ def test_a_survey_does_not_depend_on_where_stretches_end(
 
 
 def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_path: Path) -> None:
-    """Only times and flags grow with the length: six more minutes of seven joints take no more than those."""
+    """Only times and flags grow with the length.
+
+    Six more minutes of seven joints take no more than those.
+    """
 
     def peak(minutes: int) -> float:
         parts = [replace(clean, t=clean.t + 20.0 * k) for k in range(3 * minutes)]

@@ -42,7 +42,10 @@ def test_bandwidth_is_that_of_the_fastest_moving_joint():
 @pytest.mark.parametrize("rate", [100.0, 500.0, 1733.0])
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
 def test_noise_of_positions_is_no_motion(rate, noise):
-    """White noise of 0.1 mrad makes most of the velocity's power at 1 kHz; the motion ends where it did."""
+    """White noise of 0.1 mrad makes most of the velocity's power at 1 kHz.
+
+    The motion ends where it did.
+    """
     t = np.arange(round(25.0 * rate)) / rate
     q = np.column_stack(
         [np.sin(2 * np.pi * 0.3 * t), 0.5 * np.sin(2 * np.pi * 2.0 * t), np.zeros_like(t)]

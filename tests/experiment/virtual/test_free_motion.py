@@ -1,4 +1,7 @@
-"""A robot that is let go keeps its energy, or loses what friction takes: MuJoCo moves it, the equations of asbuilt count."""
+"""A robot that is let go keeps its energy, or loses what friction takes.
+
+MuJoCo moves it, the equations of asbuilt count.
+"""
 
 from __future__ import annotations
 

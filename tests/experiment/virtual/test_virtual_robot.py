@@ -1,4 +1,6 @@
-"""A virtual robot must obey MuJoCo and the sensors it states, and what it logs must lead back to its truth."""
+"""A virtual robot must obey MuJoCo and the sensors it states, and what it logs must lead back to
+its truth.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,10 @@ def test_ideal_recordings_identify_back_to_the_truth(name: str) -> None:
 
 
 def test_the_logged_torque_is_what_pinocchio_says_the_logged_motion_takes(iiwa: RobotModel) -> None:
-    """With rotors, friction and offset: MuJoCo moved it, Pinocchio judges it, wherever no joint is about to turn round."""
+    """With rotors, friction and offset.
+
+    MuJoCo moved it, Pinocchio judges it, wherever no joint is about to turn round.
+    """
     train = DriveTrain(armature=0.3, viscous=2.0, coulomb=1.5, offset=-0.4)
     robot = VirtualRobot(
         model=iiwa, described=iiwa, train=train, logger=DataLogger(rate=200.0, accelerations=True)
@@ -72,7 +77,10 @@ def test_the_logged_torque_is_what_pinocchio_says_the_logged_motion_takes(iiwa: 
 
 
 def test_heavy_friction_on_light_joints_is_followed(iiwa: RobotModel) -> None:
-    """As descriptions from strangers have it: 10 N m s/rad on a light wrist takes its speed away in 0.2 ms."""
+    """As descriptions from strangers have it.
+
+    10 N m s/rad on a light wrist takes its speed away in 0.2 ms.
+    """
     model = replace(
         iiwa,
         joints=tuple(

@@ -1,4 +1,8 @@
-"""The prior made of CAD: its divergence against that of Gaussian densities, frames, units, and descriptions that are impossible or silent."""
+"""The prior made of CAD.
+
+Its divergence against that of Gaussian densities, frames, units, and descriptions that are
+impossible or silent.
+"""
 
 from __future__ import annotations
 

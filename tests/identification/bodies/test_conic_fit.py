@@ -1,4 +1,6 @@
-"""The conic program against an independent modelling of the same program, against first-order optimality, and against bounds."""
+"""The conic program against an independent modelling of the same program, against first-order
+optimality, and against bounds.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,10 @@ def test_same_minimum_as_an_independent_program(trial, weight):
 @pytest.mark.parametrize("weight", [TINY_PULL, 1e3])
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560"])
 def test_no_drive_pushes_by_rounding(trial, robot, weight):
-    """Torque of negative friction: the friction found is not 1e-9 below its bound either, which exports refuse."""
+    """Torque of negative friction.
+
+    The friction found is not 1e-9 below its bound either, which exports refuse.
+    """
     for seed in range(2):
         case = trial(robot, "viscous,coulomb", noise=0.2, seed=seed, duration=2.0 + 2 * seed)
         factor, chi = factor_of(case), case.prior.parameters.copy()
@@ -91,7 +96,10 @@ def test_no_drive_pushes_by_rounding(trial, robot, weight):
 
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560"])
 def test_no_feasible_direction_goes_down(trial, around_cad, robot):
-    """Variational inequality, which is KKT for a convex problem: the slope toward any feasible point is not negative."""
+    """Variational inequality, which is KKT for a convex problem.
+
+    The slope toward any feasible point is not negative.
+    """
     case = trial(robot, noise=0.2, seed=1, duration=6.0, spread=0.5)
     factor, bounds = factor_of(case), non_negative_drives(case.prior)
     weight = 1.0
@@ -204,7 +212,9 @@ def test_slack_of_bounds():
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e", "scara"])
 @pytest.mark.parametrize("weight", [1e1, 1e3, 1e6])
 def test_bodies_that_are_real_anyway_need_no_cone(trial, monkeypatch, robot, weight):
-    """Bounded least squares without cones (Stark & Parker's BVLS) and, to its lesser precision, the cone program itself find the same."""
+    """Bounded least squares without cones (Stark & Parker's BVLS) and, to its lesser precision, the
+    cone program itself find the same.
+    """
     case = trial(robot, noise=0.3, seed=3, duration=6.0, spread=0.05)
     n = case.prior.n_links
     factor = 0.1 * factor_of(case)

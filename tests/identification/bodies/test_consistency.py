@@ -1,4 +1,6 @@
-"""Physical consistency against the paper's findings, an independent modelling of the same program, and known bodies."""
+"""Physical consistency against the paper's findings, an independent modelling of the same program,
+and known bodies.
+"""
 
 from __future__ import annotations
 

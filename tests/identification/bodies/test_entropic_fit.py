@@ -1,4 +1,6 @@
-"""The entropic fit against derivatives by differences, a descent in other coordinates, and an independent modelling of the same program."""
+"""The entropic fit against derivatives by differences, a descent in other coordinates, and an
+independent modelling of the same program.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,10 @@ def test_many_problems_side_by_side_are_solved_as_each_alone(trial):
 @pytest.mark.parametrize("robot", ["two-link", "scara"])
 @pytest.mark.parametrize("weight", [1.0, 30.0])
 def test_same_minimum_as_a_descent_in_log_cholesky_coordinates(trial, robot, weight):
-    """Rucker & Wensing (2022): any ten numbers per link are a real body, so a general minimiser needs no constraints."""
+    """Rucker & Wensing (2022).
+
+    Any ten numbers per link are a real body, so a general minimiser needs no constraints.
+    """
     case = trial(robot, "none", noise=0.5, seed=2, duration=5.0, spread=0.3)
     factor = factor_of(case)
     fit = closest(case, inside(case.prior), weight=weight, factor=factor)

@@ -1,4 +1,7 @@
-"""Proofs that no robot has given base parameters: valid on every real robot, violated by these, and as sure as the distance says."""
+"""Proofs that no robot has given base parameters.
+
+Valid on every real robot, violated by these, and as sure as the distance says.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Full robots from base parameters: exact, real, closest to CAD; and the nearest where nothing real is exact."""
+"""Full robots from base parameters: exact, real, closest to CAD.
+
+And the nearest where nothing real is exact.
+"""
 
 from __future__ import annotations
 
@@ -77,7 +80,10 @@ def test_cad_column_of_the_paper():
 
 
 def test_robot_column_of_the_paper_and_the_nearest_real_robot():
-    """No real bodies have it; the nearest predict torques that differ by 0.14 N m RMS over random motion, against 26 N m."""
+    """No real bodies have it.
+
+    The nearest predict torques that differ by 0.14 N m RMS over random motion, against 26 N m.
+    """
     model = load_robot("kuka-iiwa7-r800")
     base = find_base_parameters(model)
     robot = published().robot

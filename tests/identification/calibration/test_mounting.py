@@ -1,4 +1,6 @@
-"""How a robot stands: tilts put into simulations are found, none is found where none is, and a real arm's is."""
+"""How a robot stands: tilts put into simulations are found, none is found where none is, and a real
+arm's is.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,10 @@ def test_gravity_and_samples_are_needed(trial):
 
 
 def test_a_real_arm_stood_askew_and_knowing_it_halves_its_errors(shared):
-    """Med 7: turned by 1.7 deg. Plain least squares: 0.55 0.41 0.36 0.40 0.13 0.09 0.09 N m held out."""
+    """Med 7: turned by 1.7 deg. Plain least squares.
+
+    0.55 0.41 0.36 0.40 0.13 0.09 0.09 N m held out.
+    """
     model = load_robot(shared / "models" / "lbrstack_med7.urdf")
     log = shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"
     recordings = read_recordings([log], model=model, rate=100.0, flip_torque=True)

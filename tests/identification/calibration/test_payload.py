@@ -1,4 +1,6 @@
-"""The payload: found again in simulations that another road made, told from what no motion tells, and weighed on a real arm."""
+"""The payload: found again in simulations that another road made, told from what no motion tells,
+and weighed on a real arm.
+"""
 
 from __future__ import annotations
 
@@ -138,7 +140,9 @@ def test_what_a_scara_cannot_tell_has_errors_to_match() -> None:
 
 @pytest.mark.parametrize("still", [(6,), (5, 6)])
 def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ...]) -> None:
-    """What the bare arm's motion left open - friction of joints that stood - is found along with the payload; a frozen arm cannot know it."""
+    """What the bare arm's motion left open - friction of joints that stood - is found along with
+    the payload; a frozen arm cannot know it.
+    """
     robot = arm_of("kuka-iiwa7-r800", 0.0)
     bare = exact(robot, random_fourier(robot.model, rng=4, duration=10.0))
     q, qd, qdd = (np.array(values) for values in (bare.q, bare.qd, bare.qdd))
@@ -293,7 +297,9 @@ def test_gains_of_sensors_are_not_questioned(
 
 
 def test_ur10e_weighs_its_known_payload(shared: Path, tmp_path: Path) -> None:
-    """True mass 2.805 kg; with the gains in use there the estimate is some 8 % high, which gains known to 7 % explain and noise does not."""
+    """True mass 2.805 kg; with the gains in use there the estimate is some 8 % high, which gains
+    known to 7 % explain and noise does not.
+    """
     sheet = tmp_path / "ur10e.toml"
     sheet.write_text(
         'header = false\ntorque_source = "current"\ngains = [14.87, 13.26, 11.13, 10.62, 11.03,'

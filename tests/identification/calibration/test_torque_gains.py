@@ -1,4 +1,7 @@
-"""Gains from a known payload: simulated drives whose gains are known, and the recorded pair of a UR10e."""
+"""Gains from a known payload.
+
+Simulated drives whose gains are known, and the recorded pair of a UR10e.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Shapes of drive terms and their choice, on simulated drives whose friction is known, and on recordings of real ones."""
+"""Shapes of drive terms and their choice, on simulated drives whose friction is known, and on
+recordings of real ones.
+"""
 
 from __future__ import annotations
 
@@ -127,7 +129,10 @@ def test_a_coupled_wrist_comes_back():
 
 @pytest.mark.parametrize("scale", [1.0, 0.0])
 def test_nothing_is_chosen_where_the_defaults_leave_nothing(scale):
-    """Torque without noise, or none at all: held-out errors are rounding, whose logarithms must not decide, nor be of numbers below zero."""
+    """Torque without noise, or none at all.
+
+    Held-out errors are rounding, whose logarithms must not decide, nor be of numbers below zero.
+    """
     model = elbow()
     samples = recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3), noise=0.0)
     samples = replace(samples, tau=scale * samples.tau, tau_raw=np.empty((0, 0)))
@@ -235,7 +240,9 @@ def test_springs_are_for_those_who_ask():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_friction_that_drives_is_not_believed(seed):
-    """Where speed sheds friction of the wrong sign, as an unmodelled effect would, no candidate takes it in."""
+    """Where speed sheds friction of the wrong sign, as an unmodelled effect would, no candidate
+    takes it in.
+    """
     model = elbow()
     truth = DriveSet.parse("viscous,coulomb,load_friction,offset")
     choice = choose_drive(
@@ -340,7 +347,9 @@ def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
 
 
 def test_a_recorded_med7_keeps_its_defaults(shared):
-    """Its sensors see no gears, and what is left of the torque is the mounting, which no friction is."""
+    """Its sensors see no gears, and what is left of the torque is the mounting, which no friction
+    is.
+    """
     model = load_robot(str(shared / "models" / "lbrstack_med7.urdf"))
     log = shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"
     samples = prepare_samples(read_recordings([log], model=model, rate=100.0, flip_torque=True)[0])

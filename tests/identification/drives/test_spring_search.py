@@ -1,4 +1,7 @@
-"""Springs that no file describes: found where one was put, none where none is, and the same in two recordings of a real arm."""
+"""Springs that no file describes.
+
+Found where one was put, none where none is, and the same in two recordings of a real arm.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
 
 def sprung(case, stiffness, noise=0.02):
-    """The samples of a trial with springs (n,) about its joints and residuals that last some samples."""
+    """The samples of a trial with springs (n,) about its joints and residuals that last some
+    samples.
+    """
     rng = np.random.default_rng(5)
     samples = case.samples
     colour = rng.normal(size=samples.tau.shape)
@@ -66,7 +71,10 @@ def test_a_described_spring_and_too_short_a_recording_say_nothing(trial) -> None
 
 
 def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
-    """A spring that the robot is known to have changes nothing about another: what it adds to the torque is in the terms of both fits."""
+    """A spring that the robot is known to have changes nothing about another.
+
+    What it adds to the torque is in the terms of both fits.
+    """
     case = trial("ur10e", "viscous,coulomb,offset", seed=21, duration=60.0, rate=20.0)
     springs = np.zeros(6)
     springs[4] = 1.0

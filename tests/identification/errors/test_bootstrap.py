@@ -1,4 +1,6 @@
-"""The block bootstrap against formulas, against fits of the blocks drawn one by one, and against the block-robust covariance."""
+"""The block bootstrap against formulas, against fits of the blocks drawn one by one, and against
+the block-robust covariance.
+"""
 
 from __future__ import annotations
 
@@ -237,7 +239,10 @@ def test_errors_that_do_not_exist_are_named(samples: Samples) -> None:
 def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
     samples: Samples,
 ) -> None:
-    """Student's quantile with 19 degrees of freedom is 2.093 (tables of Fisher and Yates); 20 blocks drawn with replacement scatter sqrt(20 / 19) too little."""
+    """Student's quantile with 19 degrees of freedom is 2.093 (tables of Fisher and Yates).
+
+    20 blocks drawn with replacement scatter sqrt(20 / 19) too little.
+    """
     information = accumulate(MODEL, BASE, samples, block_seconds=2.0)
     prior = cad_prior(MODEL, DRIVE)
     for estimate, widening in (

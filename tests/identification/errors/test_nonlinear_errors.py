@@ -1,4 +1,7 @@
-"""Errors of fitted shapes, and what they add to all others: against the full Jacobian, and against what fits to fresh noise do."""
+"""Errors of fitted shapes, and what they add to all others.
+
+Against the full Jacobian, and against what fits to fresh noise do.
+"""
 
 from __future__ import annotations
 
@@ -73,7 +76,10 @@ def fitted(
 @pytest.mark.parametrize("robot", ["scara", "two-link", "ur10e"])
 @pytest.mark.parametrize("term", [*SHAPED])
 def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
-    """Shapes as further unknowns beside everything linear: dense columns, differenced on another road, and one inverse."""
+    """Shapes as further unknowns beside everything linear.
+
+    Dense columns, differenced on another road, and one inverse.
+    """
     model, samples = bundled_robot(robot), samples_of(robot, term, joint_noise=0.5)
     result = fitted(robot, samples, term, errors="textbook")
     drive, base = result.base.drive, result.base
@@ -109,7 +115,10 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
     ("robot", "method"), [("scara", "wls"), ("scara", "consistent"), ("two-link", "huber")]
 )
 def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, method: str) -> None:
-    """Twenty recordings that differ in their noise alone: without what the exponent leaves open, Coulomb friction would lie two errors off as a rule."""
+    """Twenty recordings that differ in their noise alone.
+
+    Without what the exponent leaves open, Coulomb friction would lie two errors off as a rule.
+    """
     n, sigmas, alone = bundled_robot(robot).n_joints, [], []
     for seed in range(20):
         samples = samples_of(robot, "power", noise=0.4, seed=seed)

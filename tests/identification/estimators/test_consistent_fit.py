@@ -1,4 +1,6 @@
-"""Consistent estimators on robots whose truth is known, on the recordings of real ones, and their errors against repeated trials."""
+"""Consistent estimators on robots whose truth is known, on the recordings of real ones, and their
+errors against repeated trials.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,9 @@ def test_given_weight_bounds_and_joint_weights(trial):
 
 @pytest.mark.parametrize("method", ["consistent", "entropic"])
 def test_errors_are_not_too_small(trial, method):
-    """Over repeated noise, and with a truth as far from CAD as its own weight says, the estimate lies within its errors."""
+    """Over repeated noise, and with a truth as far from CAD as its own weight says, the estimate
+    lies within its errors.
+    """
     inside, asked = 0, 0
     for seed in range(12):
         case = trial("scara", "viscous,coulomb", noise=0.05, seed=100 + seed, duration=16.0)
@@ -125,7 +129,10 @@ def test_errors_are_not_too_small(trial, method):
 
 
 def test_unexcited_directions_lie_at_cad(trial):
-    """Only the last two joints move: what links 1 to 5 are stays as described, and what is told is told."""
+    """Only the last two joints move.
+
+    What links 1 to 5 are stays as described, and what is told is told.
+    """
     case = trial("kuka-iiwa7-r800", "none", seed=7)
     q, qd, qdd = (values.copy() for values in (case.samples.q, case.samples.qd, case.samples.qdd))
     q[:, :5], qd[:, :5], qdd[:, :5] = 0.3, 0.0, 0.0
@@ -153,7 +160,9 @@ def test_unexcited_directions_lie_at_cad(trial):
 
 @pytest.mark.parametrize("method", ["wls", "entropic"])
 def test_what_is_known_is_the_inverse_of_the_covariance(trial, method):
-    """Estimates that lean on CAD have errors in every direction, also where the recording tells nothing; weighted least squares has none there."""
+    """Estimates that lean on CAD have errors in every direction, also where the recording tells
+    nothing; weighted least squares has none there.
+    """
     case = trial("kuka-iiwa7-r800", "viscous,coulomb", noise=0.02, seed=7)
     q, qd, qdd = (values.copy() for values in (case.samples.q, case.samples.qd, case.samples.qdd))
     q[:, 5:], qd[:, 5:], qdd[:, 5:] = 0.3, 0.0, 0.0
@@ -198,7 +207,10 @@ def med7(shared, log, rule):
     ],
 )
 def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
-    """The level of plain least squares on the long recording; the short one it cannot learn at all (1.4, 2.4, 1.3, 1.9 on joints 1 to 4)."""
+    """The level of plain least squares on the long recording.
+
+    The short one it cannot learn at all (1.4, 2.4, 1.3, 1.9 on joints 1 to 4).
+    """
     model, train, held = med7(shared, log, rule)
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     information, other = accumulate(model, base, train), accumulate(model, base, held)

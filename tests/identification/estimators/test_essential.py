@@ -1,4 +1,7 @@
-"""Parameters that an F-test does not miss: set to zero, without an error, and no consumer of errors takes them for certain."""
+"""Parameters that an F-test does not miss.
+
+Set to zero, without an error, and no consumer of errors takes them for certain.
+"""
 
 from __future__ import annotations
 

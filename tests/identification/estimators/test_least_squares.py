@@ -1,4 +1,6 @@
-"""Least squares against certified data, against a direct solve, and where the data leave something open."""
+"""Least squares against certified data, against a direct solve, and where the data leave something
+open.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Ridge, total least squares, joint noise, instruments and essential parameters, each by a second road."""
+"""Ridge, total least squares, joint noise, instruments and essential parameters, each by a second
+road.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,11 @@ def test_ridge_is_tikhonov_toward_cad_at_one_of_its_weights(robot):
 
 @pytest.mark.parametrize("believed", [None, 1.0, -3.0])
 def test_total_least_squares_is_that_of_the_singular_vector(robot, believed):
-    """With every column noisy: the right singular vector of the scaled stack that belongs to its smallest singular value, whatever CAD says."""
+    """With every column noisy.
+
+    The right singular vector of the scaled stack that belongs to its smallest singular value,
+    whatever CAD says.
+    """
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.5, seed=9)
     estimate = methods["total"].estimate(
@@ -146,7 +152,9 @@ def test_maximum_likelihood_beats_separate_weights_where_noise_is_shared(robot):
 
 
 def noisy_motion(robot, seed, noise=0.001):
-    """A recording whose positions are noisy, velocities and accelerations filtered differences of them."""
+    """A recording whose positions are noisy, velocities and accelerations filtered differences of
+    them.
+    """
     from scipy.signal import butter, filtfilt
 
     model, base, beta = robot

@@ -1,4 +1,6 @@
-"""The choice of the weight of CAD against folds reduced from their blocks and errors summed over the rows themselves."""
+"""The choice of the weight of CAD against folds reduced from their blocks and errors summed over
+the rows themselves.
+"""
 
 from __future__ import annotations
 

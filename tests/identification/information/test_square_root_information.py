@@ -1,4 +1,6 @@
-"""Square-root information against the observation matrix of the whole recording, stacked and solved at once."""
+"""Square-root information against the observation matrix of the whole recording, stacked and solved
+at once.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,8 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples, stream_samples
-from asbuilt.identification import square_root_information
 from asbuilt.identification.estimators.least_squares import fit_least_squares, solve_factor
+from asbuilt.identification.information import square_root_information
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     accumulate,
@@ -169,7 +171,10 @@ def test_blocks_and_threads_change_nothing_in_the_sum(robot):
 
 
 def test_no_more_threads_than_cores_that_may_be_used(robot, monkeypatch):
-    """A container may use few of a machine's cores; as many threads as the machine has would only hold memory."""
+    """A container may use few of a machine's cores.
+
+    As many threads as the machine has would only hold memory.
+    """
     model, base = robot
     asked = []
 

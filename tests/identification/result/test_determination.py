@@ -59,7 +59,9 @@ def test_every_parameter_is_in_one_class_by_its_error() -> None:
 
 
 def test_what_is_hardly_known_is_poorly_determined_or_makes_next_to_no_torque() -> None:
-    """Moving a negligible parameter by its error moves the torque by less than a twentieth of the residual, by a regressor of its own; the others by more."""
+    """Moving a negligible parameter by its error moves the torque by less than a twentieth of the
+    residual, by a regressor of its own; the others by more.
+    """
     model, taken = load_robot("ur10e"), samples("ur10e", duration=10.0)
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     result = identify(model, taken, base=base, method="entropic")

@@ -63,7 +63,10 @@ def test_a_robot_as_designed_needs_no_cause() -> None:
 
 
 def test_too_few_independent_samples_are_said_to_be_too_few() -> None:
-    """The same errors, worth as many samples as nothing can be told from: neither is a cause named nor is any said to be needless."""
+    """The same errors, worth as many samples as nothing can be told from.
+
+    Neither is a cause named nor is any said to be needless.
+    """
     result = identified(ARM, "pf")
     found = attribute(replace(result, effective_samples=0.5))
     assert found.chosen == ()
@@ -87,7 +90,10 @@ def test_sizes_are_those_of_the_causes() -> None:
 
 
 def test_friction_is_told_in_plain_numbers_whatever_terms_the_result_has() -> None:
-    """A power of velocity in place of viscous friction at joint 1: the sentence still says Coulomb and viscous, not one large Coulomb."""
+    """A power of velocity in place of viscous friction at joint 1.
+
+    The sentence still says Coulomb and viscous, not one large Coulomb.
+    """
     found = attribute(
         identified(
             ARM, "f", drive="viscous:joints=2/3/4/5/6/7,coulomb,offset,power:joints=1:exponent=0.7"
@@ -183,7 +189,10 @@ def test_nested_models_never_fit_worse_and_judge_on_held_out_data() -> None:
 
 
 def test_what_comes_later_does_not_hide_a_step() -> None:
-    """Little friction beside a payload that makes far more torque and is taken up after it: each step is tested against what the whole leaves."""
+    """Little friction beside a payload that makes far more torque and is taken up after it.
+
+    Each step is tested against what the whole leaves.
+    """
     found = attribute(identified(ARM, "pf", friction=(0.1, 0.15)))
     steps = {step.cause: step for step in found.steps}
     drop = {
@@ -197,7 +206,9 @@ def test_what_comes_later_does_not_hide_a_step() -> None:
 
 
 def test_every_step_has_more_parameters() -> None:
-    """Gains of joints whose torque CAD hardly knows, and friction that would be negative, are counted all the same."""
+    """Gains of joints whose torque CAD hardly knows, and friction that would be negative, are
+    counted all the same.
+    """
     still = identified(ARM, "p")
     model = still.model
     feather = model.with_parameters(

@@ -79,7 +79,10 @@ def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
     ],
 )
 def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, said: str) -> None:
-    """The robot is the same: what the tests call changed comes of the terms, and the first sentence says so."""
+    """The robot is the same.
+
+    What the tests call changed comes of the terms, and the first sentence says so.
+    """
     plain = "viscous,coulomb,offset"
     before, after = identified(ARM, "f"), identified(ARM, "f", seed=2, drive=drive)
     drift = compare_results(before, after, labels=("January", "July"))

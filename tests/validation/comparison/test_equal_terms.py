@@ -1,4 +1,7 @@
-"""Two results of one robot by whatever estimators: what has not changed is not said to have, and what has is."""
+"""Two results of one robot by whatever estimators.
+
+What has not changed is not said to have, and what has is.
+"""
 
 import json
 from dataclasses import replace

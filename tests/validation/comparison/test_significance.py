@@ -94,7 +94,10 @@ def test_tolerance_of_a_body_is_that_of_bodies_drawn_from_it() -> None:
 
 
 def test_wide_tolerances_hold_the_truth_as_often_as_they_say() -> None:
-    """CAD that is off by its tolerances is beyond them in about 5 % of cases; a first-order rule would say so in 20 %."""
+    """CAD that is off by its tolerances is beyond them in about 5 % of cases.
+
+    A first-order rule would say so in 20 %.
+    """
     model = load_robot("ur10e")
     base = find_base_parameters(model)
     tolerance = CadTolerance(0.15, 0.15, 0.15)

@@ -67,7 +67,10 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
 
 
 def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself() -> None:
-    """Slow motion about one pose hardly tells a first moment from an offset: its difference costs torque, none of it its own."""
+    """Slow motion about one pose hardly tells a first moment from an offset.
+
+    Its difference costs torque, none of it its own.
+    """
     model = load_robot(ARM)
     rng = np.random.default_rng(0)
     motion = FourierMotion(

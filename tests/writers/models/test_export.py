@@ -307,7 +307,11 @@ def test_a_study_leaves_the_edited_urdf_behind(
 def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
     shared: Path, tmp_path: Path
 ) -> None:
-    """The Med 7 as identified is no robot; the nearest one predicts its held-out blocks as well, though not random motion, which neither knows."""
+    """The Med 7 as identified is no robot.
+
+    The nearest one predicts its held-out blocks as well, though not random motion, which neither
+    knows.
+    """
     model = load_robot(shared / "models" / "lbrstack_med7.urdf")
     log = read_recordings(
         [shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"],
@@ -346,7 +350,10 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
 def test_a_study_says_what_its_files_cannot_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The robot of an identification comes as URDF, too: what is left out of that is told where the file is named, and in the JSON."""
+    """The robot of an identification comes as URDF, too.
+
+    What is left out of that is told where the file is named, and in the JSON.
+    """
     original = arm_urdf(tmp_path)
     model = load_robot(original)
     log = tmp_path / "log.csv"

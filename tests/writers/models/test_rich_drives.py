@@ -1,4 +1,7 @@
-"""Robots with many drive terms: what each file carries of them, and that its torques are those of the result."""
+"""Robots with many drive terms.
+
+What each file carries of them, and that its torques are those of the result.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +75,10 @@ def rich_result(name: str) -> IdentificationResult:
 def torques_of(
     result: IdentificationResult, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray
 ) -> np.ndarray:
-    """Predict as `predict_torque` does: kept columns alone, drives from the rigid-body torque of these."""
+    """Predict as `predict_torque` does.
+
+    Kept columns alone, drives from the rigid-body torque of these.
+    """
     rigid = 10 * result.model.n_joints
     chi = np.zeros(result.n_standard)
     chi[result.base.columns] = result.estimates
@@ -160,7 +166,10 @@ int main(void) {{
 
 
 def test_mujoco_has_what_it_can(tmp_path: Path) -> None:
-    """Springs, asymmetric friction and coupled motors, as MuJoCo's own inverse dynamics finds them; offsets as the actuators' bias."""
+    """Springs, asymmetric friction and coupled motors, as MuJoCo's own inverse dynamics finds them.
+
+    Offsets as the actuators' bias.
+    """
     model = coupled(bundled_robot("ur10e"))
     result = result_of(
         model,
@@ -216,7 +225,9 @@ def test_what_a_file_leaves_out_is_said(tmp_path: Path) -> None:
 
 
 def test_load_that_counts_an_armature_is_said(tmp_path: Path) -> None:
-    """The base parameters have the armature of joint 1 in the inertia of link 1, and so in its load; the exported robot has it apart."""
+    """The base parameters have the armature of joint 1 in the inertia of link 1, and so in its
+    load; the exported robot has it apart.
+    """
     model = bundled_robot("kuka-iiwa7-r800")
     result = result_of(model, as_if_identified(model, 2), drive="armature,load_friction")
     load = tuple(
@@ -315,7 +326,10 @@ def test_show_lists_further_terms(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_friction_of_the_description_is_not_counted_beside_what_was_identified_in_its_place(
     name: str, tmp_path: Path
 ) -> None:
-    """A simulator's damping and friction, and terms that stand for them: MuJoCo, reading either file, has the identified friction alone."""
+    """A simulator's damping and friction, and terms that stand for them.
+
+    MuJoCo, reading either file, has the identified friction alone.
+    """
     import mujoco
 
     model = bundled_robot(name)

@@ -58,7 +58,9 @@ def arm_file(folder: Path, text: str = ARM, codec: str = "latin-1") -> Path:
 
 
 def without_inertials_and_dynamics(content: bytes) -> bytes:
-    """Return the file without the elements that an export may change, found by another way than the writer's."""
+    """Return the file without the elements that an export may change, found by another way than the
+    writer's.
+    """
     return re.sub(rb"(?s)\s*<inertial>.*?</inertial>|\s*<dynamics[^>]*/>", b"", content)
 
 

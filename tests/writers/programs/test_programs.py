@@ -1,4 +1,7 @@
-"""Programs for controllers: what every format promises, the sheets beside them, and names from strangers."""
+"""Programs for controllers.
+
+What every format promises, the sheets beside them, and names from strangers.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,9 @@ def excitation(model: RobotModel, duration: float = 5.0) -> Motion:
 
 
 def limited(name: str) -> RobotModel:
-    """The robot with a finite limit wherever its description gives none, so that every format has what it needs."""
+    """The robot with a finite limit wherever its description gives none, so that every format has
+    what it needs.
+    """
     model = bundled_robot(name)
     joints = [replace(j.limits, velocity=min(j.limits.velocity, 2.0)) for j in model.joints]
     return model.with_limits(joints)
@@ -304,7 +309,9 @@ def test_csv_reads_back_as_the_motion(tmp_path: Path) -> None:
 def test_logs_of_kuka_and_franka_come_back_as_torques_of_the_drive(
     form: str, header: str, tmp_path: Path
 ) -> None:
-    """A log written the way the controller writes it, sign included, is read with the sheet as what the drives exert."""
+    """A log written the way the controller writes it, sign included, is read with the sheet as what
+    the drives exert.
+    """
     model = bundled_robot("kuka-iiwa7-r800")
     motion = excitation(model)
     written = write_program(tmp_path, make_program(model, motion, form, name="run"))

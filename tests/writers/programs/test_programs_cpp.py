@@ -1,4 +1,6 @@
-"""The C++ programs, compiled against small stand-ins for KUKA's and Franka's libraries and run on an ideal robot."""
+"""The C++ programs, compiled against small stand-ins for KUKA's and Franka's libraries and run on
+an ideal robot.
+"""
 
 from __future__ import annotations
 
@@ -316,7 +318,10 @@ def test_wrong_usage_and_foreign_tables_are_refused(built: Built) -> None:
 
 @pytest.mark.parametrize("full", [False, True])
 def test_commands_have_no_jumps_of_acceleration(built: Built, full: bool) -> None:
-    """Third differences of the commands stay at the jerk of the motion: nothing is rounded, repeated or left out anywhere."""
+    """Third differences of the commands stay at the jerk of the motion.
+
+    Nothing is rounded, repeated or left out anywhere.
+    """
     built.run(*(["--full"] if full else []), start=built.motion.start)
     rate = 200.0 if built.form == "fri" else 1000.0
     meant = built.motion if full else built.motion.slowed(10)

@@ -1,4 +1,6 @@
-"""The Java applications for KUKA Sunrise, compiled against small stand-ins for KUKA's classes and run without a robot."""
+"""The Java applications for KUKA Sunrise, compiled against small stand-ins for KUKA's classes and
+run without a robot.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""URScript programs: their form, and their course when run line by line with a stand-in for the controller."""
+"""URScript programs: their form, and their course when run line by line with a stand-in for the
+controller.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,10 @@ class HaltError(Exception):
 
 @dataclass
 class Controller:
-    """An ideal UR: it is where servoj or movej put it, `tick` seconds later; it is `off` away from where movej should bring it."""
+    """An ideal UR: it is where servoj or movej put it, `tick` seconds later.
+
+    It is `off` away from where movej should bring it.
+    """
 
     tick: float
     off: float = 0.0
@@ -67,7 +72,9 @@ class Controller:
 
 
 def balanced(script: str) -> None:
-    """Assert that blocks open and close at their indentation, and that brackets close on their line."""
+    """Assert that blocks open and close at their indentation, and that brackets close on their
+    line.
+    """
     open_blocks: list[int] = []
     for line in script.splitlines():
         code = line.split("#")[0].rstrip() if line.lstrip().startswith("#") else line.rstrip()
@@ -88,7 +95,10 @@ def balanced(script: str) -> None:
 
 
 def python_of(script: str) -> str:
-    """Translate to Python: blocks by indentation are there already; URScript's rules of scope are made explicit."""
+    """Translate to Python: blocks by indentation are there already.
+
+    URScript's rules of scope are made explicit.
+    """
     lines, nested, local = [], False, set[str]()
     code_lines = script.splitlines()
     for k, line in enumerate(code_lines):

@@ -1,4 +1,7 @@
-"""The page of CAD against as built: what it says first, and that nothing of it is cut off on a narrow screen."""
+"""The page of CAD against as built.
+
+What it says first, and that nothing of it is cut off on a narrow screen.
+"""
 
 from __future__ import annotations
 

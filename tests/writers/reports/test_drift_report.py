@@ -1,4 +1,7 @@
-"""The page of two results: what it says first, its numbers, and that nothing of it is cut off on a narrow screen."""
+"""The page of two results.
+
+What it says first, its numbers, and that nothing of it is cut off on a narrow screen.
+"""
 
 from __future__ import annotations
 

@@ -230,7 +230,9 @@ def test_nothing_overflows_a_phone(browser: Any, page: Path) -> None:
 
 @pytest.mark.parametrize("width", [1300, 900])
 def test_no_table_is_cut_off(browser: Any, width: int, tmp_path: Path) -> None:
-    """Seven joints with long expressions of parameters, causes and all, at the width of half a screen too."""
+    """Seven joints with long expressions of parameters, causes and all, at the width of half a
+    screen too.
+    """
     page = write_report(tmp_path / "report.html", identified("kuka-iiwa7-r800", "pf"), [])
     browser.set_window_size(width, 1000)
     browser.get(page.as_uri())

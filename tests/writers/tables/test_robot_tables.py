@@ -9,7 +9,10 @@ from asbuilt.writers.tables.robot_tables import links_table
 
 
 def test_rounding_is_not_shown_as_products_of_inertia() -> None:
-    """A ball far from the origin: its inertia about the centre is the difference of large numbers, and has no products."""
+    """A ball far from the origin.
+
+    Its inertia about the centre is the difference of large numbers, and has no products.
+    """
     ball = LinkInertia.from_com(2.0, [0.3, -0.7, 0.11], 1e-3 * np.eye(3)).moved(
         placement(rotation_from_rpy([0.3, 0.2, 0.1]), [0.0, 0.1, 0.9])
     )

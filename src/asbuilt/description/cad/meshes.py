@@ -41,8 +41,9 @@ MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf")
 class MeshPart:
     """One body of a link: a closed surface in a file, its material, and where it sits.
 
-    `material` is a name of `MATERIALS` or a density [kg/m^3]; `unit` is the length unit of the file, which STL and OBJ do not state;
-    `placement` (4, 4) is the pose of the file's axes in the frame of the link [m] (default: the same axes).
+    `material` is a name of `MATERIALS` or a density [kg/m^3]; `unit` is the length unit of the
+    file, which STL and OBJ do not state; `placement` (4, 4) is the pose of the file's axes in the
+    frame of the link [m] (default: the same axes).
     """
 
     path: str | Path
@@ -53,7 +54,9 @@ class MeshPart:
 
     @property
     def density(self) -> float:
-        """Density [kg/m^3]; raises `DescriptionError` for a material that is unknown and a density that is not positive."""
+        """Density [kg/m^3]; raises `DescriptionError` for a material that is unknown and a density
+        that is not positive.
+        """
         if isinstance(self.material, str):
             if self.material not in MATERIALS:
                 known = ", ".join(MATERIALS)
@@ -78,11 +81,14 @@ class CadLink:
 
 
 def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
-    """Return a link whose mass properties are those of uniform solids bounded by meshes; needs the extra `cad` (trimesh).
+    """Return a link whose mass properties are those of uniform solids bounded by meshes.
 
-    Volume, centre and moments are integrals over the surface, exact for the given facets (Mirtich, 1996). Warns where a surface is not
-    closed, so that its volume means little, or is turned inside out (then it is turned back). Raises `DescriptionError` for files that
-    hold no surface and for parts without volume.
+    Needs the extra `cad` (trimesh).
+
+    Volume, centre and moments are integrals over the surface, exact for the given facets (Mirtich,
+    1996). Warns where a surface is not closed, so that its volume means little, or is turned inside
+    out (then it is turned back). Raises `DescriptionError` for files that hold no surface and for
+    parts without volume.
     """
     if not parts:
         raise DescriptionError(f"link {name!r}: no parts are given; a link needs at least one mesh")
@@ -97,7 +103,10 @@ def link_from_meshes(name: str, parts: Sequence[MeshPart]) -> CadLink:
 
 
 def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
-    """Return the inertia of one part in the frame of its link, and warnings about its surface; raises `DescriptionError` as `link_from_meshes` does."""
+    """Return the inertia of one part in the frame of its link, and warnings about its surface.
+
+    Raises `DescriptionError` as `link_from_meshes` does.
+    """
     try:
         import trimesh  # noqa: PLC0415 - an extra
     except ImportError:
@@ -151,7 +160,9 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
 
 
 def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotModel:
-    """Return the robot with the mass properties of the named links replaced; the warnings are added to the notes of the model.
+    """Return the robot with the mass properties of the named links replaced.
+
+    The warnings are added to the notes of the model.
 
     Raises `DescriptionError` for a name that is no link of the robot.
     """

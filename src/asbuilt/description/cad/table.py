@@ -52,13 +52,17 @@ def read_cad_table(
     length_unit: str = "",
     placements: Mapping[str, Array] | None = None,
 ) -> dict[str, CadLink]:
-    """Read the mass properties of links from a CSV table, one row per part; rows of one link add up.
+    """Read the mass properties of links from a CSV table, one row per part.
 
-    Columns `link, part, mass, cx, cy, cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz` (part is optional, other usual names are understood). Units stand in
-    the header, as in `mass [g]` and `Ixx [g mm^2]`, or are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must
-    be said because files do not say them: the tensor is `about` the centre of mass or the origin of the axes, and its `products` are the
-    entries of the tensor, `-integral(x y dm)`, or the plain integrals `+integral(x y dm)`. `placements` gives the pose (4, 4) of the axes of
-    the table in the frame of a link where the two differ. Raises `DescriptionError` with line and column.
+    Rows of one link add up.
+
+    Columns `link, part, mass, cx, cy, cz, Ixx, Iyy, Izz, Ixy, Ixz, Iyz` (part is optional, other
+    usual names are understood). Units stand in the header, as in `mass [g]` and `Ixx [g mm^2]`, or
+    are given as `mass_unit` and `length_unit`; nothing is assumed. Two conventions must be said
+    because files do not say them: the tensor is `about` the centre of mass or the origin of the
+    axes, and its `products` are the entries of the tensor, `-integral(x y dm)`, or the plain
+    integrals `+integral(x y dm)`. `placements` gives the pose (4, 4) of the axes of the table in
+    the frame of a link where the two differ. Raises `DescriptionError` with line and column.
     """
     path = Path(path)
     if about not in ("com", "origin") or products not in ("tensor", "integral"):
@@ -130,7 +134,10 @@ def _inertia(values: Mapping[str, float], about: str, products: str) -> LinkIner
 
 
 def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
-    """Return the numbered lines, and what a comma in a number stands for: a decimal point, unless commas separate the cells."""
+    """Return the numbered lines, and what a comma in a number stands for.
+
+    A decimal point, unless commas separate the cells.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
         header = text.partition("\n")[0]

@@ -23,7 +23,9 @@ _SUPERSCRIPT = {"²": 2, "³": 3}
 
 
 def unit_factor(text: str, *, mass: int, length: int) -> float:
-    """Return the SI value of a unit such as `"g mm^2"`, `"kg*m²"` or `"lb in2"`; it must be mass^mass length^length.
+    """Return the SI value of a unit such as `"g mm^2"`, `"kg*m²"` or `"lb in2"`.
+
+    It must be mass^mass length^length.
 
     Raises `DescriptionError` where a symbol is unknown or the dimension is another one.
 

@@ -32,11 +32,15 @@ Convention = Literal["standard", "modified"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DHRow:
-    """One joint and its link by the four Denavit-Hartenberg parameters: lengths a, b [m], angles alpha, theta [rad].
+    """One joint and its link by the four Denavit-Hartenberg parameters.
 
-    `b` is the joint offset along z (d in many textbooks). `theta` is added to the joint angle of a revolute joint and `b` to the
-    displacement of a prismatic one. `parent` is the index of the parent row (None: the row before; ROOT: the root link). `origin`
-    (4, 4) is an extra placement in front of the row, such as a pedestal. `inertia` is about the origin of the row's frame, in its axes.
+    Lengths a, b [m], angles alpha, theta [rad].
+
+    `b` is the joint offset along z (d in many textbooks). `theta` is added to the joint angle of a
+    revolute joint and `b` to the displacement of a prismatic one. `parent` is the index of the
+    parent row (None: the row before; ROOT: the root link). `origin` (4, 4) is an extra placement in
+    front of the row, such as a pedestal. `inertia` is about the origin of the row's frame, in its
+    axes.
     """
 
     a: float = 0.0
@@ -67,12 +71,15 @@ def robot_from_dh(
 ) -> RobotModel:
     """Build a robot from Denavit-Hartenberg rows.
 
-    Standard (Denavit and Hartenberg, 1955; Spong): `T = RotZ(theta) TransZ(b) TransX(a) RotX(alpha)`, the joint turns about z of the parent frame.
-    Modified (Craig; Khalil and Kleinfinger, 1986): `T = RotX(alpha) TransX(a) RotZ(theta) TransZ(b)`, the joint turns about z of its own frame.
-    Non-zero lengths get the letters `a<i>` and `b<i>` of their row i, also in the modified convention, where textbooks count `a` one lower.
-    Angles within 1e-5 rad of a right angle become exact, with a note where this moves them by more than 1e-9.
+    Standard (Denavit and Hartenberg, 1955; Spong): `T = RotZ(theta) TransZ(b) TransX(a)
+    RotX(alpha)`, the joint turns about z of the parent frame. Modified (Craig; Khalil and
+    Kleinfinger, 1986): `T = RotX(alpha) TransX(a) RotZ(theta) TransZ(b)`, the joint turns about z
+    of its own frame. Non-zero lengths get the letters `a<i>` and `b<i>` of their row i, also in the
+    modified convention, where textbooks count `a` one lower. Angles within 1e-5 rad of a right
+    angle become exact, with a note where this moves them by more than 1e-9.
 
-    Raises `DescriptionError` for an unknown convention, numbers that are not finite, and rows that hang on later ones.
+    Raises `DescriptionError` for an unknown convention, numbers that are not finite, and rows that
+    hang on later ones.
 
     >>> arm = robot_from_dh([DHRow(a=0.5), DHRow(a=0.4)], name="planar")
     >>> arm.n_joints, dict(arm.lengths)
@@ -121,9 +128,12 @@ def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
 
 
 def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -> Joint:
-    """Return the joint of a Denavit-Hartenberg row; `notes` takes a remark on every angle that was straightened.
+    """Return the joint of a Denavit-Hartenberg row.
 
-    Raises `DescriptionError` for numbers that are not finite and for a parent that is no earlier row.
+    `notes` takes a remark on every angle that was straightened.
+
+    Raises `DescriptionError` for numbers that are not finite and for a parent that is no earlier
+    row.
     """
     number = index + 1
     for column, value in (("a", row.a), ("alpha", row.alpha), ("b", row.b), ("theta", row.theta)):
@@ -169,7 +179,10 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
 
 
 def joint_on_origin(joint: Joint, origin: Array, origin_letters: Letters | None = None) -> Joint:
-    """Return the joint with a placement (4, 4) in front of it; letters survive where both translations are zero or have letters."""
+    """Return the joint with a placement (4, 4) in front of it.
+
+    Letters survive where both translations are zero or have letters.
+    """
     before = composed(origin, joint.before)
     local = joint.before_letters or (None if joint.before[:3, 3].any() else NO_LETTERS)
     ahead = origin_letters or (None if origin[:3, 3].any() else NO_LETTERS)

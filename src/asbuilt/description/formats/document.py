@@ -1,4 +1,7 @@
-"""A robot as a plain document of lists, numbers and texts: written to JSON and read back, it is the same robot to the last bit."""
+"""A robot as a plain document of lists, numbers and texts.
+
+Written to JSON and read back, it is the same robot to the last bit.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ from asbuilt.errors import DescriptionError
 
 
 def model_document(model: RobotModel) -> dict[str, Any]:
-    """Return the whole robot as a document: `model_from_document(model_document(model))` equals `model`; infinite limits are None."""
+    """Return the whole robot as a document.
+
+    `model_from_document(model_document(model))` equals `model`; infinite limits are None.
+    """
     return {
         "name": model.name,
         "source": model.source,
@@ -44,7 +50,10 @@ def model_document(model: RobotModel) -> dict[str, Any]:
 
 
 def model_from_document(document: Mapping[str, Any]) -> RobotModel:
-    """Rebuild a robot from `model_document`; raises `DescriptionError` where something is missing or of the wrong kind."""
+    """Rebuild a robot from `model_document`.
+
+    Raises `DescriptionError` where something is missing or of the wrong kind.
+    """
     try:
         return RobotModel(
             name=str(document["name"]),

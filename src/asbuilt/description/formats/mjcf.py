@@ -60,12 +60,15 @@ FREE, BALL, SLIDE, HINGE = range(4)
 def read_mjcf(path_or_text: str | Path) -> RobotModel:
     """Read a robot from an MJCF file or from the XML text itself; needs the extra `sim` (MuJoCo).
 
-    MuJoCo compiles the file, so defaults, classes and orientations mean what they mean there; meshes and textures are taken out first.
-    The frame of a link is the MuJoCo body frame. Bodies without joint are merged as fixed; several joints on one body become links in a
-    row, all massless but the last. Armature, damping and frictionloss become drive values where they are not zero, named sites become
-    frames. A body whose inertia could only come from a mesh is marked as unknown, with a note.
+    MuJoCo compiles the file, so defaults, classes and orientations mean what they mean there;
+    meshes and textures are taken out first. The frame of a link is the MuJoCo body frame. Bodies
+    without joint are merged as fixed; several joints on one body become links in a row, all
+    massless but the last. Armature, damping and frictionloss become drive values where they are not
+    zero, named sites become frames. A body whose inertia could only come from a mesh is marked as
+    unknown, with a note.
 
-    Raises `DescriptionError` for free and ball joints, included files and whatever MuJoCo refuses (format: MuJoCo XML reference).
+    Raises `DescriptionError` for free and ball joints, included files and whatever MuJoCo refuses
+    (format: MuJoCo XML reference).
     """
     content, source = described_text(path_or_text)
     root = parsed_xml(content, source)
@@ -117,7 +120,9 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
 
 
 def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
-    """Return the compiled model and MuJoCo's warnings, which would otherwise go to the terminal and to a log file."""
+    """Return the compiled model and MuJoCo's warnings, which would otherwise go to the terminal and
+    to a log file.
+    """
     warnings: list[str] = []
     previous = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(warnings.append)
@@ -200,7 +205,9 @@ def _without_shapes(root: Element, source: str) -> set[str]:
 
 
 def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, Element, str | None]]:
-    """Yield holder, element and class in force for what belongs to a body, also through `<frame>`s, which are no bodies."""
+    """Yield holder, element and class in force for what belongs to a body, also through `<frame>`s,
+    which are no bodies.
+    """
     for element in body:
         if element.tag == "frame":
             yield from _inside(element, element.get("childclass", childclass))
@@ -230,7 +237,10 @@ def _default_shapes(element: Element, inherited: str) -> list[tuple[str | None, 
 
 @dataclass
 class _Tree:
-    """Bodies already merged: `carrier[b]` and `pose[b]` place body b in a moving link (ROOT: the world)."""
+    """Bodies already merged.
+
+    `carrier[b]` and `pose[b]` place body b in a moving link (ROOT: the world).
+    """
 
     mujoco: ModuleType
     model: Any

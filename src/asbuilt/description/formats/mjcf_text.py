@@ -15,18 +15,23 @@ from asbuilt.description.rotation import quaternion_from_rotation
 from asbuilt.errors import InertiaError
 
 FEATHER = 1e-14
-"""Mass [kg] and inertia [kg m^2] written for a massless link, for MuJoCo refuses bodies that have none."""
+"""Mass [kg] and inertia [kg m^2] written for a massless link, for MuJoCo refuses bodies that have
+none.
+"""
 PALETTE = ("0.90 0.49 0.13 1", "0.86 0.87 0.88 1")
 """Colours of housings and rods."""
 
 
 def mjcf_text(model: RobotModel, *, actuators: bool = True, shapes: bool = True) -> str:
-    """Return the robot as an MJCF document; placements and inertias keep full precision, so MuJoCo's torques are those of the model.
+    """Return the robot as an MJCF document.
 
-    The body frame is the link frame: with the joint at `before motion(q) after`, the body stands at `before after`, and the joint's axis and anchor
-    in it are `R_after^T z` and `-R_after^T p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss; an
-    offset has no place in MJCF and is left out. `actuators` adds a torque motor per joint, `shapes` rods and housings that neither weigh nor
-    collide.
+    Placements and inertias keep full precision, so MuJoCo's torques are those of the model.
+
+    The body frame is the link frame: with the joint at `before motion(q) after`, the body stands at
+    `before after`, and the joint's axis and anchor in it are `R_after^T z` and `-R_after^T
+    p_after`. Armature, viscous and Coulomb friction become armature, damping and frictionloss; an
+    offset has no place in MJCF and is left out. `actuators` adds a torque motor per joint, `shapes`
+    rods and housings that neither weigh nor collide.
 
     Raises
     ------

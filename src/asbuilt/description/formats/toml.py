@@ -1,4 +1,7 @@
-"""The robot file of asbuilt (TOML): Denavit-Hartenberg rows or link placements, mass properties, limits, drives, citation."""
+"""The robot file of asbuilt (TOML).
+
+Denavit-Hartenberg rows or link placements, mass properties, limits, drives, citation.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,10 @@ from asbuilt.errors import AsbuiltError, DescriptionError
 
 
 def read_robot_toml(path: str | Path) -> RobotModel:
-    """Read a robot from a TOML file; raises one `DescriptionError` that names file, table, field, value and cure."""
+    """Read a robot from a TOML file.
+
+    Raises one `DescriptionError` that names file, table, field, value and cure.
+    """
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -43,7 +49,10 @@ def read_robot_toml(path: str | Path) -> RobotModel:
 
 
 def robot_from_toml(text: str, *, source: str = "TOML text") -> RobotModel:
-    """Read a robot from the text of a TOML file; `source` names it in errors and in the model; raises `DescriptionError` as `read_robot_toml`."""
+    """Read a robot from the text of a TOML file; `source` names it in errors and in the model.
+
+    Raises `DescriptionError` as `read_robot_toml`.
+    """
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -77,7 +86,10 @@ class _Reading:
         return known.index(name)
 
     def placed(self, table: PlacementTable, what: str, index: int) -> tuple[Array, Letters | None]:
-        """Return the 4 x 4 matrix and, where at least one length is named, letters for all; numbers among them get letters such as `x3`."""
+        """Return the 4 x 4 matrix and, where at least one length is named, letters for all.
+
+        Numbers among them get letters such as `x3`.
+        """
         if table.rotation is not None:
             R = snapped(table.rotation)
         else:

@@ -70,7 +70,10 @@ class PlacementTable(_Table):
 
 
 class TensorTable(_Table):
-    """The six moments and products of inertia [kg m^2]; a product is the entry of the tensor, `Ixy = -integral(x y dm)`."""
+    """The six moments and products of inertia [kg m^2].
+
+    A product is the entry of the tensor, `Ixy = -integral(x y dm)`.
+    """
 
     Ixx: Finite
     Iyy: Finite
@@ -92,7 +95,10 @@ class TensorTable(_Table):
 
 
 class MassTable(_Table):
-    """Mass properties in the axes of the link's frame; the tensor about the centre of mass or about the frame's origin."""
+    """Mass properties in the axes of the link's frame.
+
+    The tensor about the centre of mass or about the frame's origin.
+    """
 
     mass: Finite | None = None
     com: Vector | None = None
@@ -156,7 +162,9 @@ class PartTable(MassTable):
 
 
 class LimitsTable(_Table):
-    """Limits of a joint in the angle unit of the file (m for a prismatic joint), torque in N m (force in N)."""
+    """Limits of a joint in the angle unit of the file (m for a prismatic joint), torque in N m
+    (force in N).
+    """
 
     lower: float = -math.inf
     upper: float = math.inf
@@ -176,9 +184,13 @@ class LimitsTable(_Table):
 
 
 class DriveTable(_Table):
-    """What is known of a drive: armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side, the gear ratio, and further terms.
+    """What is known of a drive.
 
-    `terms` names terms of `asbuilt drives`, each with its parameters by letter and its shapes by name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
+    Armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side,
+    the gear ratio, and further terms.
+
+    `terms` names terms of `asbuilt drives`, each with its parameters by letter and its shapes by
+    name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
     """
 
     armature: Finite | None = None
@@ -253,7 +265,10 @@ class FrameTable(PlacementTable):
 
 
 class CouplingTable(_Table):
-    """A motor, named by its joint, that turns with several joints: `turns` gives its share of each, e.g. `{joint_5 = 1.0, joint_6 = 1.0}`."""
+    """A motor, named by its joint, that turns with several joints.
+
+    `turns` gives its share of each, e.g. `{joint_5 = 1.0, joint_6 = 1.0}`.
+    """
 
     motor: str
     turns: dict[str, Finite] = Field(min_length=1)
@@ -285,7 +300,11 @@ class RobotFile(_Table):
 
 
 def checked_file(content: dict[str, Any], source: str) -> RobotFile:
-    """Return the checked file; raises one `DescriptionError` that names file, table, field, what was given and what is expected."""
+    """Return the checked file.
+
+    Raises one `DescriptionError` that names file, table, field, what was given and what is
+    expected.
+    """
     try:
         return RobotFile.model_validate(content)
     except ValidationError as error:

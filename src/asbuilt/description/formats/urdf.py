@@ -77,13 +77,16 @@ class _Tree:
 def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> RobotModel:
     """Read a robot from a URDF file or from the XML text itself.
 
-    The frame of a moving link is the URDF link frame; `before` ends with a rotation of z onto the joint axis, which `after` takes back.
-    Links behind fixed joints are merged into the moving link that carries them, and kept as frames and as `Link.parts` (all in the frame of
-    the carrier); what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping and friction become
-    viscous and Coulomb values. Angles within 1e-5 rad of a right angle become exact, unless `straighten` is False, which reads them to the
-    letter as other programs do. Meshes are neither needed nor looked for.
+    The frame of a moving link is the URDF link frame; `before` ends with a rotation of z onto the
+    joint axis, which `after` takes back. Links behind fixed joints are merged into the moving link
+    that carries them, and kept as frames and as `Link.parts` (all in the frame of the carrier);
+    what is fixed to the root link does not move and its inertia is dropped. `<dynamics>` damping
+    and friction become viscous and Coulomb values. Angles within 1e-5 rad of a right angle become
+    exact, unless `straighten` is False, which reads them to the letter as other programs do. Meshes
+    are neither needed nor looked for.
 
-    Raises `DescriptionError` naming the element, what was given and what would do (format: http://wiki.ros.org/urdf/XML).
+    Raises `DescriptionError` naming the element, what was given and what would do (format:
+    http://wiki.ros.org/urdf/XML).
     """
     content, source = described_text(path_or_text)
     root = parsed_xml(content, source)

@@ -1,4 +1,6 @@
-"""XML from strangers: parsed without entities or external references, every attribute checked where it is read."""
+"""XML from strangers: parsed without entities or external references, every attribute checked where
+it is read.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ LARGEST_DESCRIPTION = 50_000_000
 
 
 def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
-    """Return the content and a name for error messages of a description given as a path or as the text itself.
+    """Return the content and a name for error messages of a description given as a path or as the
+    text itself.
 
     Raises `DescriptionError` for a file that cannot be read or is larger than any description.
     """
@@ -41,7 +44,10 @@ def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
 
 
 def outermost_tag(content: bytes) -> str:
-    """Return the name of the first element of an XML text, comments passed over; an empty text where there is none."""
+    """Return the name of the first element of an XML text, comments passed over.
+
+    An empty text where there is none.
+    """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         content = content.decode("utf-16", "replace").encode()
     match = re.search(
@@ -51,7 +57,10 @@ def outermost_tag(content: bytes) -> str:
 
 
 def parsed_xml(content: bytes, source: str) -> Element:
-    """Return the root element; entities, external references and malformed text raise `DescriptionError`."""
+    """Return the root element.
+
+    Entities, external references and malformed text raise `DescriptionError`.
+    """
     try:
         root: Element = fromstring(content)
     except DefusedXmlException as error:
@@ -92,7 +101,10 @@ def required(element: Element, attribute: str, place: str) -> str:
 
 
 def number(element: Element, attribute: str, place: str, default: float | None = None) -> float:
-    """Return a finite number from an attribute; raises `DescriptionError` where it is missing (without default), no number or not finite."""
+    """Return a finite number from an attribute.
+
+    Raises `DescriptionError` where it is missing (without default), no number or not finite.
+    """
     if default is not None and element.get(attribute) is None:
         return default
     return finite_number(
@@ -101,7 +113,10 @@ def number(element: Element, attribute: str, place: str, default: float | None =
 
 
 def numbers(element: Element, attribute: str, count: int, place: str) -> list[float]:
-    """Return `count` finite numbers separated by blanks; raises `DescriptionError` with place and value."""
+    """Return `count` finite numbers separated by blanks.
+
+    Raises `DescriptionError` with place and value.
+    """
     text = required(element, attribute, place)
     what = f"{place}: {attribute} of <{element.tag}>"
     cells = text.split()

@@ -1,4 +1,7 @@
-"""Where on its axis the frame of a joint sits: a free choice, made so that lengths stay out of local conditions."""
+"""Where on its axis the frame of a joint sits.
+
+A free choice, made so that lengths stay out of local conditions.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,9 @@ LENGTH_TOLERANCE = 1e-12
 def lettered_translation(
     transform: Array, letters: Letters | None, lengths: Mapping[str, float]
 ) -> Letters:
-    """Return the letters of a placement's translation, or its numbers where it has none or they say something else."""
+    """Return the letters of a placement's translation, or its numbers where it has none or they say
+    something else.
+    """
     translation = transform[:3, 3]
     if (
         letters is not None
@@ -34,9 +39,11 @@ def lettered_translation(
 
 
 def nearest_origins(model: RobotModel) -> RobotModel:
-    """Return the same robot with every joint frame slid along its axis to the point nearest the origin of the parent link.
+    """Return the same robot with every joint frame slid along its axis to the point nearest the
+    origin of the parent link.
 
-    The motion commutes with a translation along its axis: `before (1, z d) motion(q) after = before motion(q) (1, z d) after`.
+    The motion commutes with a translation along its axis: `before (1, z d) motion(q) after = before
+    motion(q) (1, z d) after`.
     """
     values = {**model.lengths, NUMBER: 1.0}
     joints = []

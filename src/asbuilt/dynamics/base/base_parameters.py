@@ -21,10 +21,13 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """Regroup the standard parameters chi into base parameters: `beta = regrouping @ chi`, `Y = Y[:, columns] @ regrouping`.
+    """Regroup the standard parameters chi into base parameters.
 
-    `columns` (n_base,) are the first independent columns in id order, counted from 0, `ids = columns + 1`; `regrouping` has shape
-    (n_base, n_standard). `expressions` have numbers for lengths, `symbolic` letters where the description names lengths.
+    `beta = regrouping @ chi`, `Y = Y[:, columns] @ regrouping`.
+
+    `columns` (n_base,) are the first independent columns in id order, counted from 0, `ids =
+    columns + 1`; `regrouping` has shape (n_base, n_standard). `expressions` have numbers for
+    lengths, `symbolic` letters where the description names lengths.
     """
 
     robot: str
@@ -67,7 +70,9 @@ class BaseParameters:
         return tuple(self.standard_units[column] for column in self.columns)
 
     def values(self, chi: ArrayLike) -> Array:
-        """Return `beta = regrouping @ chi`, shape (n_base,); a NaN in chi reaches only the base parameters that contain it.
+        """Return `beta = regrouping @ chi`, shape (n_base,).
+
+        A NaN in chi reaches only the base parameters that contain it.
 
         Raises `UsageError` for another shape than (n_standard,).
         """
@@ -84,10 +89,13 @@ class BaseParameters:
 
 
 def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseParameters:
-    """Return the base parameters of a robot: structure first, then checked against the numeric rank of a random observation matrix.
+    """Return the base parameters of a robot.
 
-    Raises `IdentifiabilityError` where the two disagree. Sources: Mayeda, Yoshida & Osuka (1990); Gautier & Khalil (1990); Wensing,
-    Niemeyer & Slotine (2024); derivation in docs/derivations/base-parameters.md.
+    Structure first, then checked against the numeric rank of a random observation matrix.
+
+    Raises `IdentifiabilityError` where the two disagree. Sources: Mayeda, Yoshida & Osuka (1990);
+    Gautier & Khalil (1990); Wensing, Niemeyer & Slotine (2024); derivation in
+    docs/derivations/base-parameters.md.
 
     Examples
     --------

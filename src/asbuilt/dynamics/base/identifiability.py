@@ -1,4 +1,7 @@
-"""Why a standard parameter is identifiable alone, only in a sum, or never: one sentence, specific to the robot."""
+"""Why a standard parameter is identifiable alone, only in a sum, or never.
+
+One sentence, specific to the robot.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,8 @@ LISTED_NAMES = 4
 class StandardParameter:
     """Say of one standard parameter whether torques determine it alone, only in sums, or never.
 
-    `members` are the ids of the base parameters whose expressions contain it; `why` is one sentence.
+    `members` are the ids of the base parameters whose expressions contain it; `why` is one
+    sentence.
     """
 
     id: int
@@ -40,7 +44,11 @@ class StandardParameter:
 
 @dataclass(frozen=True, eq=False)
 class _LinkView:
-    """What a link can do, in words and numbers: how many directions it turns in, how many twists it has, the sole `axis` of turning in its frame."""
+    """What a link can do, in words and numbers.
+
+    How many directions it turns in, how many twists it has, the sole `axis` of turning in its
+    frame.
+    """
 
     number: int
     phrase: str
@@ -314,7 +322,9 @@ def _moved_to_parent(
 
 
 def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
-    """Return the reason for a term that not all joints have or that shares its columns, empty where there is nothing of the kind to say."""
+    """Return the reason for a term that not all joints have or that shares its columns, empty where
+    there is nothing of the kind to say.
+    """
     term = [term for term in drive.terms for _ in term.letters][position]
     if not term.is_at(joint):
         return f"joint {joint + 1} is not among the joints that {term.key} was chosen for"

@@ -1,4 +1,7 @@
-"""The numeric rank of an observation matrix at random states: the second road to the number of base parameters."""
+"""The numeric rank of an observation matrix at random states.
+
+The second road to the number of base parameters.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +15,18 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 
 ABSENT_COLUMN = 1e-12
-"""A column smaller than this, relative to the largest, is rounding noise and counts as zero before columns are scaled."""
+"""A column smaller than this, relative to the largest, is rounding noise and counts as zero before
+columns are scaled.
+"""
 
 RANK_TOLERANCE = 1e-11
 """Singular values of the column-scaled matrix below this, relative to the largest, count as zero."""
 
 ROWS_PER_COLUMN = 2.0
-"""Rows of the matrix for each of its columns: with one for each, chance could make it look singular."""
+"""Rows of the matrix for each of its columns.
+
+With one for each, chance could make it look singular.
+"""
 FEWEST_STATES = 12
 """Random states for a robot of few joints and columns."""
 SEED = 20151
@@ -26,17 +34,21 @@ SEED = 20151
 
 @dataclass(frozen=True, eq=False)
 class ObservationRank:
-    """Hold the `rank` of a random observation matrix and the `singular_values` of its scaled columns, relative to the largest."""
+    """Hold the `rank` of a random observation matrix and the `singular_values` of its scaled
+    columns, relative to the largest.
+    """
 
     rank: int
     singular_values: Array
 
 
 def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
-    """Return the rank of the column-scaled observation matrix at random states, the same ones at every call.
+    """Return the rank of the column-scaled observation matrix at random states, the same ones at
+    every call.
 
-    The matrix comes from Kane's equations in root axes, `tau_k = sum_i (partial velocities of link i) . (inertia forces of link i)`, so that
-    it shares neither the recursion nor the compiled kernels of the regressor. A load that drive terms depend on comes from random parameters.
+    The matrix comes from Kane's equations in root axes, `tau_k = sum_i (partial velocities of link
+    i) . (inertia forces of link i)`, so that it shares neither the recursion nor the compiled
+    kernels of the regressor. A load that drive terms depend on comes from random parameters.
     """
     n = model.n_joints
     n_columns = (10 + drive.columns_per_joint) * n
@@ -126,7 +138,8 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
 
 
 def _inertia_forces(w: Array, dw: Array, a: Array) -> Array:
-    """Return moment about the origin and force of a link, linear in its ten parameters, shape (n_samples, 6, 10), in link axes.
+    """Return moment about the origin and force of a link, linear in its ten parameters, shape
+    (n_samples, 6, 10), in link axes.
 
     `moment = I dw + w x I w + h x a`, `force = m a + dw x h + w x (w x h)`.
     """
@@ -145,7 +158,10 @@ def _inertia_forces(w: Array, dw: Array, a: Array) -> Array:
 
 
 def _cross(u: Array, v: Array) -> Array:
-    """Return the cross product over the last axis; `numpy.cross` is several times slower on small arrays."""
+    """Return the cross product over the last axis.
+
+    `numpy.cross` is several times slower on small arrays.
+    """
     x, y, z = u[..., 0], u[..., 1], u[..., 2]
     a, b, c = v[..., 0], v[..., 1], v[..., 2]
     return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=-1)

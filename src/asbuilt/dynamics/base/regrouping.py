@@ -33,20 +33,28 @@ AXIAL = np.array(
     ],
     dtype=np.float64,
 )
-"""A mass on the z axis, a first moment along it, and `Ixx = Iyy`: what a turn about z leaves as it is."""
+"""A mass on the z axis, a first moment along it, and `Ixx = Iyy`.
+
+What a turn about z leaves as it is.
+"""
 
 LETTER_TOLERANCE = 1e-9
-"""A factor in letters must equal the number it stands for to this, relative to the largest factor in its row."""
+"""A factor in letters must equal the number it stands for to this, relative to the largest factor
+in its row.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Regrouping:
-    """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y = Y[:, columns] @ matrix`.
+    """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y =
+    Y[:, columns] @ matrix`.
 
-    What it follows from: `model`, the robot with its joint frames at `nearest_origins`; `directions` and `motions` of its links in these
-    frames; `null_blocks`, per link its directions over all standard parameters (k, n_standard); `axial_blocks` (3, 10), per link a mass on the
-    joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths are divided by `size` in all of these. `structure`
-    is what the drive columns have in common with each other and with links.
+    What it follows from: `model`, the robot with its joint frames at `nearest_origins`;
+    `directions` and `motions` of its links in these frames; `null_blocks`, per link its directions
+    over all standard parameters (k, n_standard); `axial_blocks` (3, 10), per link a mass on the
+    joint's axis, a first moment along it, and equal inertias across it, in the link frame. Lengths
+    are divided by `size` in all of these. `structure` is what the drive columns have in common with
+    each other and with links.
     """
 
     columns: Indices
@@ -61,7 +69,10 @@ class Regrouping:
 
 
 def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
-    """Return the regrouping by exact structure: columns that depend on earlier ones are the pivots of the null vectors read from the end."""
+    """Return the regrouping by exact structure.
+
+    Columns that depend on earlier ones are the pivots of the null vectors read from the end.
+    """
     model = nearest_origins(model)
     size = characteristic_length(model)
     structure = drive_structure(
@@ -100,8 +111,9 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
 def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
     """Return the rows of the regrouping with letters for lengths, as sums over standard parameters.
 
-    Each row is checked against numbers, for the robot itself and for one of the same build with other lengths; a row that
-    fails - its factors are no polynomials, or only right for these lengths - keeps its numbers.
+    Each row is checked against numbers, for the robot itself and for one of the same build with
+    other lengths; a row that fails - its factors are no polynomials, or only right for these
+    lengths - keeps its numbers.
     """
     n_standard = found.matrix.shape[1]
     numbers: list[Row] = [
@@ -186,13 +198,17 @@ def _lettered_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
 def _function_units(
     revolute: bool, size: float, strength: float
 ) -> tuple[float, float, float, float]:
-    """Return one unit of the changes of armature, offset, sine and cosine in lengths divided by the robot's size and forces divided by gravity."""
+    """Return one unit of the changes of armature, offset, sine and cosine in lengths divided by the
+    robot's size and forces divided by gravity.
+    """
     force = strength if strength > 0.0 else 1.0
     return (size**2, force, force * size, force * size) if revolute else (1.0, force, 1.0, 1.0)
 
 
 def _scales(model: RobotModel, drive: DriveSet) -> Array:
-    """Return one unit of each standard parameter's column in lengths divided by the robot's size and forces divided by gravity."""
+    """Return one unit of each standard parameter's column in lengths divided by the robot's size
+    and forces divided by gravity.
+    """
     size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
     scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
     for k, joint in enumerate(model.joints):
@@ -212,7 +228,9 @@ def _null_blocks(
     structure: DriveStructure,
     scales: Array,
 ) -> list[Array]:
-    """Return the directions of each link over standard parameters in units of `scales`, shapes (k, n_standard), mutual armatures left out."""
+    """Return the directions of each link over standard parameters in units of `scales`, shapes (k,
+    n_standard), mutual armatures left out.
+    """
     size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_joints
     blocks = []
     for found, shift in zip(directions, to_link, strict=True):
@@ -240,7 +258,10 @@ def _realised(
     blocks: Sequence[Array],
     structure: DriveStructure,
 ) -> list[Array]:
-    """Return the null vectors of the torques: the directions themselves, or such sums of them that the motors' armatures can take part in."""
+    """Return the null vectors of the torques.
+
+    The directions themselves, or such sums of them that the motors' armatures can take part in.
+    """
     if not structure.motor_columns.any():
         return list(blocks)
     per, first = drive.columns_per_joint, 10 * model.n_joints

@@ -1,4 +1,6 @@
-"""Transferable directions: changes of the parameters of one link that its parent link, or nothing at all, makes up for.
+"""Transferable directions.
+
+Changes of the parameters of one link that its parent link, or nothing at all, makes up for.
 
 Derivation, symbols and sources: docs/derivations/base-parameters.md.
 """
@@ -15,7 +17,10 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 
 RANK_TOLERANCE = 1e-10
-"""A direction counts as absent where it is smaller than this, relative to the largest; lengths are divided by the robot's size first."""
+"""A direction counts as absent where it is smaller than this, relative to the largest.
+
+Lengths are divided by the robot's size first.
+"""
 
 _ARMATURE, _OFFSET, _SINE, _COSINE = 10, 11, 12, 13
 """Where a direction holds the changes of its joint's drive, behind the ten parameters of its link."""
@@ -27,7 +32,9 @@ SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def shift_of_rotation(rotation: Array) -> Array:
-    """Return the (10, 10) map of inertial parameters from a child frame to a parent frame that is only turned: `I' = R I R^T, h' = R h`."""
+    """Return the (10, 10) map of inertial parameters from a child frame to a parent frame that is
+    only turned: `I' = R I R^T, h' = R h`.
+    """
     shift = np.zeros((10, 10))
     for column, (i, j) in enumerate(SYMMETRIC):
         tensor = np.outer(rotation[:, i], rotation[:, j])
@@ -58,7 +65,9 @@ def _translation_tensors() -> tuple[Array, Array]:
 
 
 SHIFT_LINEAR, SHIFT_SQUARE = _translation_tensors()
-"""Shift by t: `S(t) = 1 + sum_a t_a SHIFT_LINEAR[a] + sum_ab t_a t_b SHIFT_SQUARE[a, b]`, shapes (3, 10, 10) and (3, 3, 10, 10)."""
+"""Shift by t: `S(t) = 1 + sum_a t_a SHIFT_LINEAR[a] + sum_ab t_a t_b SHIFT_SQUARE[a, b]`, shapes
+(3, 10, 10) and (3, 3, 10, 10).
+"""
 
 
 def _turn_harmonics() -> tuple[Array, Array]:
@@ -85,7 +94,9 @@ def _turn_harmonics() -> tuple[Array, Array]:
 
 
 TURN_SHIFTS, _TURN_ROTATIONS = _turn_harmonics()
-"""Turning about z by q: `S(q) = sum_k TURN_SHIFTS[k] f_k(q)` with f = 1, cos q, sin q, cos 2q, sin 2q; shape (5, 10, 10)."""
+"""Turning about z by q: `S(q) = sum_k TURN_SHIFTS[k] f_k(q)` with f = 1, cos q, sin q, cos 2q, sin
+2q; shape (5, 10, 10).
+"""
 
 SLIDE_SHIFTS = np.stack([np.eye(10), SHIFT_LINEAR[2], SHIFT_SQUARE[2, 2]])
 """Sliding along z by q: `S(q) = sum_k SLIDE_SHIFTS[k] q^k`, shape (3, 10, 10)."""
@@ -107,9 +118,12 @@ TURN_TWISTS, SLIDE_TWISTS = _twist_harmonics()
 
 
 def kinetic_functional(u: Array, w: Array) -> Array:
-    """Return the symmetric bilinear form whose diagonal is the kinetic energy: `kinetic_functional(v, v) @ J = 1/2 v^T M(J) v`.
+    """Return the symmetric bilinear form whose diagonal is the kinetic energy.
 
-    Twists `(omega, v)` of shape (..., 6) at the frame origin, in frame axes; the answer has shape (..., 10).
+    `kinetic_functional(v, v) @ J = 1/2 v^T M(J) v`.
+
+    Twists `(omega, v)` of shape (..., 6) at the frame origin, in frame axes; the answer has shape
+    (..., 10).
     """
     angular = u[..., :3, None] * w[..., None, :3]
     angular = angular + angular.swapaxes(-1, -2)
@@ -122,7 +136,10 @@ def kinetic_functional(u: Array, w: Array) -> Array:
 
 
 def row_space(rows: Array) -> Array:
-    """Return an orthonormal basis, as rows, of the span of `rows`; near-zero rows are noise, not directions."""
+    """Return an orthonormal basis, as rows, of the span of `rows`.
+
+    Near-zero rows are noise, not directions.
+    """
     if not rows.size:
         return rows[:0]
     _, sizes, basis = np.linalg.svd(rows, full_matrices=False)
@@ -138,9 +155,12 @@ def null_space(rows: Array) -> Array:
 
 
 def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return the reduced echelon form read from the last column, and the pivot columns: row i is 1 at pivot i, 0 at and after other pivots.
+    """Return the reduced echelon form read from the last column, and the pivot columns.
 
-    A column is a pivot exactly if it depends on the columns before it when `rows` span the null space of a matrix.
+    Row i is 1 at pivot i, 0 at and after other pivots.
+
+    A column is a pivot exactly if it depends on the columns before it when `rows` span the null
+    space of a matrix.
     """
     reduced = np.array(rows, dtype=np.float64)
     if reduced.size:
@@ -169,9 +189,12 @@ def reversed_echelon(rows: Array) -> tuple[Array, NDArray[np.int64]]:
 
 @dataclass(frozen=True, eq=False)
 class LinkMotion:
-    """What a link can do, in its joint frame: spans of its twists (6,), kinetic functionals (10,) and gravity directions with a 1 (4,).
+    """What a link can do, in its joint frame.
 
-    `paced` spans, over all positions, the twists per unit speed of each joint, with a 1 for that joint behind them (6 + n,).
+    Spans of its twists (6,), kinetic functionals (10,) and gravity directions with a 1 (4,).
+
+    `paced` spans, over all positions, the twists per unit speed of each joint, with a 1 for that
+    joint behind them (6 + n,).
     """
 
     twists: Array
@@ -184,10 +207,12 @@ class LinkMotion:
 class TransferableDirections:
     """Hold the k transferable directions of one link, in lengths divided by the robot's size.
 
-    `child` (k, 10): change of the link's parameters in its joint frame (after the joint's motion); `onto_parent` (k, 10): what moves to the
-    parent, in the joint frame before the motion (zero for children of the root link); `armature`, `offset`, `sine` and `cosine` (k,): changes of its drive,
-    by columns `qdd`, 1, `sin q` and `cos q`, divided by the size of gravity but for the armature; `mutual` (k, n): changes of mutual armatures, whose energy is
-    `sum_i mutual_i qd_link qd_i`.
+    `child` (k, 10): change of the link's parameters in its joint frame (after the joint's motion);
+    `onto_parent` (k, 10): what moves to the parent, in the joint frame before the motion (zero for
+    children of the root link); `armature`, `offset`, `sine` and `cosine` (k,): changes of its
+    drive, by columns `qdd`, 1, `sin q` and `cos q`, divided by the size of gravity but for the
+    armature; `mutual` (k, n): changes of mutual armatures, whose energy is `sum_i mutual_i qd_link
+    qd_i`.
     """
 
     link: int
@@ -212,7 +237,9 @@ class Imitable:
 
 
 def characteristic_length(model: RobotModel) -> float:
-    """Return the power of two next to the robot's largest offset between joints [m], 1 where all are zero."""
+    """Return the power of two next to the robot's largest offset between joints [m], 1 where all
+    are zero.
+    """
     sizes = [
         np.abs(placement[:3, 3]).max()
         for joint in model.joints
@@ -225,10 +252,11 @@ def characteristic_length(model: RobotModel) -> float:
 def transferable_directions(
     model: RobotModel, imitable: Sequence[Imitable]
 ) -> tuple[list[TransferableDirections], list[LinkMotion]]:
-    """Return, link by link, all directions in which parameters move to the parent without a trace, and what each link can do.
+    """Return, link by link, all directions in which parameters move to the parent without a trace,
+    and what each link can do.
 
-    With the last links first, these directions span the null space of the torques (Lagrangian argument in the derivation). `imitable` says
-    what the drive of each joint has.
+    With the last links first, these directions span the null space of the torques (Lagrangian
+    argument in the derivation). `imitable` says what the drive of each joint has.
     """
     n, size = model.n_joints, characteristic_length(model)
     strength = float(np.linalg.norm(model.gravity))
@@ -278,7 +306,10 @@ def _pass_joint(
     number: int,
     imitable: Imitable,
 ) -> tuple[LinkMotion, Array]:
-    """Carry what the parent can do through one joint; return what the child can do and its directions (k, 14 + n): ten, then those of the drive."""
+    """Carry what the parent can do through one joint.
+
+    Return what the child can do and its directions (k, 14 + n): ten, then those of the drive.
+    """
     to_joint = np.zeros((6, 6))
     to_joint[:3, :3] = to_joint[3:, 3:] = rotation.T
     to_joint[3:, :3] = -rotation.T @ _cross(translation)

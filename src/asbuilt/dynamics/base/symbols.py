@@ -1,4 +1,7 @@
-"""Polynomials in letters for lengths: the regrouping of parameters, written so that it holds for every robot of the same build."""
+"""Polynomials in letters for lengths.
+
+The regrouping of parameters, written so that it holds for every robot of the same build.
+"""
 
 from __future__ import annotations
 
@@ -119,7 +122,10 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -
 
 
 def _shifted(parameters: Array, rotation: Array, letters: Letters, first: int) -> Row:
-    """Return the ten parameters after a turn and a shift by letters, in columns `first` ... `first + 9`."""
+    """Return the ten parameters after a turn and a shift by letters, in columns `first` .
+
+    `first + 9`.
+    """
     turned = shift_of_rotation(rotation) @ parameters
     along = [
         Polynomial({() if letter == NUMBER else (letter,): factor for factor, letter in axis})
@@ -141,9 +147,11 @@ def _shifted(parameters: Array, rotation: Array, letters: Letters, first: int) -
 
 
 def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, Row] | None:
-    """Return each dependent column as a sum of base columns, `column_j = sum_b result[j][b] column_b`, by elimination from the last pivot.
+    """Return each dependent column as a sum of base columns, `column_j = sum_b result[j][b]
+    column_b`, by elimination from the last pivot.
 
-    None where this takes a division by letters, or where the pivots are only right for special lengths.
+    None where this takes a division by letters, or where the pivots are only right for special
+    lengths.
     """
     waiting = [dict(row) for row in rows]
     done: dict[int, Row] = {}
@@ -193,7 +201,9 @@ def _product(monomial: Monomial) -> str:
 
 
 def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
-    """Write a sum of (name, factor): numbers first, then by falling degree in letters, equal factors gathered.
+    """Write a sum of (name, factor).
+
+    Numbers first, then by falling degree in letters, equal factors gathered.
 
     >>> b3 = Polynomial.of("b3")
     >>> written([("Ixx2", Polynomial.number(1.0)), ("my3", b3.times(-2.0)), ("m3", b3 * b3), ("m4", b3 * b3)])

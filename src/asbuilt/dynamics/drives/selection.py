@@ -36,7 +36,8 @@ def available_terms() -> dict[str, DriveTerm]:
 
 @dataclass(frozen=True, slots=True)
 class DriveSet:
-    """Choose drive terms; every joint gets all of them, in canonical order whatever the order given.
+    """Choose drive terms; every joint gets all of them, in canonical order whatever the order
+    given.
 
     Examples
     --------
@@ -61,11 +62,14 @@ class DriveSet:
 
     @classmethod
     def parse(cls, text: str | Sequence[str]) -> DriveSet:
-        """Read a comma-separated list of keys (or a sequence of them); "none" and the empty list choose no term.
+        """Read a comma-separated list of keys (or a sequence of them).
 
-        A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by slashes, for each: `smooth_coulomb:width=0.02/0.01`;
-        and the numbers of the joints that have the term: `spring:joints=2/5`.
-        Raises UsageError for terms, shapes and values that do not exist.
+        "none" and the empty list choose no term.
+
+        A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by
+        slashes, for each: `smooth_coulomb:width=0.02/0.01`; and the numbers of the joints that have
+        the term: `spring:joints=2/5`. Raises UsageError for terms, shapes and values that do not
+        exist.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
         chosen = [
@@ -145,7 +149,10 @@ class DriveSet:
         return DriveSet(tuple(term for term in self.terms if term.key not in keys))
 
     def functions(self, joint: int) -> tuple[Mapping[Hashable, float], ...]:
-        """Return each column of a joint (counted from 0) as a sum of elementary functions; see `DriveTerm.functions`."""
+        """Return each column of a joint (counted from 0) as a sum of elementary functions.
+
+        See `DriveTerm.functions`.
+        """
         empty: dict[Hashable, float] = {}
         return tuple(
             function if term.is_at(joint) else empty
@@ -169,7 +176,9 @@ class DriveSet:
         )
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
-        """Return what the description says of each parameter of one joint (of a set `at` that joint), None where it is silent or has other shapes."""
+        """Return what the description says of each parameter of one joint (of a set `at` that
+        joint), None where it is silent or has other shapes.
+        """
         return tuple(value for term in self.terms for value in _described(term, drive))
 
     def evaluate(
@@ -183,12 +192,14 @@ class DriveSet:
         joint: int | None = None,
         motor: tuple[Array, Array, Array] | None = None,
     ) -> Array:
-        """Return the columns of one joint, shape (columns_per_joint, n_samples), from inputs of shape (n_samples,).
+        """Return the columns of one joint, shape (columns_per_joint, n_samples), from inputs of
+        shape (n_samples,).
 
-        `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory for the result; `joint` (counted from 0) is needed
-        where shapes are stated joint by joint; `motor` is position, velocity and acceleration of a motor that several joints turn, without which the
-        columns of terms `of_motor` are zero.
-        Raises UsageError where a term needs a load and none is given.
+        `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory
+        for the result; `joint` (counted from 0) is needed where shapes are stated joint by joint;
+        `motor` is position, velocity and acceleration of a motor that several joints turn, without
+        which the columns of terms `of_motor` are zero. Raises UsageError where a term needs a load
+        and none is given.
         """
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
         if load is None and self.needs_load:

@@ -18,16 +18,19 @@ from asbuilt.dynamics.base.regrouping_relations import (
 from asbuilt.dynamics.drives.selection import DriveSet
 
 IMITABLE = ("qdd", "1", "sin q", "cos q")
-"""Elementary functions that links can imitate, in the order of the changes of `TransferableDirections`."""
+"""Elementary functions that links can imitate, in the order of the changes of
+`TransferableDirections`.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveStructure:
     """Hold, for a robot of n joints with drives of m columns each, all columns scaled.
 
-    `ways[k, f]` (m,) are the columns of joint k that make up the elementary function f of `IMITABLE`, zero where `able[k, f]` is False; `redundant`
-    (r, n m) are sums of drive columns that are zero at all times; `motor_columns` (n, m) says which columns are armatures of motors that several joints turn;
-    `shares` (n, n) are the robot's `motor_shares`, scaled.
+    `ways[k, f]` (m,) are the columns of joint k that make up the elementary function f of
+    `IMITABLE`, zero where `able[k, f]` is False; `redundant` (r, n m) are sums of drive columns
+    that are zero at all times; `motor_columns` (n, m) says which columns are armatures of motors
+    that several joints turn; `shares` (n, n) are the robot's `motor_shares`, scaled.
     """
 
     ways: Array
@@ -47,7 +50,10 @@ class DriveStructure:
 
 
 def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStructure:
-    """Take the columns of a drive apart into elementary functions; `unit` (n,) is one unit of each joint coordinate in scaled lengths."""
+    """Take the columns of a drive apart into elementary functions.
+
+    `unit` (n,) is one unit of each joint coordinate in scaled lengths.
+    """
     n, m = model.n_joints, drive.columns_per_joint
     drive.check_joints(n)
     ways, able, redundant = np.zeros((n, 4, m)), np.zeros((n, 4), dtype=bool), []
@@ -90,9 +96,12 @@ def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
 def realisable(
     directions: list[TransferableDirections], structure: DriveStructure
 ) -> tuple[Array, Array, Array]:
-    """Return which sums of all directions the armatures at hand can make: (r, k) sums, with the armature changes of joints (r, n) and motors (r, n).
+    """Return which sums of all directions the armatures at hand can make.
 
-    A mutual armature of joints i and j exists only as a part of a motor's that both turn: `Q = diag(Ia) + sum_m Iam_m T_m T_m^T`.
+    (r, k) sums, with the armature changes of joints (r, n) and motors (r, n).
+
+    A mutual armature of joints i and j exists only as a part of a motor's that both turn: `Q =
+    diag(Ia) + sum_m Iam_m T_m T_m^T`.
     """
     n = len(structure.shares)
     armature, mutual = (

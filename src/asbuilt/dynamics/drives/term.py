@@ -22,11 +22,15 @@ MOTOR_SOURCES = ("motor", "current")
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A number that enters the columns of a term non-linearly: its name, where a fit starts, and the range it may take.
+    """A number that enters the columns of a term non-linearly.
 
-    `lower` and `upper` bound what may be stated, `credible` where a fit looks: values for which the term is the physics that it is named after, as fractions of
-    the joint's top speed where the shape is a `speed`. `fitted` False keeps the default unless another value is stated. `typical` is a value at which the columns
-    stand out at speeds of some rad/s, for questions of structure; None where the value itself decides them.
+    Its name, where a fit starts, and the range it may take.
+
+    `lower` and `upper` bound what may be stated, `credible` where a fit looks: values for which the
+    term is the physics that it is named after, as fractions of the joint's top speed where the
+    shape is a `speed`. `fitted` False keeps the default unless another value is stated. `typical`
+    is a value at which the columns stand out at speeds of some rad/s, for questions of structure;
+    None where the value itself decides them.
     """
 
     name: str
@@ -44,10 +48,12 @@ class Shape:
 class DriveTerm(ABC):
     """Add `sum_c columns[c](q, qd, qdd, load) * parameter_c` to the torque of one joint.
 
-    A term is one file in this package: a frozen dataclass without arguments in its simplest form. What enters the columns
-    non-linearly (a Stribeck velocity, the width of a smooth sign) is declared in `shapes` and is a field of the same name, None by default, so that
-    `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters. `joints` are the numbers (from 1) of the joints that
-    have the term, None for all; the parameters of the others never act.
+    A term is one file in this package: a frozen dataclass without arguments in its simplest form.
+    What enters the columns non-linearly (a Stribeck velocity, the width of a smooth sign) is
+    declared in `shapes` and is a field of the same name, None by default, so that
+    `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters.
+    `joints` are the numbers (from 1) of the joints that have the term, None for all; the parameters
+    of the others never act.
     """
 
     _: KW_ONLY
@@ -67,33 +73,54 @@ class DriveTerm(ABC):
     default_for: ClassVar[tuple[str, ...]] = ()
     """Torque sources for which the term is among the defaults."""
     tried_for: ClassVar[tuple[str, ...]] = ()
-    """Torque sources for which the term is tried beside the defaults when terms are chosen by the recording; its parameters are then positive."""
+    """Torque sources for which the term is tried beside the defaults when terms are chosen by the
+    recording; its parameters are then positive.
+    """
     stands_for: ClassVar[str | None] = None
     """Key of the simpler term whose place it takes then."""
     by_construction: ClassVar[bool] = False
-    """Whether a robot was built with it or has it not, whatever a recording seems to say: it is never chosen, and part of the usual terms where the description has it."""
+    """Whether a robot was built with it or has it not, whatever a recording seems to say.
+
+    It is never chosen, and part of the usual terms where the description has it.
+    """
     non_negative: ClassVar[bool] = False
-    """Whether no drive has parameters of it below zero: it is inertia, or friction that nothing beside it can take back."""
+    """Whether no drive has parameters of it below zero.
+
+    It is inertia, or friction that nothing beside it can take back.
+    """
     ratio_powers: ClassVar[tuple[float, ...]] = ()
-    """By which power of the gear ratio each parameter shrinks on its way to the motor, where that is not one as for torques; see `powers_of_ratio`."""
+    """By which power of the gear ratio each parameter shrinks on its way to the motor, where that
+    is not one as for torques; see `powers_of_ratio`.
+    """
     turns_over: ClassVar[bool] = False
-    """Whether its parameters change their sign on the way to a motor that turns against its joint: a torque with a direction of its own, whatever the motion."""
+    """Whether its parameters change their sign on the way to a motor that turns against its joint.
+
+    A torque with a direction of its own, whatever the motion.
+    """
     needs_load: ClassVar[bool] = False
     """Whether the columns depend on the rigid-body torque of the joint."""
     of_motor: ClassVar[bool] = False
-    """Whether the term belongs to a motor that moves several joints: it follows the motor's motion and enters all their torques."""
+    """Whether the term belongs to a motor that moves several joints.
+
+    It follows the motor's motion and enters all their torques.
+    """
 
     @abstractmethod
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write the columns of one joint into `out`, shape (len(letters), n_samples); the inputs have shape (n_samples,).
+        """Write the columns of one joint into `out`, shape (len(letters), n_samples).
 
-        `load` is the rigid-body torque [N m or N], given to terms that set `needs_load`. A term `of_motor` gets the motor's motion.
+        The inputs have shape (n_samples,).
+
+        `load` is the rigid-body torque [N m or N], given to terms that set `needs_load`. A term
+        `of_motor` gets the motor's motion.
         """
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return each column as a sum of elementary functions, by which the base parameters know what different terms have in common.
+        """Return each column as a sum of elementary functions, by which the base parameters know
+        what different terms have in common.
 
-        The link dynamics can imitate "qdd", "1", "sin q" and "cos q" alone; other names only tell terms apart.
+        The link dynamics can imitate "qdd", "1", "sin q" and "cos q" alone; other names only tell
+        terms apart.
         """
         return tuple(
             {(self.key, letter, *(self.value(shape.name) for shape in self.shapes)): 1.0}
@@ -110,7 +137,9 @@ class DriveTerm(ABC):
         return (stated,) if len(self.letters) == 1 else (None,) * len(self.letters)
 
     def powers_of_ratio(self) -> tuple[float, ...]:
-        """Return by which power of the gear ratio N each parameter shrinks on its way to the motor, with `theta = N q` and `tau_joint = N tau_motor`."""
+        """Return by which power of the gear ratio N each parameter shrinks on its way to the motor,
+        with `theta = N q` and `tau_joint = N tau_motor`.
+        """
         return self.ratio_powers or (1.0,) * len(self.letters)
 
     @property
@@ -121,7 +150,10 @@ class DriveTerm(ABC):
         )
 
     def value(self, name: str) -> float:
-        """Return the value of a shape: the stated one, or the default. A term with one value per joint must be taken `at` a joint first, or raises UsageError."""
+        """Return the value of a shape: the stated one, or the default.
+
+        A term with one value per joint must be taken `at` a joint first, or raises UsageError.
+        """
         stated: ShapeValue = getattr(self, name)
         if stated is None:
             return next(shape.default for shape in self.shapes if shape.name == name)
@@ -146,12 +178,16 @@ class DriveTerm(ABC):
         )
 
     def typical(self) -> Self:
-        """Return the term with shapes at which its columns stand out, where they do not decide its structure."""
+        """Return the term with shapes at which its columns stand out, where they do not decide its
+        structure.
+        """
         values = {shape.name: shape.typical for shape in self.shapes if shape.typical is not None}
         return self._with(values) if values else self
 
     def check_joints(self, n_joints: int) -> None:
-        """Raise UsageError where a shape is given for another number of joints, or a joint does not exist."""
+        """Raise UsageError where a shape is given for another number of joints, or a joint does not
+        exist.
+        """
         outside = [number for number in self.joints or () if not 1 <= number <= n_joints]
         if outside:
             raise UsageError(
@@ -166,7 +202,10 @@ class DriveTerm(ABC):
                 )
 
     def with_shapes(self, values: Mapping[str, ShapeValue]) -> Self:
-        """Return the term with these shapes stated; raises UsageError for a name or a value that it does not take."""
+        """Return the term with these shapes stated.
+
+        Raises UsageError for a name or a value that it does not take.
+        """
         known = {shape.name: shape for shape in self.shapes}
         for name, stated in values.items():
             if name not in known:

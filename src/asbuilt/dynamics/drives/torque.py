@@ -27,9 +27,11 @@ def drive_columns(
     shares: Array | None = None,
     out: Array | None = None,
 ) -> Array:
-    """Return the columns of the drive parameters of joint k (counted from 0), shape (columns_per_joint, N), from the state of all joints, each (N, n).
+    """Return the columns of the drive parameters of joint k (counted from 0), shape
+    (columns_per_joint, N), from the state of all joints, each (N, n).
 
-    Columns of terms `of_motor` enter the torque of every joint j multiplied by `shares[k, j]` (the robot's `motor_shares`), all others that of joint k alone.
+    Columns of terms `of_motor` enter the torque of every joint j multiplied by `shares[k, j]` (the
+    robot's `motor_shares`), all others that of joint k alone.
     """
     turned = None if shares is None or not shares[k].any() else shares[k]
     return drive.evaluate(
@@ -51,10 +53,12 @@ def drive_torque(
     load: Array | None = None,
     shares: Array | None = None,
 ) -> Array:
-    """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N], shape (N, n) as `q`, `qd`, `qdd`.
+    """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N], shape (N, n) as `q`,
+    `qd`, `qdd`.
 
-    `values` (n columns_per_joint,) holds the drive parameters joint by joint, in the order of `drive.names`; `load` (N, n) is the torque of the
-    rigid bodies, for terms that depend on it; `shares` (n, n) are the `motor_shares` of the robot, for motors that several joints turn.
+    `values` (n columns_per_joint,) holds the drive parameters joint by joint, in the order of
+    `drive.names`; `load` (N, n) is the torque of the rigid bodies, for terms that depend on it;
+    `shares` (n, n) are the `motor_shares` of the robot, for motors that several joints turn.
 
     Raises
     ------
@@ -79,7 +83,8 @@ def drive_torque(
 
 
 def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
-    """Return the drive terms of which the description gives any value, with their shapes, and the values joint by joint, zero where it is silent.
+    """Return the drive terms of which the description gives any value, with their shapes, and the
+    values joint by joint, zero where it is silent.
 
     Raises
     ------

@@ -10,7 +10,10 @@ from threadpoolctl import ThreadpoolController
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Keep the BLAS to one thread: its own threads only get in each other's way on matrices with some 50 columns."""
+    """Keep the BLAS to one thread.
+
+    Its own threads only get in each other's way on matrices with some 50 columns.
+    """
     return cast(AbstractContextManager[object], _blas().limit(limits=1, user_api="blas"))
 
 

@@ -1,4 +1,6 @@
-"""Machine code kept on disk from run to run, and made anew when any of the source it was made from changes."""
+"""Machine code kept on disk from run to run, and made anew when any of the source it was made from
+changes.
+"""
 
 # mypy: allow-untyped-calls
 
@@ -14,10 +16,12 @@ from numba import njit
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on first call, release the interpreter lock, keep the machine code on disk where any folder can be written.
+    """Compile on first call, release the interpreter lock, keep the machine code on disk where any
+    folder can be written.
 
-    Numba takes kept code for current as long as the file of the function itself is unchanged, though functions of other files are inlined into
-    it. Here the sources of all compiled functions beside this file count too; where Numba does not let them, nothing is kept.
+    Numba takes kept code for current as long as the file of the function itself is unchanged,
+    though functions of other files are inlined into it. Here the sources of all compiled functions
+    beside this file count too; where Numba does not let them, nothing is kept.
     """
     try:
         made: Any = njit(cache=True, nogil=True, error_model="numpy")(function)

@@ -1,4 +1,6 @@
-"""Batched mass and Coriolis matrices: the inertia of every link seen through the screws of the joints above it.
+"""Batched mass and Coriolis matrices.
+
+The inertia of every link seen through the screws of the joints above it.
 
 Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1.
 """
@@ -79,7 +81,8 @@ def _add_mass(depth, rows, screws, chi, joints, matrix):
 def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
     """Add a link's share s_k^T (I ds_j/dt + B s_j).
 
-    With u what the joints below j add to the twist of the link, ds_j/dt = -u x s_j, for a screw of the parts above seen from the link.
+    With u what the joints below j add to the twist of the link, ds_j/dt = -u x s_j, for a screw of
+    the parts above seen from the link.
     """
     for at in range(0, BLOCK, LANES):
         wx = wy = wz = vx = vy = vz = splat(0.0)
@@ -117,7 +120,9 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
 
 @compiled
 def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis, start, stop, out):
-    """Write `sum_i J_i^T I_i J_i`, or where `coriolis` is set `sum_i J_i^T (I_i dJ_i/dt + B_i J_i)`, sample-major."""
+    """Write `sum_i J_i^T I_i J_i`, or where `coriolis` is set `sum_i J_i^T (I_i dJ_i/dt + B_i
+    J_i)`, sample-major.
+    """
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK
     angles = n_slots * slot

@@ -1,7 +1,10 @@
-"""Eight samples at a time: a vector type for Numba functions, so that speed does not hang on what the optimiser recognises.
+"""Eight samples at a time.
 
-`load`, `store` and `splat` make lanes; `+ - *` work between lanes and with numbers; a product feeding a sum may be fused.
-Every lane sees the same operations, so a result does not depend on which samples share a vector.
+A vector type for Numba functions, so that speed does not hang on what the optimiser recognises.
+
+`load`, `store` and `splat` make lanes; `+ - *` work between lanes and with numbers; a product
+feeding a sum may be fused. Every lane sees the same operations, so a result does not depend on
+which samples share a vector.
 """
 
 # mypy: allow-untyped-defs, allow-untyped-calls
@@ -179,7 +182,10 @@ splat: Any = intrinsic(_splat)
 exceeds: Any = intrinsic(_exceeds)
 """`exceeds(value, limit)`: whether any lane lies outside plus or minus `limit`."""
 by_quadrant: Any = intrinsic(_by_quadrant)
-"""`by_quadrant(n, even, odd, ahead)`: `even` or `odd` by the last bit of n, negated where n + ahead has its second bit set."""
+"""`by_quadrant(n, even, odd, ahead)`.
+
+`even` or `odd` by the last bit of n, negated where n + ahead has its second bit set.
+"""
 
 LARGEST_ANGLE = 1.0e5
 """Beyond this [rad] the reduction of `sine_cosine` loses accuracy."""
@@ -197,7 +203,8 @@ _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = (
 def sine_cosine(x):
     """Return (sin x, cos x) to about 1 ulp of 1 for |x| below `LARGEST_ANGLE`.
 
-    Cody and Waite (1980) reduction by pi/2 in three parts, then Taylor-minimax polynomials on [-pi/4, pi/4] (coefficients of fdlibm).
+    Cody and Waite (1980) reduction by pi/2 in three parts, then Taylor-minimax polynomials on
+    [-pi/4, pi/4] (coefficients of fdlibm).
     """
     shifted = x * _TWO_OVER_PI + _SHIFT
     n = shifted - _SHIFT

@@ -1,9 +1,12 @@
-"""What the batched kernels share: a robot's geometry in flat arrays, and the step from one link to the next for a block of samples.
+"""What the batched kernels share.
 
-A block of `BLOCK` samples travels down the tree in scratch memory that fits the first-level cache, one row per quantity. Each link has a
-slot of rows there: angular velocity w, angular acceleration dw and acceleration a of its origin less gravity, in link axes, then one
-screw (z, m) per joint above it: the angular velocity and the velocity of the link origin that a unit rate of that joint causes.
-All positions in scratch memory are counted in doubles.
+A robot's geometry in flat arrays, and the step from one link to the next for a block of samples.
+
+A block of `BLOCK` samples travels down the tree in scratch memory that fits the first-level cache,
+one row per quantity. Each link has a slot of rows there: angular velocity w, angular acceleration
+dw and acceleration a of its origin less gravity, in link axes, then one screw (z, m) per joint
+above it: the angular velocity and the velocity of the link origin that a unit rate of that joint
+causes. All positions in scratch memory are counted in doubles.
 """
 
 # mypy: allow-untyped-defs
@@ -45,9 +48,10 @@ STATE = 9
 class Layout:
     """Hold a robot's geometry as the kernels take it, in read-only arrays.
 
-    `codes` (n, 7): parent, slot read, slot written, depth, whether revolute, kind of placement before and after (NOTHING, ABOUT_X, GENERAL).
-    Slot 0 is the root's; a last child takes over the slot of its parent. `chain[i, d]` is the joint at depth d above link i.
-    `placements` (n, 24): rotation and translation before, then after.
+    `codes` (n, 7): parent, slot read, slot written, depth, whether revolute, kind of placement
+    before and after (NOTHING, ABOUT_X, GENERAL). Slot 0 is the root's; a last child takes over the
+    slot of its parent. `chain[i, d]` is the joint at depth d above link i. `placements` (n, 24):
+    rotation and translation before, then after.
     """
 
     codes: Indices
@@ -129,7 +133,10 @@ def scratch(blocks):
 
 @compiled
 def gather(source, start, count, n, rows, row):
-    """Turn `count` samples of a sample-major array into n rows of a block; the last sample fills the rest."""
+    """Turn `count` samples of a sample-major array into n rows of a block.
+
+    The last sample fills the rest.
+    """
     for j in range(n):
         at = start * n + j
         if count == BLOCK:
@@ -142,7 +149,10 @@ def gather(source, start, count, n, rows, row):
 
 @compiled
 def gather_states(q, qd, qdd, start, count, n, rows, row):
-    """Turn `count` samples of the joints' motion into 3 n rows of a block: positions, then rates, then accelerations."""
+    """Turn `count` samples of the joints' motion into 3 n rows of a block.
+
+    Positions, then rates, then accelerations.
+    """
     gather(q, start, count, n, rows, row)
     gather(qd, start, count, n, rows, row + n)
     gather(qdd, start, count, n, rows, row + 2 * n)
@@ -277,7 +287,9 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
 
 @compiled
 def move_screws(code, p, rows, read, write, angle, cosine, sine):
-    """Carry the screws of all joints above from the parent's slot to the link's and add that of the link's own joint."""
+    """Carry the screws of all joints above from the parent's slot to the link's and add that of the
+    link's own joint.
+    """
     before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]
     for d in range(depth + 1):
         o = (STATE + 6 * d) * BLOCK

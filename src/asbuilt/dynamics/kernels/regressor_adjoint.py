@@ -1,7 +1,11 @@
-"""The adjoint of the regressor: derivatives of any weighted sum of its entries with respect to positions, velocities and accelerations.
+"""The adjoint of the regressor.
 
-Forward, the recursion of `recursion` with every link's state kept; backward, the transpose of each step, leaves first. The cost is some
-three times that of the regressor, whatever the number of joints, for all derivatives at once.
+Derivatives of any weighted sum of its entries with respect to positions, velocities and
+accelerations.
+
+Forward, the recursion of `recursion` with every link's state kept; backward, the transpose of each
+step, leaves first. The cost is some three times that of the regressor, whatever the number of
+joints, for all derivatives at once.
 """
 
 # mypy: allow-untyped-defs
@@ -50,11 +54,13 @@ def regressor_adjoint(
     loads: Array | None = None,
     parameters: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return the derivatives of `f = sum_skc G[s, k, c] Y[s, k, c] + sum_sk l[s, k] tau[s, k]` with respect to q, qd and qdd, each (N, n).
+    """Return the derivatives of `f = sum_skc G[s, k, c] Y[s, k, c] + sum_sk l[s, k] tau[s, k]` with
+    respect to q, qd and qdd, each (N, n).
 
-    `weights` holds G in the layout that `plan.evaluate` writes Y in: one row per joint and chosen column, samples innermost, contiguous
-    (plan.n_rows, at least N); rows of drive columns and spare rows are not looked at. `loads` (N, n) are the weights l of the torques
-    tau of rigid bodies with the standard `parameters` (10 n,). Raises UsageError for shapes that do not fit.
+    `weights` holds G in the layout that `plan.evaluate` writes Y in: one row per joint and chosen
+    column, samples innermost, contiguous (plan.n_rows, at least N); rows of drive columns and spare
+    rows are not looked at. `loads` (N, n) are the weights l of the torques tau of rigid bodies with
+    the standard `parameters` (10 n,). Raises UsageError for shapes that do not fit.
     """
     n, layout = plan.model.n_joints, layout_of(plan.model)
     states = plan.checked_inputs(q, qd, qdd)
@@ -97,7 +103,9 @@ def _clear(rows, start, count):
 
 @compiled
 def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
-    """Add what `z . moment + m . force` of a link with the parameters in ten rows gives to the adjoints of its state and of one screw."""
+    """Add what `z . moment + m . force` of a link with the parameters in ten rows gives to the
+    adjoints of its state and of one screw.
+    """
     for at in range(0, BLOCK, LANES):
         r = state + at
         wx, wy, wz = vector(rows, r)
@@ -174,7 +182,9 @@ def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
 
 @compiled
 def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine, sine, bars):
-    """Carry the adjoint of a link's w, dw, a to its parent's, and start the adjoints of its joint in three rows: q, qd, qdd."""
+    """Carry the adjoint of a link's w, dw, a to its parent's, and start the adjoints of its joint
+    in three rows: q, qd, qdd.
+    """
     after, before = code[AFTER], code[BEFORE]
     for at in range(0, BLOCK, LANES):
         r = state + at
@@ -242,7 +252,9 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
 
 @compiled
 def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine, bar):
-    """Carry the adjoints of the screws of the joints above to the parent link, adding to the adjoint of q of the link's joint."""
+    """Carry the adjoints of the screws of the joints above to the parent link, adding to the
+    adjoint of q of the link's joint.
+    """
     after, before = code[AFTER], code[BEFORE]
     for d in range(code[DEPTH]):
         o = (STATE + 6 * d) * BLOCK

@@ -1,6 +1,9 @@
-"""Batched regressor and inverse dynamics: one set of compiled functions for every robot, samples innermost.
+"""Batched regressor and inverse dynamics.
 
-Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1, so that threads share one array.
+One set of compiled functions for every robot, samples innermost.
+
+Sample-major arrays come in and go out flat; a call works on samples start ... stop - 1, so that
+threads share one array.
 """
 
 # mypy: allow-untyped-defs
@@ -65,9 +68,13 @@ def _position(row, stride, start):
 
 @compiled
 def _columns_of_link(rows, screw, terms, places, out, stride, start):
-    """Write z . (moment) + m . (force) per unit of each parameter, for one joint and one link, where `places` names a row of `out`.
+    """Write z . (moment) + m .
 
-    force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment (Atkeson, An and Hollerbach, 1986).
+    (force) per unit of each parameter, for one joint and one link, where `places` names a row of
+    `out`.
+
+    force = mass a + dw x h + w x (w x h), moment = I dw + w x I w + h x a, with h the first moment
+    (Atkeson, An and Hollerbach, 1986).
     """
     o0, o1, o2 = (
         _position(places[0], stride, start),
@@ -157,7 +164,9 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
 
 @compiled
 def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
-    """Run down the tree with the block in `rows` and write the chosen columns into rows of `out`, from position `start`."""
+    """Run down the tree with the block in `rows` and write the chosen columns into rows of `out`,
+    from position `start`.
+    """
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK
     terms = n_slots * slot
@@ -190,9 +199,12 @@ def _regressor_block(codes, chain, placements, n_slots, places, rows, out, strid
 def regressor_rows(
     codes, chain, placements, gravity, n_slots, places, bounds, q, qd, qdd, start, stop, out, stride
 ):
-    """Write the regressor with samples innermost: one row of `out` per joint and chosen column, `stride` numbers long.
+    """Write the regressor with samples innermost.
 
-    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the first row of joint k and the row after its last.
+    One row of `out` per joint and chosen column, `stride` numbers long.
+
+    `places[k, i, c]` is the row for joint k and parameter c of link i, or -1; `bounds[k]` are the
+    first row of joint k and the row after its last.
     """
     n = codes.shape[0]
     rows = scratch(n_slots * (STATE + 6 * n) + TERMS + 3 * n + 2)
@@ -230,7 +242,10 @@ def regressor_stack(
     out,
     width,
 ):
-    """Write the regressor sample-major: row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the rest.
+    """Write the regressor sample-major.
+
+    Row `n sample + k`, `columns[row]` for each row that `regressor_rows` would write; leave the
+    rest.
 
     `columns` increases within a joint, so that neighbours can be moved by the vector.
     """
@@ -265,7 +280,9 @@ def regressor_stack(
 
 @compiled
 def _wrench(rows, state, force, chi):
-    """Write the force and the moment about its origin that link motion needs (Newton and Euler), in link axes."""
+    """Write the force and the moment about its origin that link motion needs (Newton and Euler), in
+    link axes.
+    """
     for at in range(0, BLOCK, LANES):
         r, f = state + at, force + at
         wx, wy, wz = vector(rows, r)
@@ -318,7 +335,10 @@ def _hand_down(code, p, rows, force, parent_force, angle, cosine, sine, torque):
 
 @compiled
 def newton_euler(codes, placements, gravity, chi, q, qd, qdd, start, stop, out):
-    """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980); `chi` (n, 10)."""
+    """Write joint torques, sample-major, by the recursion of Luh, Walker and Paul (1980).
+
+    `chi` (n, 10).
+    """
     n = codes.shape[0]
     state = STATE * BLOCK
     forces = (n + 1) * state

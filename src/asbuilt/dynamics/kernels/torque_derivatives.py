@@ -1,7 +1,9 @@
-"""The derivatives of the joint torques with respect to positions, velocities and accelerations, for many sets of parameters at once.
+"""The derivatives of the joint torques with respect to positions, velocities and accelerations, for
+many sets of parameters at once.
 
-The recursion runs in the root frame: with the joint screws S and their rates there, the derivatives need no more than sums over the links
-that a joint carries. What depends on the motion alone is found once for all sets.
+The recursion runs in the root frame: with the joint screws S and their rates there, the derivatives
+need no more than sums over the links that a joint carries. What depends on the motion alone is
+found once for all sets.
 """
 
 # mypy: allow-untyped-defs
@@ -32,10 +34,16 @@ from asbuilt.dynamics.kernels.recursion import (
 from asbuilt.errors import UsageError
 
 POSE, PLACE, SCREW, TURN, TURN_2, SPEED, CHANGE, MOTION = 0, 9, 12, 18, 24, 30, 36, 42
-"""Rows of a link's motion: rotation and place; its joint's screw S, `v x S` and `a x S + v x (v x S)` with v, a of its parent; its own v and a."""
+"""Rows of a link's motion: rotation and place.
+
+Its joint's screw S, `v x S` and `a x S + v x (v x S)` with v, a of its parent; its own v and a.
+"""
 
 MASS, MOMENT, INERTIA, MOMENTUM, FLOW, WRENCH, BODY = 0, 1, 4, 10, 13, 22, 28
-"""Rows of a body, summed over all that a joint carries: mass, first moment h, inertia I, momentum, `D = sum dm rdot r^T`, and wrench."""
+"""Rows of a body, summed over all that a joint carries.
+
+Mass, first moment h, inertia I, momentum, `D = sum dm rdot r^T`, and wrench.
+"""
 
 
 def torque_derivatives(
@@ -45,11 +53,13 @@ def torque_derivatives(
     qdd: ArrayLike,
     parameters: ArrayLike | None = None,
 ) -> Array:
-    """Return `d tau_k / d (q_j, qd_j, qdd_j)` of the rigid bodies for each set of parameters, shape (n_samples, n_sets, n, n, 3), axes k, j, order.
+    """Return `d tau_k / d (q_j, qd_j, qdd_j)` of the rigid bodies for each set of parameters, shape
+    (n_samples, n_sets, n, n, 3), axes k, j, order.
 
-    `q, qd, qdd` are (n_samples, n); `parameters` (n_sets, 10 n) are sets of standard parameters, the model's own alone where None. Raises
-    UsageError for shapes that do not fit. Source: Singh, Russell and Wensing (2022), the Coriolis sums written with the first moment of the
-    momentum, so that a body takes 28 numbers.
+    `q, qd, qdd` are (n_samples, n); `parameters` (n_sets, 10 n) are sets of standard parameters,
+    the model's own alone where None. Raises UsageError for shapes that do not fit. Source: Singh,
+    Russell and Wensing (2022), the Coriolis sums written with the first moment of the momentum, so
+    that a body takes 28 numbers.
     """
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
     samples, n = qs.shape
@@ -270,7 +280,10 @@ def _add(rows, source, target):
 
 @compiled
 def _pairs(code, chain, rows, motions, body, i, n, tile):
-    """Write the derivatives between a joint and those above it: three rows for each pair (k, j), of d tau_k with respect to joint j."""
+    """Write the derivatives between a joint and those above it.
+
+    Three rows for each pair (k, j), of d tau_k with respect to joint j.
+    """
     own = motions + i * MOTION * BLOCK
     for at in range(0, BLOCK, LANES):
         r, b = own + at, body + at

@@ -1,4 +1,8 @@
-"""The bodies that must not touch: capsules on the links and obstacles in the world, given in a file or fitted to a description's geometry."""
+"""The bodies that must not touch.
+
+Capsules on the links and obstacles in the world, given in a file or fitted to a description's
+geometry.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +34,9 @@ FLOOR_DEPTH = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """All points within `radius` of the segment from `start` to `stop` (3,), in the axes of a link (ROOT for the world) [m]."""
+    """All points within `radius` of the segment from `start` to `stop` (3,), in the axes of a link
+    (ROOT for the world) [m].
+    """
 
     link: int
     start: Array
@@ -43,7 +49,10 @@ class Capsule:
 
     @classmethod
     def around(cls, link: int, points: ArrayLike) -> Capsule:
-        """Return a small capsule around points (N, 3), along their longest extent: the least of three along principal axes."""
+        """Return a small capsule around points (N, 3), along their longest extent.
+
+        The least of three along principal axes.
+        """
         cloud = np.asarray(points, dtype=np.float64)
         middle = (cloud.max(axis=0) + cloud.min(axis=0)) / 2
         _, _, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
@@ -115,10 +124,13 @@ class _SurroundingsFile(_Table):
 
 
 def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
-    """Return what a design must keep apart: `skeleton` or `skeleton:RADIUS`, the geometry of a URDF file, or a TOML file.
+    """Return what a design must keep apart.
 
-    The TOML has `clearance`, `floor` (height of a floor), `skeleton` (radius), `[[capsules]]` with link, start, stop, radius, `[[obstacles]]` (boxes)
-    with size, position, rpy, and `allowed`, pairs of links that may touch. Raises DescriptionError where it makes no sense.
+    `skeleton` or `skeleton:RADIUS`, the geometry of a URDF file, or a TOML file.
+
+    The TOML has `clearance`, `floor` (height of a floor), `skeleton` (radius), `[[capsules]]` with
+    link, start, stop, radius, `[[obstacles]]` (boxes) with size, position, rpy, and `allowed`,
+    pairs of links that may touch. Raises DescriptionError where it makes no sense.
     """
     text = str(source)
     if text == "skeleton" or text.startswith("skeleton:"):
@@ -184,7 +196,10 @@ def _from_file(model: RobotModel, file: _SurroundingsFile, path: Path) -> Surrou
 
 
 def skeleton_capsules(model: RobotModel, radius: float | None = None) -> tuple[Capsule, ...]:
-    """Return a capsule along each rod of the robot's stick figure; with a `radius` [m], all are that thick."""
+    """Return a capsule along each rod of the robot's stick figure.
+
+    With a `radius` [m], all are that thick.
+    """
     if radius is not None and not radius > 0:
         raise DescriptionError(f"the radius of a skeleton must be positive, got {radius}")
     return tuple(
@@ -195,7 +210,9 @@ def skeleton_capsules(model: RobotModel, radius: float | None = None) -> tuple[C
 
 
 def urdf_capsules(model: RobotModel, path: str | Path) -> tuple[Capsule, ...]:
-    """Return a capsule around each `<collision>` geometry of a URDF file: boxes, cylinders, spheres, and meshes that can be found.
+    """Return a capsule around each `<collision>` geometry of a URDF file.
+
+    Boxes, cylinders, spheres, and meshes that can be found.
 
     Raises DescriptionError where there is none; MissingExtraError where a mesh needs trimesh.
     """
@@ -282,7 +299,9 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
 
 
 def _carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
-    """Return the moving link (or ROOT) that carries a named link or frame, and the pose of that frame in it."""
+    """Return the moving link (or ROOT) that carries a named link or frame, and the pose of that
+    frame in it.
+    """
     if name in model.link_names:
         return model.link_names.index(name), np.eye(4)
     for frame in model.frames:

@@ -1,4 +1,6 @@
-"""How near the bodies of a robot come to each other and to obstacles along a motion, as far as anybody has described them."""
+"""How near the bodies of a robot come to each other and to obstacles along a motion, as far as
+anybody has described them.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,10 @@ POSES_AT_ONCE = 4000
 
 @dataclass(frozen=True)
 class Clearance:
-    """Say that the bodies of `source` come no nearer than `distance` [m] along a motion; `obstacles` are those beside the robot, `left_out` pairs that always touch."""
+    """Say that the bodies of `source` come no nearer than `distance` [m] along a motion.
+
+    `obstacles` are those beside the robot, `left_out` pairs that always touch.
+    """
 
     source: str
     distance: float
@@ -28,7 +33,9 @@ class Clearance:
 
 
 def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance:
-    """Return how near bodies come on a 1 kHz grid; `source` is what `--collision` takes, see `surroundings`.
+    """Return how near bodies come on a 1 kHz grid.
+
+    `source` is what `--collision` takes, see `surroundings`.
 
     Raises
     ------

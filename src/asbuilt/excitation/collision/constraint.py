@@ -1,4 +1,6 @@
-"""Keep bodies apart: the distances between capsules and to obstacles as a constraint on the joint positions."""
+"""Keep bodies apart: the distances between capsules and to obstacles as a constraint on the joint
+positions.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +25,18 @@ SOFTNESS = 0.1
 SURVEYED = 200
 """Random poses by which it is told which bodies always touch."""
 ALWAYS = 0.9
-"""Pairs of links closer than the clearance in more than this share of random poses touch by construction and are left out."""
+"""Pairs of links closer than the clearance in more than this share of random poses touch by
+construction and are left out.
+"""
 
 
 class CollisionGuard(StateConstraint):
-    """Keep every pair of bodies at least the clearance c apart: `v = 1 - tanh((d - c) / 0.1 m)` must stay below 1.
+    """Keep every pair of bodies at least the clearance c apart.
 
-    Links joined by a joint, pairs that are allowed to touch, and pairs that touch in nearly every pose are not watched; `left_out` names the
-    last.
+    `v = 1 - tanh((d - c) / 0.1 m)` must stay below 1.
+
+    Links joined by a joint, pairs that are allowed to touch, and pairs that touch in nearly every
+    pose are not watched; `left_out` names the last.
     """
 
     name = "collision"
@@ -72,7 +78,9 @@ class CollisionGuard(StateConstraint):
         return self._softened(self._distances(q)[0])
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivative of v with respect to q, (N, pairs, n, 1), from the nearest points and the Jacobians there."""
+        """Return the derivative of v with respect to q, (N, pairs, n, 1), from the nearest points
+        and the Jacobians there.
+        """
         distances, points, normals = self._distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
@@ -106,7 +114,9 @@ class CollisionGuard(StateConstraint):
         return softened
 
     def _distances(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return distances (N, pairs), nearest points (N, pairs, 2, 3) on the axes of the capsules, and normals (N, pairs, 3) from first to second."""
+        """Return distances (N, pairs), nearest points (N, pairs, 2, 3) on the axes of the capsules,
+        and normals (N, pairs, 3) from first to second.
+        """
         links = link_poses(self._model, q)
         ends = []
         for capsule in self._bodies.capsules:
@@ -160,7 +170,10 @@ class CollisionGuard(StateConstraint):
 
 
 class ToolBox(StateConstraint):
-    """Keep a point fixed to a link, a frame's origin, within a box of the root frame: `|x - centre| / half` below 1 along each axis."""
+    """Keep a point fixed to a link, a frame's origin, within a box of the root frame.
+
+    `|x - centre| / half` below 1 along each axis.
+    """
 
     name = "tool box"
     two_sided = True
@@ -214,7 +227,9 @@ class ToolBox(StateConstraint):
         return gradient[..., None]
 
     def smallest_room(self, q: Array) -> float:
-        """Return how near the point comes to a side of the box from within over all poses (N, n) [m]; negative outside."""
+        """Return how near the point comes to a side of the box from within over all poses (N, n)
+        [m]; negative outside.
+        """
         return float((self._half - np.abs(self._places(q) - self._centre)).min())
 
     def _places(self, q: Array) -> Array:
@@ -230,7 +245,9 @@ def watched(
     tool_box: Sequence[float] = (),
     tool_frame: str | None = None,
 ) -> tuple[StateConstraint, ...]:
-    """Return the constraints for bodies from a `collision` source (see `surroundings`) and for a box x0, x1, y0, y1, z0, z1 of the tool [m]."""
+    """Return the constraints for bodies from a `collision` source (see `surroundings`) and for a
+    box x0, x1, y0, y1, z0, z1 of the tool [m].
+    """
     found: list[StateConstraint] = []
     if collision is not None:
         found.append(CollisionGuard(model, surroundings(model, collision)))
@@ -245,7 +262,9 @@ def watched(
 
 
 def told_constraints(constraints: Sequence[StateConstraint], q: Array) -> tuple[str, ...]:
-    """Return sentences about how poses (N, n) keep a box, and about the pairs of bodies that are not watched."""
+    """Return sentences about how poses (N, n) keep a box, and about the pairs of bodies that are
+    not watched.
+    """
     boxes = [
         constraint.smallest_room(q) for constraint in constraints if isinstance(constraint, ToolBox)
     ]
@@ -266,7 +285,9 @@ def told_constraints(constraints: Sequence[StateConstraint], q: Array) -> tuple[
 
 
 def skeleton_distance(model: RobotModel, q: Array) -> float | None:
-    """Return the smallest distance between capsules along the robot's stick figure over poses (N, n) [m], None where it has none that could meet."""
+    """Return the smallest distance between capsules along the robot's stick figure over poses (N,
+    n) [m], None where it has none that could meet.
+    """
     try:
         return CollisionGuard(model, surroundings(model, "skeleton")).smallest_distance(q)
     except MotionError:

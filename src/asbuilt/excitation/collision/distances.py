@@ -12,7 +12,9 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.compilation import compiled
 
 PARALLEL = 1e-12
-"""Squared sine of the angle below which segments count as parallel, and squared length [m^2] below which one is a point."""
+"""Squared sine of the angle below which segments count as parallel, and squared length [m^2] below
+which one is a point.
+"""
 GOLDEN = 0.6180339887498949
 """The golden section."""
 SECTIONS = 44
@@ -22,7 +24,8 @@ SECTIONS = 44
 def nearest_on_segments(
     start: Array, along: Array, other_start: Array, other_along: Array
 ) -> tuple[Array, Array]:
-    """Return the nearest points (N, 3) of segments `start + s along` and `other_start + t other_along`, s and t in 0 ... 1, all (N, 3).
+    """Return the nearest points (N, 3) of segments `start + s along` and `other_start + t
+    other_along`, s and t in 0 ... 1, all (N, 3).
 
     Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
@@ -44,9 +47,11 @@ def nearest_on_segments(
 
 
 def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Array, Array]:
-    """Return for segments (N, 3) in the axes of a box of half extent `half` (3,) the nearest point, its signed distance, and the outward normal.
+    """Return for segments (N, 3) in the axes of a box of half extent `half` (3,) the nearest point,
+    its signed distance, and the outward normal.
 
-    The signed distance to a convex body is convex along a line, so golden sections find its minimum.
+    The signed distance to a convex body is convex along a line, so golden sections find its
+    minimum.
     """
     points, distances, normals = (
         np.empty((len(start), 3)),

@@ -44,13 +44,20 @@ REFINED = 4
 """How many of the best local optima are refined on the dense grid."""
 
 BOUND_SHARE, REFINEMENT_SHARE = 0.25, 0.15
-"""The most that the bounds may take of the time limit, and what the search leaves of it to the refinement of what it finds."""
+"""The most that the bounds may take of the time limit, and what the search leaves of it to the
+refinement of what it finds.
+"""
 
 UNTOLD = 1e-6
-"""Squared share of a parameter in what a motion does not tell, from which on its error counts as infinite."""
+"""Squared share of a parameter in what a motion does not tell, from which on its error counts as
+infinite.
+"""
 
 SAME_DURATION = 0.1
-"""By what part a motion may last longer or shorter than asked for before that is told; only poses do, others last as long as asked."""
+"""By what part a motion may last longer or shorter than asked for before that is told.
+
+Only poses do, others last as long as asked.
+"""
 
 LAST_REFINEMENT = 2.0
 """Time for refinement after an interrupt [s]."""
@@ -60,9 +67,10 @@ LAST_REFINEMENT = 2.0
 class Design:
     """Hold a designed motion and what it is worth.
 
-    `mean_information` (p, p) is `Y^T S^-1 Y` averaged over a 1 kHz grid, with exact drive columns; `log_det` refers to `n_samples` independent
-    samples. `limits` are the margins on that grid (limits that the description lacks are those of `MotionBounds.assumed`, named in
-    `assumed`), `collision_distance` the smallest distance there [m], None where nothing was watched.
+    `mean_information` (p, p) is `Y^T S^-1 Y` averaged over a 1 kHz grid, with exact drive columns;
+    `log_det` refers to `n_samples` independent samples. `limits` are the margins on that grid
+    (limits that the description lacks are those of `MotionBounds.assumed`, named in `assumed`),
+    `collision_distance` the smallest distance there [m], None where nothing was watched.
     """
 
     model: RobotModel
@@ -92,12 +100,18 @@ class Design:
 
     @property
     def d_efficiency(self) -> float | None:
-        """`exp((log det M - log det M_bound) / p)` per sample: the share of the attainable information, None where no bound was found."""
+        """`exp((log det M - log det M_bound) / p)` per sample.
+
+        The share of the attainable information, None where no bound was found.
+        """
         return None if self.bound is None else self.bound.efficiency(self.mean_information)
 
     @property
     def family_efficiency(self) -> float | None:
-        """The same against the smaller bound for motions with these harmonics; None for other families."""
+        """The same against the smaller bound for motions with these harmonics.
+
+        None for other families.
+        """
         return (
             None
             if self.family_bound is None
@@ -127,7 +141,9 @@ class Design:
 
     @property
     def std_errors(self) -> Array:
-        """Predicted standard errors of the base parameters (p,), from this motion and what was known before; infinite where neither tells anything."""
+        """Predicted standard errors of the base parameters (p,), from this motion and what was
+        known before; infinite where neither tells anything.
+        """
         total = self.information if self.prior is None else self.information + self.prior
         size = 1.0 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
         eigenvalues, vectors = np.linalg.eigh(total * np.outer(size, size))
@@ -151,15 +167,17 @@ def design_motion(
 ) -> Design:
     """Return the best motion that several local searches find within the limits.
 
-    `prior` (p, p) is information about the base parameters from earlier recordings; `constraints` are watched besides position, velocity,
-    acceleration, jerk and torque. The time limit of the options covers bounds, search and refinement. A keyboard interrupt ends the search
-    or the refinement and keeps the best motion so far. Searches run on as many `cores` as given, or all there are, in processes of their own
-    where there are many.
+    `prior` (p, p) is information about the base parameters from earlier recordings; `constraints`
+    are watched besides position, velocity, acceleration, jerk and torque. The time limit of the
+    options covers bounds, search and refinement. A keyboard interrupt ends the search or the
+    refinement and keeps the best motion so far. Searches run on as many `cores` as given, or all
+    there are, in processes of their own where there are many.
 
     Raises
     ------
     MotionError
-        If no start within the constraints is found, or no motion of the family tells all parameters.
+        If no start within the constraints is found, or no motion of the family tells all
+        parameters.
     """
     asked = options or DesignOptions()
     wanted = asked.for_limits(MotionBounds.assumed(model, asked.fraction))
@@ -238,7 +256,9 @@ def describe_design(
     interrupted: bool = False,
     notes: tuple[str, ...] = (),
 ) -> Design:
-    """Return what a motion is worth, evaluated at 1 kHz with exact drive columns, and its margins there."""
+    """Return what a motion is worth, evaluated at 1 kHz with exact drive columns, and its margins
+    there.
+    """
     limited, assumed = limited_model(model)
     t = (
         (np.arange(max(1, int(motion.duration * CHECK_RATE))) + 0.5)
@@ -285,10 +305,12 @@ def design_bounds(
     options: DesignOptions,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> tuple[InformationBound, InformationBound | None]:
-    """Return the bound over all states within the limits, and the one over those that a Fourier series with these harmonics can reach.
+    """Return the bound over all states within the limits, and the one over those that a Fourier
+    series with these harmonics can reach.
 
-    A series whose highest frequency is w obeys `|qd| <= w r` and `|qdd| <= w max |qd|`, r half the range of q (Bernstein 1912). Each may take
-    half of the share of the time limit that bounds have; what is missing then makes it a looser bound.
+    A series whose highest frequency is w obeys `|qd| <= w r` and `|qdd| <= w max |qd|`, r half the
+    range of q (Bernstein 1912). Each may take half of the share of the time limit that bounds have;
+    what is missing then makes it a looser bound.
     """
     bounds, family = MotionBounds.assumed(model, options.fraction), options.family
     torque = options.torque_fraction * MotionBounds.of(model).torque
@@ -318,7 +340,10 @@ def design_bounds(
 
 
 def _loaded(information: Information) -> None:
-    """Compile what a search runs, or load it where that was done before; after an installation it takes seconds, which are no part of a design's."""
+    """Compile what a search runs, or load it where that was done before.
+
+    After an installation it takes seconds, which are no part of a design's.
+    """
     rest = np.zeros((1, information.model.n_joints))
     information.state_gradient(
         rest, rest, rest, information.rows(rest, rest, rest), np.eye(information.n_parameters)
@@ -328,7 +353,10 @@ def _loaded(information: Information) -> None:
 
 
 def position_of(base: BaseParameters, name: str) -> int:
-    """Return the position of a base parameter among all, by name or id; raises UsageError where there is none."""
+    """Return the position of a base parameter among all, by name or id.
+
+    Raises UsageError where there is none.
+    """
     text = name.strip()
     if text in base.names:
         return base.names.index(text)

@@ -1,4 +1,7 @@
-"""A primal-dual interior-point method for motions that are linear in their coefficients: every iterate respects every constraint."""
+"""A primal-dual interior-point method for motions that are linear in their coefficients.
+
+Every iterate respects every constraint.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +17,17 @@ from asbuilt.arrays import Array
 FRACTION_TO_BOUNDARY = 0.995
 """The most of the way to a constraint that one step takes."""
 ARMIJO = 1e-4
-"""The least decrease of the barrier function that a step must bring, in parts of what its slope promises."""
+"""The least decrease of the barrier function that a step must bring, in parts of what its slope
+promises.
+"""
 SHRINK_BARRIER = 0.2
 """By what factor the weight of the barrier falls."""
 STEPS_PER_BARRIER = 40
 """Steps at one weight of the barrier, at most."""
 DAMPING = 0.2
-"""The least curvature along a step that BFGS believes, in parts of what it believed before (Powell 1978)."""
+"""The least curvature along a step that BFGS believes, in parts of what it believed before (Powell
+1978).
+"""
 MOST_BACKTRACKS = 14
 """Halvings of a step before another one is tried."""
 COMPLEMENTARITY_SPREAD = 1e8
@@ -28,7 +35,9 @@ COMPLEMENTARITY_SPREAD = 1e8
 
 
 class StateConstraint(ABC):
-    """Bound something that depends on the joint state at one instant: torque, distance to an obstacle, place of the tool.
+    """Bound something that depends on the joint state at one instant.
+
+    Torque, distance to an obstacle, place of the tool.
 
     Its values are normalised so that they must stay below 1, and above -1 where it is `two_sided`.
     """
@@ -42,22 +51,28 @@ class StateConstraint(ABC):
 
     @abstractmethod
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivatives of the values with respect to the joint positions and their time derivatives of orders below r, (N, m, n, r)."""
+        """Return the derivatives of the values with respect to the joint positions and their time
+        derivatives of orders below r, (N, m, n, r).
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A value, minus infinity where it is not defined, and a function for its derivatives with respect to the states, each (N, n)."""
+    """A value, minus infinity where it is not defined, and a function for its derivatives with
+    respect to the states, each (N, n).
+    """
 
     value: float
     gradient: Callable[[], tuple[Array, Array, Array]]
 
 
 class MotionProgram(ABC):
-    """Maximise a function of the states of a motion `d^k q / dt^k (t_s) = bases[k] @ coefficients`, coefficients (n_basis, n).
+    """Maximise a function of the states of a motion `d^k q / dt^k (t_s) = bases[k] @ coefficients`,
+    coefficients (n_basis, n).
 
-    `bases[k]` (N, n_basis) for the orders 0 ... 3, each of whose products must stay within `centre[k] +- half[k]` (n,), where half may be
-    infinite. The values of state constraints must stay below `1 - room`.
+    `bases[k]` (N, n_basis) for the orders 0 ... 3, each of whose products must stay within
+    `centre[k] +- half[k]` (n,), where half may be infinite. The values of state constraints must
+    stay below `1 - room`.
     """
 
     bases: tuple[Array, ...]
@@ -79,7 +94,10 @@ class MotionProgram(ABC):
         )
 
     def margins(self, coefficients: Array) -> list[Array]:
-        """Return the slacks of all constraints: for each order the room above and below, then those of the state constraints."""
+        """Return the slacks of all constraints.
+
+        For each order the room above and below, then those of the state constraints.
+        """
         found = []
         for basis, centre, half in zip(self.bases, self.centre, self.half, strict=True):
             v = (basis @ coefficients - centre) / half
@@ -93,7 +111,9 @@ class MotionProgram(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The coefficients (n_basis, n), the value reached, the iterations spent and whether the method converged."""
+    """The coefficients (n_basis, n), the value reached, the iterations spent and whether the method
+    converged.
+    """
 
     coefficients: Array
     value: float
@@ -122,9 +142,11 @@ def solve(
 ) -> Optimum | None:
     """Climb from strictly feasible coefficients; None where the start is not strictly feasible.
 
-    The barrier problem `max f + mu sum log s` is solved for falling mu by Newton steps with primal-dual multipliers for the constraints, whose
-    curvature is exact to first order, and a damped BFGS approximation of the curvature of f (Nocedal & Wright 2006, chapter 19; Powell
-    1978). Line search on the barrier function itself keeps all slacks positive. `improved(coefficients, value)` is told each iterate.
+    The barrier problem `max f + mu sum log s` is solved for falling mu by Newton steps with
+    primal-dual multipliers for the constraints, whose curvature is exact to first order, and a
+    damped BFGS approximation of the curvature of f (Nocedal & Wright 2006, chapter 19; Powell
+    1978). Line search on the barrier function itself keeps all slacks positive.
+    `improved(coefficients, value)` is told each iterate.
     """
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
@@ -207,7 +229,9 @@ def _flat(by_coefficient: Array) -> Array:
 
 
 def _metric(program: MotionProgram) -> Array:
-    """Return the mean of the squared normalised position, velocity and acceleration as a quadratic form of the coefficients."""
+    """Return the mean of the squared normalised position, velocity and acceleration as a quadratic
+    form of the coefficients.
+    """
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half in zip(program.bases[:3], program.half, strict=False):
@@ -231,7 +255,9 @@ def _point(
 
 
 def _pulled(program: MotionProgram, slopes: Array, weights: Array) -> Array:
-    """Return `sum weights dv/dx` over the values v (N, m) of one constraint, x the coefficients joint by joint."""
+    """Return `sum weights dv/dx` over the values v (N, m) of one constraint, x the coefficients
+    joint by joint.
+    """
     samples, m, n, orders = slopes.shape
     by_state = (weights[:, None, :] @ slopes.reshape(samples, m, -1)).reshape(samples, n, orders)
     return _flat(np.asarray(sum(program.bases[k].T @ by_state[:, :, k] for k in range(orders))))
@@ -246,7 +272,9 @@ def _rates(program: MotionProgram, slopes: Array, direction: Array) -> Array:
 
 
 def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
-    """Return `sum weights dv/dx (dv/dx)^T`, first by the states of a sample, then by the coefficients behind them."""
+    """Return `sum weights dv/dx (dv/dx)^T`, first by the states of a sample, then by the
+    coefficients behind them.
+    """
     samples, m, n, orders = slopes.shape
     rows = slopes.reshape(samples, m, -1)
     by_state = (rows * weights[:, :, None]).transpose(0, 2, 1) @ rows
@@ -260,7 +288,9 @@ def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> 
 def _pairs(
     program: MotionProgram, each: list[Array], absent: float = 0.0
 ) -> list[tuple[Array, Array]]:
-    """Return what belongs to the upper and the lower side of each group of constraints, `absent` where there is no lower side."""
+    """Return what belongs to the upper and the lower side of each group of constraints, `absent`
+    where there is no lower side.
+    """
     found, at = [], 0
     for _ in program.bases:
         found.append((each[at], each[at + 1]))
@@ -335,7 +365,9 @@ def _line_search(
 def _next_duals(
     program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
 ) -> list[Array]:
-    """Take the Newton step of the multipliers, as far as they stay positive, and keep them near the central path."""
+    """Take the Newton step of the multipliers, as far as they stay positive, and keep them near the
+    central path.
+    """
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     direction = step.reshape(n, n_basis).T
     rates: list[Array] = []

@@ -43,7 +43,10 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchProgress:
-    """How a phase of a design stands: seconds since it began, of those it has; searches finished, of those planned; the best value so far."""
+    """How a phase of a design stands: seconds since it began, of those it has.
+
+    Searches finished, of those planned; the best value so far.
+    """
 
     seconds: float
     limit: float
@@ -59,7 +62,10 @@ class SearchProgress:
 
 
 class Deadline:
-    """Say when to stop: after `seconds`, or once `stop` was called from anywhere; `interrupted` where a keyboard interrupt called it."""
+    """Say when to stop: after `seconds`, or once `stop` was called from anywhere.
+
+    `interrupted` where a keyboard interrupt called it.
+    """
 
     def __init__(self, seconds: float) -> None:
         self._begin = time.monotonic()
@@ -77,7 +83,10 @@ class Deadline:
         self._stopped.set()
 
     def __reduce__(self) -> tuple[Callable[[float, float], Deadline], tuple[float, float]]:
-        """Pickle when it ends: another process of this machine has the same clock. A later `stop` here is not heard there."""
+        """Pickle when it ends: another process of this machine has the same clock.
+
+        A later `stop` here is not heard there.
+        """
         return Deadline.begun_at, (self._begin, self.seconds)
 
     @classmethod
@@ -100,10 +109,13 @@ def search_all(
     crew: Crew[Task, Candidate] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> list[Candidate]:
-    """Do the searches that the tasks ask for, here and by a crew, best first in the answer; a keyboard interrupt or the deadline ends them early and keeps what they have.
+    """Do the searches that the tasks ask for, here and by a crew, best first in the answer.
 
-    Each search must look at the deadline itself; the first begins even where the time is up, so that there is an answer however slow the machine. The
-    order does not depend on timing: equal values are ordered by number. What a lost crew was at is done here.
+    A keyboard interrupt or the deadline ends them early and keeps what they have.
+
+    Each search must look at the deadline itself; the first begins even where the time is up, so
+    that there is an answer however slow the machine. The order does not depend on timing: equal
+    values are ordered by number. What a lost crew was at is done here.
     """
     found: list[Candidate] = []
     waiting = deque(tasks)
@@ -150,7 +162,10 @@ def search_all(
 
 
 def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Return the candidates that found something, best first; equal ones in the order of their numbers."""
+    """Return the candidates that found something, best first.
+
+    Equal ones in the order of their numbers.
+    """
     return sorted(
         (candidate for candidate in candidates if np.isfinite(candidate.value)),
         key=lambda c: (-c.value, c.number),

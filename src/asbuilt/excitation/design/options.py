@@ -17,7 +17,9 @@ LEAST_HARMONICS, MOST_HARMONICS = 4, 16
 """Fewest and most harmonics in a period where none are asked for."""
 
 LEAST_POINTS, MOST_POINTS, POINTS_PER_WAVE = 4, 49, 3.2
-"""Fewest and most control points where none are asked for, and how many there are in a wave of the useful frequency."""
+"""Fewest and most control points where none are asked for, and how many there are in a wave of the
+useful frequency.
+"""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,9 @@ class DesignOptions:
             )
 
     def for_limits(self, bounds: MotionBounds) -> DesignOptions:
-        """Return the options with the harmonics and periods, control points or way points that suit a robot with these limits, where none are asked for."""
+        """Return the options with the harmonics and periods, control points or way points that suit
+        a robot with these limits, where none are asked for.
+        """
         if self.size is not None:
             return self
         useful = useful_frequency(bounds)
@@ -106,7 +110,9 @@ class DesignOptions:
 
 
 def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
-    """Return the number of harmonics where none is asked for: at least 4, up to a quarter of a hertz or, for a robot that is quick, its useful frequency.
+    """Return the number of harmonics where none is asked for.
+
+    At least 4, up to a quarter of a hertz or, for a robot that is quick, its useful frequency.
 
     Beyond 16 harmonics, a quarter of a hertz is all.
     """
@@ -119,10 +125,13 @@ def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
 
 
 def usual_points(parametrisation: str, duration: float, useful: float = LEAST_FREQUENCY) -> int:
-    """Return the number of control points, way points or poses where none is asked for: at least 4 and one every 1.25 s; up to 49 control points or 25 way points for a quick robot.
+    """Return the number of control points, way points or poses where none is asked for.
 
-    `useful` is its useful frequency [Hz]. A way point brings a velocity and an acceleration of its own, so that half as many are as rich as control points. Poses are not
-    thickened, for a controller stops at each.
+    At least 4 and one every 1.25 s; up to 49 control points or 25 way points for a quick robot.
+
+    `useful` is its useful frequency [Hz]. A way point brings a velocity and an acceleration of its
+    own, so that half as many are as rich as control points. Poses are not thickened, for a
+    controller stops at each.
     """
     slow = max(LEAST_POINTS, round(POINTS_PER_WAVE * LEAST_FREQUENCY * duration) + 1)
     density = {"bspline": 1.0, "quintic": 0.5}.get(parametrisation, 0.0)
@@ -136,5 +145,7 @@ def usual_points(parametrisation: str, duration: float, useful: float = LEAST_FR
 
 
 def useful_frequency(bounds: MotionBounds) -> float:
-    """Return a tenth of a / v, the median over joints of the limits of acceleration over velocity [Hz]: below, a joint is at full speed most of the time."""
+    """Return a tenth of a / v, the median over joints of the limits of acceleration over velocity
+    [Hz]: below, a joint is at full speed most of the time.
+    """
     return float(np.median(bounds.acceleration / bounds.velocity)) / 10

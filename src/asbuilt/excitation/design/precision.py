@@ -21,13 +21,18 @@ from asbuilt.excitation.design.multistart import SearchProgress
 from asbuilt.excitation.design.options import DesignOptions
 
 USUAL_PRECISION = 0.002
-"""Share of the torque that the standard error of a parameter may change, where no other is asked for."""
+"""Share of the torque that the standard error of a parameter may change, where no other is asked
+for.
+"""
 SHORTEST, LONGEST_PERIOD, LONGEST = 10.0, 40.0, 1800.0
 """The first duration that is tried, the longest in one period, and the longest at all [s]."""
 STEP = 5.0
 """Durations are multiples of this [s]."""
 TRIALS = 8
-"""Durations that are tried at most; each comes from the last by the square root of time, so a few are enough."""
+"""Durations that are tried at most.
+
+Each comes from the last by the square root of time, so a few are enough.
+"""
 TRIAL_STARTS, TRIAL_LIMIT = 6, 5.0
 """Random starts and time [s] of a design that only judges a duration."""
 
@@ -43,9 +48,11 @@ class DurationTrial:
 
 
 def predicted_precision(design: Design) -> float:
-    """Return the largest torque error that one parameter's standard error causes, as a fraction of the torque, both RMS along the motion.
+    """Return the largest torque error that one parameter's standard error causes, as a fraction of
+    the torque, both RMS along the motion.
 
-    It is the largest of the `torque_effects` of the parameters in focus, of all where there is none. Raises UsageError where the description has no masses.
+    It is the largest of the `torque_effects` of the parameters in focus, of all where there is
+    none. Raises UsageError where the description has no masses.
     """
     effects = torque_effects(design)
     if np.any(np.isnan(effects)):
@@ -58,9 +65,11 @@ def predicted_precision(design: Design) -> float:
 
 
 def torque_effects(design: Design) -> Array:
-    """Return `std_i rms(column_i) / rms(torque)` of every base parameter (p,), torques in units of the noise; NaN where the description has no masses.
+    """Return `std_i rms(column_i) / rms(torque)` of every base parameter (p,), torques in units of
+    the noise; NaN where the description has no masses.
 
-    The torque is that of the description. Unlike the error relative to the parameter it makes sense for parameters near zero.
+    The torque is that of the description. Unlike the error relative to the parameter it makes sense
+    for parameters near zero.
     """
     drive, values = described_drive(design.model)
     t = design.motion.sample_times(100.0)
@@ -84,11 +93,14 @@ def design_for_precision(
     constraints: Sequence[StateConstraint] = (),
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> tuple[Design, tuple[DurationTrial, ...]]:
-    """Return a design just long enough for `predicted_precision` to be at most `precision`, and the durations that were tried.
+    """Return a design just long enough for `predicted_precision` to be at most `precision`, and the
+    durations that were tried.
 
-    Errors fall with the square root of the duration; that gives the next duration to try, in steps of 5 s. Beyond 40 s the motion is repeated in
-    periods. The harmonics are those of the options, or go with the period. The time limit of the options holds for the last design; each try
-    before it takes some seconds. A keyboard interrupt ends the tries; the motion of that moment is returned.
+    Errors fall with the square root of the duration; that gives the next duration to try, in steps
+    of 5 s. Beyond 40 s the motion is repeated in periods. The harmonics are those of the options,
+    or go with the period. The time limit of the options holds for the last design; each try before
+    it takes some seconds. A keyboard interrupt ends the tries; the motion of that moment is
+    returned.
 
     Raises
     ------

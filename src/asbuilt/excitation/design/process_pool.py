@@ -1,4 +1,7 @@
-"""Processes that take part in a search: threads would wait for each other, for much of a search is Python."""
+"""Processes that take part in a search.
+
+Threads would wait for each other, for much of a search is Python.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,9 @@ MOST = 7
 class Crew(Generic[Task, Result]):
     """Processes that do `work` on tasks handed to them; work, tasks and results must be picklable.
 
-    They take part once they have loaded what they need, which takes seconds: `has_room` says whether one is free. Where none can be made, or they are
-    lost, there is never room. To be closed in the end; what they do then is lost.
+    They take part once they have loaded what they need, which takes seconds: `has_room` says
+    whether one is free. Where none can be made, or they are lost, there is never room. To be closed
+    in the end; what they do then is lost.
     """
 
     def __init__(self, work: Callable[[Task], Result], size: int) -> None:
@@ -93,7 +97,9 @@ def _do(task: object) -> object:
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Let processes that are begun within inherit that they ignore Ctrl-C, which is for this one to answer."""
+    """Let processes that are begun within inherit that they ignore Ctrl-C, which is for this one to
+    answer.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,4 +1,7 @@
-"""The design of a motion as a program for the interior-point method: nodes, limits, criterion and what is known already."""
+"""The design of a motion as a program for the interior-point method.
+
+Nodes, limits, criterion and what is known already.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,12 @@ from asbuilt.excitation.motions.parametrisations import Parametrisation
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Judge mean information per sample: `criterion(S (n_samples mean + prior) S)`, S the diagonal of `scale`.
+    """Judge mean information per sample.
 
-    `scale` (p,) are units for the parameters, `n_samples` how many independent samples the motion will be worth, `prior` (p, p) information
-    from elsewhere.
+    `criterion(S (n_samples mean + prior) S)`, S the diagonal of `scale`.
+
+    `scale` (p,) are units for the parameters, `n_samples` how many independent samples the motion
+    will be worth, `prior` (p, p) information from elsewhere.
     """
 
     information: Information
@@ -46,7 +51,9 @@ class Objective:
 
 
 class DesignProgram(MotionProgram):
-    """Maximise an objective over the coefficients of one family of motions, at nodes in the middle of equal intervals."""
+    """Maximise an objective over the coefficients of one family of motions, at nodes in the middle
+    of equal intervals.
+    """
 
     def __init__(
         self,

@@ -30,7 +30,9 @@ AT_ONCE = 4096
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Hold poses (M, n) of which each can be reached from each other, straight in joint space along `edges` (E, 2) (Kavraki et al. 1996)."""
+    """Hold poses (M, n) of which each can be reached from each other, straight in joint space along
+    `edges` (E, 2) (Kavraki et al. 1996).
+    """
 
     stations: Array
     edges: NDArray[np.int64]
@@ -59,7 +61,9 @@ class Roadmap:
 
 @dataclass(frozen=True, eq=False)
 class Travel:
-    """Poses in the order in which they are visited, the motion through them, and at how many further poses it turns to get round something."""
+    """Poses in the order in which they are visited, the motion through them, and at how many
+    further poses it turns to get round something.
+    """
 
     poses: Array
     motion: PointToPointMotion
@@ -74,10 +78,11 @@ def travel_through(
     loads: Sequence[StateConstraint],
     dwell: float,
 ) -> Travel:
-    """Return a short way through all `poses` (K, n), straight in joint space where the values of `obstacles` stay below 1, else over the roadmap.
+    """Return a short way through all `poses` (K, n), straight in joint space where the values of
+    `obstacles` stay below 1, else over the roadmap.
 
-    Without a roadmap obstacles are not looked for. The velocity is that of the bounds, or less on moves where `loads` (limits of torque) ask for it;
-    `dwell` is the rest at each pose [s].
+    Without a roadmap obstacles are not looked for. The velocity is that of the bounds, or less on
+    moves where `loads` (limits of torque) ask for it; `dwell` is the rest at each pose [s].
 
     Raises
     ------
@@ -116,7 +121,9 @@ def travel_through(
 
 
 def short_tour(apart: Array) -> list[int]:
-    """Return an order in which the sum of the distances (K, K) is short; open, any end may come first.
+    """Return an order in which the sum of the distances (K, K) is short.
+
+    Open, any end may come first.
 
     Nearest neighbour from every start, improved by reversing stretches (2-opt; Croes 1958).
     """
@@ -181,7 +188,9 @@ def _lengths(
     bounds: MotionBounds,
     obstacles: Sequence[StateConstraint],
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Return the lengths of the shortest ways between the poses, and for each of these the node before any other on the way to it."""
+    """Return the lengths of the shortest ways between the poses, and for each of these the node
+    before any other on the way to it.
+    """
     count = len(poses)
     near = np.argsort(_distances(poses, roadmap.stations, bounds), axis=1)[:, :NEIGHBOURS] + count
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]

@@ -1,4 +1,7 @@
-"""Local searches for the best motion: from random starts, from disturbed good motions, and refined until all limits hold at 1 kHz."""
+"""Local searches for the best motion.
+
+From random starts, from disturbed good motions, and refined until all limits hold at 1 kHz.
+"""
 
 from __future__ import annotations
 
@@ -38,24 +41,38 @@ from asbuilt.excitation.motions.parametrisations import Parametrisation, PointTo
 from asbuilt.excitation.state_bounds import random_states
 
 NODES_PER_WAVE = 40
-"""Nodes per shortest wave of a motion during the search, twice as many in the end; with fewer, a search hides motion between the nodes."""
+"""Nodes per shortest wave of a motion during the search, twice as many in the end.
+
+With fewer, a search hides motion between the nodes.
+"""
 
 LEAST_NODES = 128
 """Nodes of the search at least, however few waves a motion has."""
 SEARCH_BARRIER = (20.0, 3e-3)
-"""Weights of the barrier at the beginning and the end of a search from a random start: strong at first, which takes it away from the limits that it began near."""
+"""Weights of the barrier at the beginning and the end of a search from a random start.
+
+Strong at first, which takes it away from the limits that it began near.
+"""
 FINAL_BARRIER = (3e-3, 3e-5)
 """The same for the refinement, which goes on where the search ended."""
 HOP_BARRIER = (0.3, 3e-3)
 """The same for a search from a disturbed good motion, which is not to be driven away from it."""
 SEARCH_SPARE, FINAL_SPARE = (3e-3, 3e-2), (1e-3, 1e-2)
-"""What search and refinement leave of the limits of motion and of the other constraints, so that they hold between the nodes, too."""
+"""What search and refinement leave of the limits of motion and of the other constraints, so that
+they hold between the nodes, too.
+"""
 
 POPULATION = 24
-"""Random starts of a population. Disturbing its best goes on until that brings nothing; then a new one begins, for populations end in optima of different worth."""
+"""Random starts of a population. Disturbing its best goes on until that brings nothing.
+
+Then a new one begins, for populations end in optima of different worth.
+"""
 
 GENERATION = 8
-"""Disturbed motions searched from at a time: all of a generation have the same parents, whatever the number of cores."""
+"""Disturbed motions searched from at a time.
+
+All of a generation have the same parents, whatever the number of cores.
+"""
 
 PARENTS = 3
 """Best motions of a population that are disturbed."""
@@ -70,7 +87,10 @@ DISTURBANCE = (0.1, 0.5)
 REPAIRS = 12
 """Attempts to make a motion hold at 1 kHz,"""
 LEAST_SHRINKING, MOST_SHRINKING = 0.005, 0.3
-"""in each of which it shrinks towards a point, poses by the least part to begin with; beyond the most a motion is given up."""
+"""in each of which it shrinks towards a point, poses by the least part to begin with.
+
+Beyond the most a motion is given up.
+"""
 SURVEYED = 200
 """Random poses that tell whether a robot is anywhere too heavy for its drives."""
 
@@ -82,8 +102,9 @@ SHORTEST_MOVE = 0.1
 class Task:
     """Ask for a search.
 
-    Number `number` begins at a random start of its own, or between that and a good motion `origin`; with `refined_until`, the deadline, `origin` itself is refined on
-    a grid twice as dense and made to hold at 1 kHz.
+    Number `number` begins at a random start of its own, or between that and a good motion `origin`;
+    with `refined_until`, the deadline, `origin` itself is refined on a grid twice as dense and made
+    to hold at 1 kHz.
     """
 
     number: int
@@ -165,10 +186,13 @@ class DesignSearch:
         crew: Crew[Task, Candidate] | None,
         told: Callable[[int, float, SearchProgress], None],
     ) -> list[Candidate]:
-        """Return the candidates of one population, best first: searches from random starts, then from disturbed versions of the best so far.
+        """Return the candidates of one population, best first.
 
-        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time, until some generations bring nothing. The
-        searches of a population are numbered from `first`.
+        Searches from random starts, then from disturbed versions of the best so far.
+
+        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time,
+        until some generations bring nothing. The searches of a population are numbered from
+        `first`.
         """
         seeds = [Task(first + k) for k in range(size)]
         found = search_all(
@@ -273,12 +297,17 @@ class DesignSearch:
         return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
     def _paced(self, poses: Array) -> tuple[Array, Array, Array] | None:
-        """Return the states at 1 kHz of what a controller makes of the poses, None where it can make nothing."""
+        """Return the states at 1 kHz of what a controller makes of the poses, None where it can
+        make nothing.
+        """
         motion = paced_moves(poses, self._bounds, self._constraints)
         return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
 
     def motion(self, candidate: Candidate) -> Motion:
-        """Return the motion of a refined candidate; poses become what a controller makes of them, slowed down on moves whose torque asks for it."""
+        """Return the motion of a refined candidate.
+
+        Poses become what a controller makes of them, slowed down on moves whose torque asks for it.
+        """
         if not isinstance(self.family, PointToPoint):
             return self.family.motion(candidate.coefficients)
         motion = paced_moves(candidate.coefficients, self._bounds, self._constraints)
@@ -340,7 +369,9 @@ class DesignSearch:
         return None
 
     def _inside(self, program: DesignProgram, coefficients: Array) -> Array | None:
-        """Return the coefficients drawn towards standing in the middle of the range or of the motion, just enough to be strictly feasible."""
+        """Return the coefficients drawn towards standing in the middle of the range or of the
+        motion, just enough to be strictly feasible.
+        """
         own = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
         middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         for part in (0.0, 0.003, 0.01, 0.02, 0.05, 0.1, 0.2):
@@ -351,7 +382,9 @@ class DesignSearch:
         return None
 
     def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
-        """Return the coefficients, drawn inwards until every constraint holds at 1 kHz, at the pace that a controller gives them."""
+        """Return the coefficients, drawn inwards until every constraint holds at 1 kHz, at the pace
+        that a controller gives them.
+        """
         span = family.duration / getattr(family, "periods", 1)
         grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), (0.0, 0.0), family)
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)

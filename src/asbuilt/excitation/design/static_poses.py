@@ -32,10 +32,14 @@ CANDIDATES = 2000
 EXCHANGES = 12
 """Rounds of exchange at most."""
 SMALLEST_EIGENVALUE = 1e-9
-"""Directions of the parameters whose information over random poses is below this fraction of the largest are not told by gravity."""
+"""Directions of the parameters whose information over random poses is below this fraction of the
+largest are not told by gravity.
+"""
 
 BARRED = 0.2
-"""Angles [rad] of a joint without any admissible pose among the candidates count as barred from this width on."""
+"""Angles [rad] of a joint without any admissible pose among the candidates count as barred from
+this width on.
+"""
 
 REFINEMENT_STEPS = 60
 """Steps of the climb of all poses together."""
@@ -45,11 +49,14 @@ DWELL = 1.0
 
 @dataclass(frozen=True, eq=False)
 class StaticDesign:
-    """Hold K poses (K, n) in the order in which they are visited, the motion through them, and what they tell.
+    """Hold K poses (K, n) in the order in which they are visited, the motion through them, and what
+    they tell.
 
-    `n_parameters` is the number of combinations of base parameters that gravity tells; `log_det`, `condition_number` and `scaled_condition_number`
-    refer to these, one torque reading per pose, noise included. The motion turns at `turns` further poses where the straight way between two is not
-    clear; `collision_distance` is the smallest distance on the way [m], None where nothing was watched.
+    `n_parameters` is the number of combinations of base parameters that gravity tells; `log_det`,
+    `condition_number` and `scaled_condition_number` refer to these, one torque reading per pose,
+    noise included. The motion turns at `turns` further poses where the straight way between two is
+    not clear; `collision_distance` is the smallest distance on the way [m], None where nothing was
+    watched.
     """
 
     model: RobotModel
@@ -84,8 +91,9 @@ def design_static_poses(
 ) -> StaticDesign:
     """Return the D-optimal poses for the parameters that gravity tells, ordered for short travel.
 
-    Exchange (Fedorov 1972) among random admissible poses, then a climb of all poses together within the limits; then a short tour through them that keeps
-    the `constraints` on the way, too, and stays clear of poses in which the robot is too heavy for its drives. `drive` may hold an offset.
+    Exchange (Fedorov 1972) among random admissible poses, then a climb of all poses together within
+    the limits; then a short tour through them that keeps the `constraints` on the way, too, and
+    stays clear of poses in which the robot is too heavy for its drives. `drive` may hold an offset.
 
     Raises
     ------
@@ -181,7 +189,9 @@ def _pose_rows(information: Information, poses: Array, told: Array) -> Array:
 
 
 def _told(information: Information, poses: Array) -> Array:
-    """Return an orthonormal basis (p_base, p) of the combinations of base parameters that gravity tells."""
+    """Return an orthonormal basis (p_base, p) of the combinations of base parameters that gravity
+    tells.
+    """
     rows = _pose_rows(information, poses, np.eye(information.n_parameters))
     eigenvalues, vectors = np.linalg.eigh(np.einsum("ski,skj->ij", rows, rows))
     return np.asarray(
@@ -234,7 +244,10 @@ def _refined(
     obstacles: Sequence[StateConstraint],
     poses: Array,
 ) -> Array:
-    """Climb all poses together within the position limits; poses that become inadmissible, or leave where they can be reached, go back."""
+    """Climb all poses together within the position limits.
+
+    Poses that become inadmissible, or leave where they can be reached, go back.
+    """
     middle, half = (bounds.upper + bounds.lower) / 2, (bounds.upper - bounds.lower) / 2
 
     def negative(x: Array) -> tuple[float, Array]:
@@ -272,7 +285,8 @@ def _refined(
 
 
 def _unwound(model: RobotModel, bounds: MotionBounds, pool: Array) -> Array:
-    """Return poses with whole turns added or taken off, where the limits allow it, so that joints stay near the middle of where they can go.
+    """Return poses with whole turns added or taken off, where the limits allow it, so that joints
+    stay near the middle of where they can go.
 
     That is opposite to angles at which none of the poses is, else the middle of the range.
     """

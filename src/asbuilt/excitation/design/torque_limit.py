@@ -1,4 +1,6 @@
-"""The torque limit as a constraint on the joint state, for one description of the robot or for several that it might be."""
+"""The torque limit as a constraint on the joint state, for one description of the robot or for
+several that it might be.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +19,24 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.design.interior_point import StateConstraint
 
 SIGN_WIDTH = 0.02
-"""Width [rad/s or m/s] over which the sign in a described friction is smoothed where its derivative is needed."""
+"""Width [rad/s or m/s] over which the sign in a described friction is smoothed where its derivative
+is needed.
+"""
 
 STANDING = 0.9
-"""How much of the torque that may be used standing may take where a robot stops on its way; the rest sets it moving."""
+"""How much of the torque that may be used standing may take where a robot stops on its way.
+
+The rest sets it moving.
+"""
 
 STEP = 1e-6
 """Step of the central differences through described friction."""
 
 
 class TorqueLimit(StateConstraint):
-    """Keep `|tau| / limit` below 1 for the rigid bodies and the drive values of every given description."""
+    """Keep `|tau| / limit` below 1 for the rigid bodies and the drive values of every given
+    description.
+    """
 
     name = "torque"
     two_sided = True
@@ -55,7 +64,10 @@ class TorqueLimit(StateConstraint):
         return (torque / self._limit)[:, :, self._finite].reshape(len(q), -1)
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivatives of the values, (N, models x limited joints, n, 3); those of described friction are central differences."""
+        """Return the derivatives of the values, (N, models x limited joints, n, 3).
+
+        Those of described friction are central differences.
+        """
         slopes = torque_derivatives(self._model, q, qd, qdd, self._parameters)
         if self._drive:
             through = [
@@ -72,13 +84,19 @@ class TorqueLimit(StateConstraint):
         return limited.reshape(len(q), -1, *limited.shape[3:])
 
     def _loads(self, torque: Array) -> list[Array]:
-        """Return the loads that make a difference to friction: one for every description, or one for all."""
+        """Return the loads that make a difference to friction.
+
+        One for every description, or one for all.
+        """
         return [
             torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)
         ]
 
     def _rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torque of the rigid bodies of every description, (N, models, n): one regressor for all where there are several."""
+        """Return the torque of the rigid bodies of every description, (N, models, n).
+
+        One regressor for all where there are several.
+        """
         if len(self._parameters) == 1:
             return inverse_dynamics(self._model, q, qd, qdd, threads=1)[:, None]
         rows = self._plan.evaluate(q, qd, qdd)
@@ -91,7 +109,9 @@ class TorqueLimit(StateConstraint):
         )
 
     def _friction_slopes(self, *state: Array) -> Array:
-        """Return the derivatives of friction k with respect to q, qd, qdd and load of joint j, (N, k, j, 4)."""
+        """Return the derivatives of friction k with respect to q, qd, qdd and load of joint j, (N,
+        k, j, 4).
+        """
         n = state[0].shape[1]
         coupled = bool(self._drive.of_motor.any())
         ways = (
@@ -125,7 +145,9 @@ class TorqueLimit(StateConstraint):
         return mixed
 
     def _exact_friction(self, *state: Array) -> Array:
-        """Return the drive torque, of all joints at once where they differ in nothing but values, (N, n)."""
+        """Return the drive torque, of all joints at once where they differ in nothing but values,
+        (N, n).
+        """
         if self._differ or self._drive.of_motor.any():
             return drive_torque(
                 self._drive,
@@ -152,7 +174,9 @@ class WeightLimit(TorqueLimit):
         return super().values(q, np.zeros_like(q), np.zeros_like(q))
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivatives of the values with respect to q, (N, models x limited joints, n, 1)."""
+        """Return the derivatives of the values with respect to q, (N, models x limited joints, n,
+        1).
+        """
         return super().slopes(q, np.zeros_like(q), np.zeros_like(q))[..., :1]
 
     def binds(self, poses: Array) -> bool:
@@ -185,7 +209,9 @@ class PowerLimit(StateConstraint):
 def perturbed_models(
     model: RobotModel, count: int, spread: float, rng: np.random.Generator
 ) -> tuple[RobotModel, ...]:
-    """Return the model and `count` versions with masses and inertias off by `spread` (standard deviation, as a fraction), centres of mass likewise."""
+    """Return the model and `count` versions with masses and inertias off by `spread` (standard
+    deviation, as a fraction), centres of mass likewise.
+    """
     versions = [model]
     for _ in range(count):
         links = []

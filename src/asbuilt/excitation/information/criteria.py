@@ -1,4 +1,7 @@
-"""What makes one motion more informative than another: scalar criteria of the information matrix, with their gradients."""
+"""What makes one motion more informative than another.
+
+Scalar criteria of the information matrix, with their gradients.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,10 @@ class Criterion(ABC):
 
     @abstractmethod
     def value_and_gradient(self, information: Array) -> tuple[float, Array]:
-        """Return the value and its derivative with respect to M, symmetric (p, p); minus infinity where M is not positive definite."""
+        """Return the value and its derivative with respect to M, symmetric (p, p).
+
+        Minus infinity where M is not positive definite.
+        """
 
     def value(self, information: Array) -> float:
         """Return the value alone."""
@@ -33,7 +39,9 @@ class Criterion(ABC):
 
 @dataclass(frozen=True)
 class DOptimality(Criterion):
-    """Maximise `log det M`: the smallest volume of the confidence ellipsoid, whatever the units of the parameters."""
+    """Maximise `log det M`: the smallest volume of the confidence ellipsoid, whatever the units of
+    the parameters.
+    """
 
     key = "d"
 
@@ -63,7 +71,10 @@ class AOptimality(Criterion):
 
 @dataclass(frozen=True)
 class EOptimality(Criterion):
-    """Maximise p times the log of a smooth smallest eigenvalue, `(sum_i l_i^-s)^(-1/s)`, s = 16: no direction is left poorly determined."""
+    """Maximise p times the log of a smooth smallest eigenvalue, `(sum_i l_i^-s)^(-1/s)`, s = 16.
+
+    No direction is left poorly determined.
+    """
 
     key = "e"
 
@@ -79,7 +90,10 @@ class EOptimality(Criterion):
 
 @dataclass(frozen=True)
 class ConditionNumber(Criterion):
-    """Minimise the condition number of the observation matrix: maximise `-p/2 log` of a smooth `l_max / l_min` of M."""
+    """Minimise the condition number of the observation matrix.
+
+    Maximise `-p/2 log` of a smooth `l_max / l_min` of M.
+    """
 
     key = "condition"
 
@@ -97,9 +111,12 @@ class ConditionNumber(Criterion):
 
 @dataclass(frozen=True)
 class FocusedDOptimality(Criterion):
-    """Maximise `log det` of the information on chosen parameters, all others being unknown too: `log det M - log det M_rest` (D_s).
+    """Maximise `log det` of the information on chosen parameters, all others being unknown too.
 
-    `chosen` are positions among the base parameters. Source: Atkinson, Donev & Tobias (2007), section 10.3.
+    `log det M - log det M_rest` (D_s).
+
+    `chosen` are positions among the base parameters. Source: Atkinson, Donev & Tobias (2007),
+    section 10.3.
     """
 
     chosen: tuple[int, ...]
@@ -124,7 +141,10 @@ CRITERIA: dict[str, type[Criterion]] = {
 
 
 def criterion_of(key: str, focus: ArrayLike | None = None) -> Criterion:
-    """Return the criterion of this name, d with a focus as D_s; raises UsageError for unknown names and for a focus with another criterion."""
+    """Return the criterion of this name, d with a focus as D_s.
+
+    Raises UsageError for unknown names and for a focus with another criterion.
+    """
     if key not in CRITERIA:
         raise UsageError(f"unknown criterion {key!r}; available: {', '.join(CRITERIA)}")
     if focus is None:

@@ -23,7 +23,10 @@ from asbuilt.excitation.motions.motion import read_only
 MOST_SAMPLES = 20000
 """Samples of a recording that are looked at; of longer ones every second, third, ..."""
 ROUNDS = 3
-"""Rounds in which the bound is tightened: a recording is judged to a few per cent, a design more sharply."""
+"""Rounds in which the bound is tightened.
+
+A recording is judged to a few per cent, a design more sharply.
+"""
 
 
 class JointStates(Protocol):
@@ -44,10 +47,12 @@ class JointStates(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InformationEfficiency:
-    """Compare a motion with the best distribution over the states that the limits admit, sample for sample.
+    """Compare a motion with the best distribution over the states that the limits admit, sample for
+    sample.
 
-    `d_efficiency` is `exp((log det M - log det M_bound) / p)`, 0 where the motion leaves a parameter untold. `by_parameter` (p,) is the variance
-    that the best distribution gives each base parameter over the variance that the motion gives it; it may exceed 1 for some.
+    `d_efficiency` is `exp((log det M - log det M_bound) / p)`, 0 where the motion leaves a
+    parameter untold. `by_parameter` (p,) is the variance that the best distribution gives each base
+    parameter over the variance that the motion gives it; it may exceed 1 for some.
     """
 
     base: BaseParameters
@@ -77,7 +82,10 @@ class InformationEfficiency:
 
     @property
     def by_joint(self) -> Array:
-        """The share of the worst told parameter of each joint (n,), NaN for a joint without any: small where it moved too little or alike."""
+        """The share of the worst told parameter of each joint (n,), NaN for a joint without any.
+
+        Small where it moved too little or alike.
+        """
         return np.array([np.nan if k is None else self.by_parameter[k] for k in self.worst])
 
     @property
@@ -88,9 +96,11 @@ class InformationEfficiency:
 def information_efficiency(
     model: RobotModel, drive: DriveSet, samples: JointStates
 ) -> InformationEfficiency:
-    """Return how much of the attainable information per sample the states of a recording carry, for equal noise in all joints.
+    """Return how much of the attainable information per sample the states of a recording carry, for
+    equal noise in all joints.
 
-    Limits that the description lacks are those of `MotionBounds.assumed`. Long recordings are thinned evenly. Raises UsageError without samples.
+    Limits that the description lacks are those of `MotionBounds.assumed`. Long recordings are
+    thinned evenly. Raises UsageError without samples.
     """
     step = max(1, -(-len(samples.q) // MOST_SAMPLES))
     q, qd, qdd = (

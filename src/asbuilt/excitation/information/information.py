@@ -1,4 +1,6 @@
-"""The information that joint states carry about the base parameters, and its derivatives with respect to the states."""
+"""The information that joint states carry about the base parameters, and its derivatives with
+respect to the states.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,10 @@ from asbuilt.excitation.motions.motion import read_only
 Indices = NDArray[np.int64]
 
 SIGN_WIDTH = 0.02
-"""While a motion is designed, a drive column that jumps where the velocity changes sign follows `tanh(qd / width)` instead; the width is this
-fraction of the velocity limit. What is reported of a motion uses the exact columns."""
+"""While a motion is designed, a drive column that jumps where the velocity changes sign follows
+`tanh(qd / width)` instead; the width is this fraction of the velocity limit. What is reported of a
+motion uses the exact columns.
+"""
 
 STEP = 1e-6
 """Step of the central differences through drive columns."""
@@ -32,12 +36,15 @@ STEP = 1e-6
 SMALLEST_SPEED = 1e-12
 """Stands in for standstill where a column is taken just before and just behind it [rad/s or m/s]."""
 LEAST_JUMP = 1e-3
-"""A drive column that changes by more than this from one side of standstill to the other jumps there."""
+"""A drive column that changes by more than this from one side of standstill to the other jumps
+there.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Evaluate `M = sum_s Y_s^T S^-1 Y_s` over samples s, Y the base columns, S the diagonal of `noise` squared, and differentiate it.
+    """Evaluate `M = sum_s Y_s^T S^-1 Y_s` over samples s, Y the base columns, S the diagonal of
+    `noise` squared, and differentiate it.
 
     `noise` (n,) is the standard deviation of each joint torque [N m or N].
     """
@@ -49,7 +56,10 @@ class Information:
 
     @classmethod
     def of(cls, model: RobotModel, base: BaseParameters, noise: ArrayLike = 1.0) -> Information:
-        """Prepare the evaluation; raises UsageError where the noise is not positive, one number or one per joint."""
+        """Prepare the evaluation.
+
+        Raises UsageError where the noise is not positive, one number or one per joint.
+        """
         sigma = np.asarray(noise, dtype=np.float64)
         if (
             sigma.shape not in ((), (1,), (model.n_joints,))
@@ -85,7 +95,10 @@ class Information:
         return self.base.n_base
 
     def rows(self, q: Array, qd: Array, qdd: Array, *, smooth: bool = True) -> Array:
-        """Return the base columns of all joints in the layout of `plan`, (n_rows, at least N); `smooth` replaces jumps of drive columns."""
+        """Return the base columns of all joints in the layout of `plan`, (n_rows, at least N).
+
+        `smooth` replaces jumps of drive columns.
+        """
         out = self.plan.buffer(len(q))
         if not smooth or not self.base.drive:
             self.plan.evaluate(q, qd, qdd, out)
@@ -116,10 +129,11 @@ class Information:
         loads: Array | None = None,
         parameters: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Return the derivatives of `tr(P M)` for a constant symmetric P = `sensitivity`, each (N, n).
+        """Return the derivatives of `tr(P M)` for a constant symmetric P = `sensitivity`, each (N,
+        n).
 
-        With `d phi = tr(P dM)` this is the gradient of phi. `loads` (N, n) are weights of the joint torques of rigid bodies with standard
-        `parameters`, whose derivatives are added.
+        With `d phi = tr(P dM)` this is the gradient of phi. `loads` (N, n) are weights of the joint
+        torques of rigid bodies with standard `parameters`, whose derivatives are added.
         """
         count = len(q)
         weights = np.zeros_like(rows)
@@ -158,7 +172,9 @@ class Information:
 
     @cached_property
     def _drive_places(self) -> tuple[tuple[Indices, Indices], ...]:
-        """For each joint the chosen among its drive columns, and their rows in the layout of `plan`."""
+        """For each joint the chosen among its drive columns, and their rows in the layout of
+        `plan`.
+        """
         n, per, found = self.model.n_joints, self.base.drive.columns_per_joint, []
         for k, (support, (first, _)) in enumerate(
             zip(self.plan.support, self.plan.bounds.tolist(), strict=True)
@@ -168,7 +184,10 @@ class Information:
         return tuple(found)
 
     def _drive_columns(self, state: Sequence[Array]) -> Array:
-        """Return the drive columns of all joints, jumps at zero velocity smoothed: (columns per joint, N, n); `state` is q, qd, qdd, (load)."""
+        """Return the drive columns of all joints, jumps at zero velocity smoothed.
+
+        (columns per joint, N, n); `state` is q, qd, qdd, (load).
+        """
         columns = self._exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):

@@ -1,4 +1,7 @@
-"""How much information per sample any motion could have: the D-optimal continuous design over the admissible states."""
+"""How much information per sample any motion could have.
+
+The D-optimal continuous design over the admissible states.
+"""
 
 from __future__ import annotations
 
@@ -38,13 +41,18 @@ GAP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class InformationBound:
-    """Bound the information per sample: `log_det` is attained by a distribution over states, `upper` is above that of every distribution.
+    """Bound the information per sample.
 
-    By the equivalence theorem of Kiefer and Wolfowitz (1960), for any design M and every admissible state x,
-    `log det M* <= log det M + p log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1 Y(x))`. `upper` is the right side with the maximum over all
-    states that were looked at: `n_states` random ones and those reached from them by climbing d. It is exact for these, and a
-    (very likely tight) estimate for the continuum between. States are independent here, while a motion cannot be at its highest speed and
-    acceleration in both directions at once; no motion attains the bound.
+    `log_det` is attained by a distribution over states, `upper` is above that of every
+    distribution.
+
+    By the equivalence theorem of Kiefer and Wolfowitz (1960), for any design M and every admissible
+    state x, `log det M* <= log det M + p log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1
+    Y(x))`. `upper` is the right side with the maximum over all states that were looked at:
+    `n_states` random ones and those reached from them by climbing d. It is exact for these, and a
+    (very likely tight) estimate for the continuum between. States are independent here, while a
+    motion cannot be at its highest speed and acceleration in both directions at once; no motion
+    attains the bound.
     """
 
     information: Array
@@ -70,11 +78,12 @@ def information_bound(
     rounds: int = ROUNDS,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> InformationBound:
-    """Return the D-optimal continuous design over the states within `bounds` whose torque stays within `torque` (n,), and its bound.
+    """Return the D-optimal continuous design over the states within `bounds` whose torque stays
+    within `torque` (n,), and its bound.
 
-    Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those with the largest d are added after
-    climbing d within the limits, until the gap closes; at least one round is made before `cancelled` is asked, and the bound is a looser one
-    where that ends it.
+    Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those
+    with the largest d are added after climbing d within the limits, until the gap closes; at least
+    one round is made before `cancelled` is asked, and the bound is a looser one where that ends it.
     """
     rng = np.random.default_rng([seed, 7])
     limit = (
@@ -128,7 +137,9 @@ def variance(information: Information, inverse: Array, states: States) -> Array:
 
 
 def _weighted(information: Information, pool: States, weights: Array) -> tuple[Array, Array]:
-    """Return weights with (nearly) the largest log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i / p, and that matrix."""
+    """Return weights with (nearly) the largest log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i /
+    p, and that matrix.
+    """
     count, p = len(pool[0]), information.n_parameters
     rows = information.rows(*pool, smooth=False)
     parts = [
@@ -165,7 +176,10 @@ def _climbed(
     limit: TorqueLimit | None,
     states: States,
 ) -> States:
-    """Return states of larger d, reached by steps along its gradient within the limits; a step that does not pay is halved."""
+    """Return states of larger d, reached by steps along its gradient within the limits.
+
+    A step that does not pay is halved.
+    """
     centre = (bounds.upper + bounds.lower) / 2
     halves = ((bounds.upper - bounds.lower) / 2, bounds.velocity, bounds.acceleration)
     middles = (centre, np.zeros_like(centre), np.zeros_like(centre))

@@ -19,11 +19,14 @@ DEGREE = 5
 
 
 class BSplineMotion(BasisMotion):
-    """Move every joint along a quintic B-spline on uniform knots with zero velocity and acceleration at both ends.
+    """Move every joint along a quintic B-spline on uniform knots with zero velocity and
+    acceleration at both ends.
 
-    `coefficients` (m, n) are the control points in order: the first is the start pose and the last the end pose (each stands for three equal
-    control points, which brings the motion to rest; de Boor 1978), the m - 2 between are free. The curve stays within the smallest and
-    the largest control point of each joint, so control points within the position limits give a motion within them.
+    `coefficients` (m, n) are the control points in order: the first is the start pose and the last
+    the end pose (each stands for three equal control points, which brings the motion to rest; de
+    Boor 1978), the m - 2 between are free. The curve stays within the smallest and the largest
+    control point of each joint, so control points within the position limits give a motion within
+    them.
 
     Raises
     ------
@@ -60,7 +63,9 @@ class BSplineMotion(BasisMotion):
         return self._duration
 
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return the derivative of this order of each basis function at the times `t` (N,), shape (N, m)."""
+        """Return the derivative of this order of each basis function at the times `t` (N,), shape
+        (N, m).
+        """
         return np.asarray(
             self._functions(np.atleast_1d(np.asarray(t, dtype=np.float64)), nu=order),
             dtype=np.float64,
@@ -77,7 +82,9 @@ class BSplineMotion(BasisMotion):
         return PiecewisePolynomial(breaks, np.stack(rows))
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two (n,); exact."""
+        """Return the smallest and the largest value of a derivative over the whole motion, two
+        (n,); exact.
+        """
         return self.pieces.extremes(order)
 
     def with_coefficients(self, coefficients: ArrayLike) -> BSplineMotion:

@@ -13,18 +13,22 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import QUANTITIES, TIME_TOLERANCE, Motion, read_only
 
 JOIN_TOLERANCE = 1e-9
-"""Largest jump of position and velocity between two motions that are joined, in rad, m and their rates."""
+"""Largest jump of position and velocity between two motions that are joined, in rad, m and their
+rates.
+"""
 
 
 class Concatenated(Motion):
-    """Run motions one after the other, resting `dwell` seconds between them (one number, or one per gap).
+    """Run motions one after the other, resting `dwell` seconds between them (one number, or one per
+    gap).
 
     At the instant where two motions meet, the later one is evaluated.
 
     Raises
     ------
     MotionError
-        If the end of a motion is not the start of the next, in position and velocity, or a dwell starts while a joint moves.
+        If the end of a motion is not the start of the next, in position and velocity, or a dwell
+        starts while a joint moves.
 
     Examples
     --------
@@ -73,7 +77,9 @@ class Concatenated(Motion):
         return values
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two (n,)."""
+        """Return the smallest and the largest value of a derivative over the whole motion, two
+        (n,).
+        """
         found = [motion.extremes(order) for motion in self.motions]
         return np.min([low for low, _ in found], axis=0), np.max(
             [high for _, high in found], axis=0

@@ -11,7 +11,8 @@ from asbuilt.excitation.motions.motion import BasisMotion, read_only, way_point_
 
 
 class FourierMotion(BasisMotion):
-    r"""Move every joint along a finite Fourier series with zero velocity and acceleration at both ends.
+    r"""Move every joint along a finite Fourier series with zero velocity and acceleration at both
+    ends.
 
     With `w = 2 pi / period` and L harmonics, the basis functions are (2 L - 1 of them)
 
@@ -19,16 +20,19 @@ class FourierMotion(BasisMotion):
     - `sin(l w t) / l - sin(w t)` for l = 2 ... L, with velocity `w (cos(l w t) - cos(w t))`,
     - `(1 - cos(l w t)) / l^2 - (1 - cos(w t))` for l = 2 ... L, with acceleration `w^2 (cos(l w t) - cos(w t))`.
 
-    `coefficients` (2 L - 1, n) follows this order: row 0 the pose, rows 1 ... L - 1 the sines, rows L ... 2 L - 2 the cosines, all in rad or m.
-    Each function but the first vanishes at the ends together with its velocity and acceleration, so any coefficients give a motion from
-    rest to rest; it is the series of Swevers et al. (1997), `q = q0 + sum_l a_l / (l w) sin(l w t) - b_l / (l w) cos(l w t)`, with
-    `sum_l a_l = 0` and `sum_l l b_l = 0` solved for the first harmonic. Unlike the series completed by a polynomial (Park 2006) it stays
-    periodic - periods can be averaged and the noise measured from their scatter - and holds no frequency above L / period.
+    `coefficients` (2 L - 1, n) follows this order: row 0 the pose, rows 1 ... L - 1 the sines, rows
+    L ... 2 L - 2 the cosines, all in rad or m. Each function but the first vanishes at the ends
+    together with its velocity and acceleration, so any coefficients give a motion from rest to
+    rest; it is the series of Swevers et al. (1997), `q = q0 + sum_l a_l / (l w) sin(l w t) - b_l /
+    (l w) cos(l w t)`, with `sum_l a_l = 0` and `sum_l l b_l = 0` solved for the first harmonic.
+    Unlike the series completed by a polynomial (Park 2006) it stays periodic - periods can be
+    averaged and the noise measured from their scatter - and holds no frequency above L / period.
 
     Raises
     ------
     MotionError
-        If there are fewer than two harmonics, an even number of rows, or the period or number of periods makes no sense.
+        If there are fewer than two harmonics, an even number of rows, or the period or number of
+        periods makes no sense.
 
     Examples
     --------
@@ -88,7 +92,9 @@ class FourierMotion(BasisMotion):
         return q0, a, b
 
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return the derivative of this order of each basis function at the times `t` (N,), shape (N, 2 L - 1)."""
+        """Return the derivative of this order of each basis function at the times `t` (N,), shape
+        (N, 2 L - 1).
+        """
         return fourier_basis(t, self.period, self.n_harmonics, order)
 
     def with_coefficients(self, coefficients: ArrayLike) -> FourierMotion:
@@ -96,9 +102,11 @@ class FourierMotion(BasisMotion):
         return FourierMotion(coefficients, self.period, self.periods)
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two (n,).
+        """Return the smallest and the largest value of a derivative over the whole motion, two
+        (n,).
 
-        Found on 64 points per shortest wave, then polished by Newton's method on the next derivative; off by less than 1e-9 of the peak.
+        Found on 64 points per shortest wave, then polished by Newton's method on the next
+        derivative; off by less than 1e-9 of the peak.
         """
         t = np.linspace(0.0, self.period, 64 * self.n_harmonics + 1)
         values = self._evaluate(t, order)
@@ -114,7 +122,9 @@ class FourierMotion(BasisMotion):
 
 
 def fourier_basis(t: ArrayLike, period: float, n_harmonics: int, order: int = 0) -> Array:
-    """Return the derivative of this order of the functions of `FourierMotion` at the times `t` (N,), shape (N, 2 n_harmonics - 1)."""
+    """Return the derivative of this order of the functions of `FourierMotion` at the times `t`
+    (N,), shape (N, 2 n_harmonics - 1).
+    """
     if n_harmonics < 2:
         raise MotionError(
             f"a series at rest at both ends needs at least 2 harmonics, got {n_harmonics}"

@@ -19,7 +19,10 @@ JUMPING = ("point-to-point",)
 """Parametrisations whose acceleration jumps."""
 
 TIME_TOLERANCE = 1e-9
-"""Times may leave the interval of a motion by this fraction of its duration (rounding); they are clipped to it."""
+"""Times may leave the interval of a motion by this fraction of its duration (rounding).
+
+They are clipped to it.
+"""
 
 STANDSTILL = 1e-12
 """Poses that differ by no more than this in every joint [rad or m] are the same pose."""
@@ -27,7 +30,9 @@ STANDSTILL = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Hold a motion sampled in time: `t` (N,) s; `q`, `qd`, `qdd` (N, n) in rad or m and their derivatives; read-only.
+    """Hold a motion sampled in time: `t` (N,) s.
+
+    `q`, `qd`, `qdd` (N, n) in rad or m and their derivatives; read-only.
 
     Raises
     ------
@@ -63,9 +68,12 @@ class Trajectory:
 
 
 class Motion(ABC):
-    """Move n joints from time 0 to `duration`; a subclass says how with `duration`, `n_joints` and `_evaluate`.
+    """Move n joints from time 0 to `duration`.
 
-    `derivative(t, k)` is the k-th time derivative of the joint positions, exactly: no motion here is differentiated numerically.
+    A subclass says how with `duration`, `n_joints` and `_evaluate`.
+
+    `derivative(t, k)` is the k-th time derivative of the joint positions, exactly: no motion here
+    is differentiated numerically.
     """
 
     parametrisation: str
@@ -83,10 +91,14 @@ class Motion(ABC):
 
     @abstractmethod
     def _evaluate(self, t: Array, order: int) -> Array:
-        """Return the derivative of this order at times `t` (N,), all within the motion, as (N, n_joints)."""
+        """Return the derivative of this order at times `t` (N,), all within the motion, as (N,
+        n_joints).
+        """
 
     def derivative(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return `d^order q / dt^order` at the times `t`: shape (n,) for one time, (N, n) for N times.
+        """Return `d^order q / dt^order` at the times `t`.
+
+        Shape (n,) for one time, (N, n) for N times.
 
         Raises
         ------
@@ -106,11 +118,16 @@ class Motion(ABC):
         return values[0] if times.ndim == 0 else values
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return positions, velocities and accelerations at the times `t`, each (n,) for one time or (N, n)."""
+        """Return positions, velocities and accelerations at the times `t`, each (n,) for one time
+        or (N, n).
+        """
         return self.derivative(t, 0), self.derivative(t, 1), self.derivative(t, 2)
 
     def jerk(self, t: ArrayLike) -> Array:
-        """Return the third derivative at the times `t`; infinite jumps of the acceleration are left out."""
+        """Return the third derivative at the times `t`.
+
+        Infinite jumps of the acceleration are left out.
+        """
         return self.derivative(t, 3)
 
     @property
@@ -124,7 +141,10 @@ class Motion(ABC):
         return self.derivative(self.duration)
 
     def sample_times(self, rate: float) -> Array:
-        """Return the times `0, 1/rate, 2/rate, ...` up to the end; the end itself is among them if it is a multiple of the period."""
+        """Return the times `0, 1/rate, 2/rate, ...` up to the end.
+
+        The end itself is among them if it is a multiple of the period.
+        """
         if not (np.isfinite(rate) and rate > 0):
             raise MotionError(
                 f"the rate must be a positive number of samples per second, got {rate}"
@@ -142,7 +162,8 @@ class Motion(ABC):
         return Trajectory(t, *self.at(t))
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two (n,).
+        """Return the smallest and the largest value of a derivative over the whole motion, two
+        (n,).
 
         Found on a grid of at least 1 kHz and 2000 points here; motions that know better are exact.
         """
@@ -157,22 +178,30 @@ class Motion(ABC):
         return np.maximum(np.abs(low), np.abs(high))
 
     def slowed(self, factor: float) -> TimeScaled:
-        """Return the same path in `factor` times the time: velocities fall by `factor`, accelerations by its square."""
+        """Return the same path in `factor` times the time.
+
+        Velocities fall by `factor`, accelerations by its square.
+        """
         return TimeScaled(self, factor)
 
 
 class BasisMotion(Motion):
-    """Move linearly in coefficients: `q(t) = basis(t, 0) @ coefficients`, and so do all derivatives.
+    """Move linearly in coefficients.
 
-    `coefficients` has shape (n_basis, n_joints), one column per joint; the basis is the same for every joint. A design can therefore
-    differentiate anything with respect to the coefficients through `basis`.
+    `q(t) = basis(t, 0) @ coefficients`, and so do all derivatives.
+
+    `coefficients` has shape (n_basis, n_joints), one column per joint; the basis is the same for
+    every joint. A design can therefore differentiate anything with respect to the coefficients
+    through `basis`.
     """
 
     coefficients: Array
 
     @abstractmethod
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return the derivative of this order of each basis function at the times `t` (N,), shape (N, n_basis)."""
+        """Return the derivative of this order of each basis function at the times `t` (N,), shape
+        (N, n_basis).
+        """
 
     @abstractmethod
     def with_coefficients(self, coefficients: ArrayLike) -> BasisMotion:
@@ -219,7 +248,9 @@ class TimeScaled(Motion):
         return self.motion.derivative(t / self.factor, order) / self.factor**order
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two (n,)."""
+        """Return the smallest and the largest value of a derivative over the whole motion, two
+        (n,).
+        """
         low, high = self.motion.extremes(order)
         return low / self.factor**order, high / self.factor**order
 

@@ -1,4 +1,7 @@
-"""Motions from CSV files: `t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units; `asbuilt.writers.motion_files` writes them."""
+"""Motions from CSV files: `t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units.
+
+`asbuilt.writers.motion_files` writes them.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +28,12 @@ SMALLEST_STEP = 0.01
 
 
 class SampledMotion(QuinticMotion):
-    """Move through samples of position, velocity and acceleration; between two samples along the quintic that matches both.
+    """Move through samples of position, velocity and acceleration.
 
-    `joint_names` (n,) names the columns. At the sample times the motion has exactly the given values.
+    Between two samples along the quintic that matches both.
+
+    `joint_names` (n,) names the columns. At the sample times the motion has exactly the given
+    values.
     """
 
     parametrisation = "sampled"
@@ -53,13 +59,14 @@ class SampledMotion(QuinticMotion):
 def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -> SampledMotion:
     """Read a motion from CSV; with a `model`, joints are put into its order by name.
 
-    Velocities and accelerations may be missing; they are then those of the natural quintic spline through the positions.
+    Velocities and accelerations may be missing; they are then those of the natural quintic spline
+    through the positions.
 
     Raises
     ------
     MotionError
-        If the file is not a motion: unreadable, no `t` or `q_` columns, text or empty cells, times that do not rise, joints that the
-        robot does not have.
+        If the file is not a motion: unreadable, no `t` or `q_` columns, text or empty cells, times
+        that do not rise, joints that the robot does not have.
     """
     source = Path(path)
     if not source.is_file():
@@ -109,7 +116,11 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
 
 
 def times_to_end(motion: Motion, rate: float) -> Array:
-    """Return the times 0, 1/rate, ... and the end of the motion, which is left out if it comes within a hundredth of a period or 1 us after these."""
+    """Return the times 0, 1/rate, .
+
+    And the end of the motion, which is left out if it comes within a hundredth of a period or 1 us
+    after these.
+    """
     t = motion.sample_times(rate)
     return (
         np.append(t, motion.duration)

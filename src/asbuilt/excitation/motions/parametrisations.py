@@ -18,7 +18,10 @@ from asbuilt.excitation.motions.quintic import QuinticMotion
 
 @dataclass(frozen=True)
 class Parametrisation(ABC):
-    """Map coefficients (n_basis, n_joints) linearly to a motion of `duration` seconds; `size` says how rich the family is."""
+    """Map coefficients (n_basis, n_joints) linearly to a motion of `duration` seconds.
+
+    `size` says how rich the family is.
+    """
 
     duration: float
     size: int
@@ -27,7 +30,9 @@ class Parametrisation(ABC):
 
     @abstractmethod
     def basis(self, t: Array, order: int) -> Array:
-        """Return the derivative of this order of the basis functions at the times `t` (N,), shape (N, n_basis)."""
+        """Return the derivative of this order of the basis functions at the times `t` (N,), shape
+        (N, n_basis).
+        """
 
     @abstractmethod
     def motion(self, coefficients: Array) -> Motion:
@@ -50,7 +55,9 @@ class Parametrisation(ABC):
 
 @dataclass(frozen=True)
 class Fourier(Parametrisation):
-    """Fourier series with `size` harmonics, at rest at both ends (`FourierMotion`), repeated `periods` times."""
+    """Fourier series with `size` harmonics, at rest at both ends (`FourierMotion`), repeated
+    `periods` times.
+    """
 
     periods: int = 1
     key = "fourier"
@@ -103,10 +110,11 @@ class BSpline(Parametrisation):
 
 @dataclass(frozen=True)
 class Quintic(Parametrisation):
-    """Quintic polynomials through `size` way points at equal times, whose positions, velocities and accelerations are free; at rest at both ends.
+    """Quintic polynomials through `size` way points at equal times, whose positions, velocities and
+    accelerations are free; at rest at both ends.
 
-    Coefficients: positions of the `size` way points, then velocities and accelerations of the inner ones, in units of the time between
-    two points and its square.
+    Coefficients: positions of the `size` way points, then velocities and accelerations of the inner
+    ones, in units of the time between two points and its square.
     """
 
     key = "quintic"
@@ -145,9 +153,11 @@ class Quintic(Parametrisation):
 
 @dataclass(frozen=True)
 class PointToPoint(Parametrisation):
-    """Straight moves between `size` poses with trapezoidal velocity, a third of each move for speeding up and a third for slowing down.
+    """Straight moves between `size` poses with trapezoidal velocity, a third of each move for
+    speeding up and a third for slowing down.
 
-    `steps` are the times of the moves [s], equal where not given. What a controller makes of the poses is faster: `PointToPointMotion.within`.
+    `steps` are the times of the moves [s], equal where not given. What a controller makes of the
+    poses is faster: `PointToPointMotion.within`.
     """
 
     steps: tuple[float, ...] = ()

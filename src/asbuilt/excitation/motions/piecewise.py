@@ -14,10 +14,12 @@ from asbuilt.excitation.motions.motion import Motion, read_only
 
 
 class PiecewisePolynomial(Motion):
-    """Move along polynomials between `breaks` (m + 1,), which start at 0; all joints share the breaks.
+    """Move along polynomials between `breaks` (m + 1,), which start at 0.
 
-    `coefficients` has shape (degree + 1, m, n), highest power first: in piece i, `q(t) = sum_k coefficients[k, i] (t - breaks[i])^(degree - k)`.
-    At a break the later piece is evaluated.
+    All joints share the breaks.
+
+    `coefficients` has shape (degree + 1, m, n), highest power first: in piece i, `q(t) = sum_k
+    coefficients[k, i] (t - breaks[i])^(degree - k)`. At a break the later piece is evaluated.
 
     Raises
     ------
@@ -68,9 +70,11 @@ class PiecewisePolynomial(Motion):
         return np.asarray(self._polynomial(t, nu=order), dtype=np.float64)
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two (n,).
+        """Return the smallest and the largest value of a derivative over the whole motion, two
+        (n,).
 
-        Exact: they are attained at a break, from either side, or where the next derivative vanishes.
+        Exact: they are attained at a break, from either side, or where the next derivative
+        vanishes.
         """
         low, high = self.extremes_per_piece(order)
         return low.min(axis=0), high.max(axis=0)

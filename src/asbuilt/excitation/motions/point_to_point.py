@@ -13,7 +13,9 @@ from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 
 class PointToPointMotion(PiecewisePolynomial):
-    """Move straight in joint space from pose to pose with trapezoidal or triangular velocity, all joints starting and arriving together."""
+    """Move straight in joint space from pose to pose with trapezoidal or triangular velocity, all
+    joints starting and arriving together.
+    """
 
     parametrisation = "point-to-point"
 
@@ -27,13 +29,17 @@ class PointToPointMotion(PiecewisePolynomial):
         dwell: ArrayLike = 0.0,
         pace: ArrayLike = 1.0,
     ) -> Self:
-        """Visit `poses` (m, n) in order, as fast as `velocity` and `acceleration` (one number or one per joint) allow, resting `dwell` at each.
+        """Visit `poses` (m, n) in order, as fast as `velocity` and `acceleration` (one number or
+        one per joint) allow, resting `dwell` at each.
 
-        All joints follow one profile s(t) from 0 to 1: `s'' = a`, 0 and `-a` in turn, with `s' <= v`, where `v = min_j velocity_j / d_j` and
-        `a = min_j acceleration_j / d_j`, d the distances (Biagiotti & Melchiorri 2008, section 3.2). With `v^2 < a` the velocity is a trapezoid,
-        `T = 1/v + v/a`; otherwise a triangle, `T = 2 / sqrt(a)`. The limiting joint attains its limit exactly. `dwell` is one number for every
-        pose after the first but the last, or one per such pose (m - 2,); repeated poses take no time besides their dwell. `pace` is the share of the
-        velocity that is used, for all moves or one per move (m - 1,), with its square of the acceleration: the same move, slower.
+        All joints follow one profile s(t) from 0 to 1: `s'' = a`, 0 and `-a` in turn, with `s' <=
+        v`, where `v = min_j velocity_j / d_j` and `a = min_j acceleration_j / d_j`, d the distances
+        (Biagiotti & Melchiorri 2008, section 3.2). With `v^2 < a` the velocity is a trapezoid, `T =
+        1/v + v/a`; otherwise a triangle, `T = 2 / sqrt(a)`. The limiting joint attains its limit
+        exactly. `dwell` is one number for every pose after the first but the last, or one per such
+        pose (m - 2,); repeated poses take no time besides their dwell. `pace` is the share of the
+        velocity that is used, for all moves or one per move (m - 1,), with its square of the
+        acceleration: the same move, slower.
 
         Raises
         ------

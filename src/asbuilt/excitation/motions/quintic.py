@@ -23,7 +23,10 @@ PEAK_JERK = 60.0
 
 
 class QuinticMotion(PiecewisePolynomial):
-    """Move along one quintic per pair of neighbouring poses (Craig 2005, section 7.3); build it with `between`, `through` or `within`."""
+    """Move along one quintic per pair of neighbouring poses (Craig 2005, section 7.3).
+
+    Build it with `between`, `through` or `within`.
+    """
 
     parametrisation = "quintic"
 
@@ -39,9 +42,11 @@ class QuinticMotion(PiecewisePolynomial):
         start_acceleration: ArrayLike = 0.0,
         end_acceleration: ArrayLike = 0.0,
     ) -> Self:
-        """Move from `start` to `end` (n,) in `duration` seconds, at rest at both ends unless velocities and accelerations are given.
+        """Move from `start` to `end` (n,) in `duration` seconds, at rest at both ends unless
+        velocities and accelerations are given.
 
-        From rest to rest, `q(t) = start + (end - start) (10 s^3 - 15 s^4 + 6 s^5)`, `s = t / duration`.
+        From rest to rest, `q(t) = start + (end - start) (10 s^3 - 15 s^4 + 6 s^5)`, `s = t /
+        duration`.
 
         Examples
         --------
@@ -68,7 +73,8 @@ class QuinticMotion(PiecewisePolynomial):
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
     ) -> Self:
-        """Pass `poses` (m, n) at `times` (m,), which start at 0, with the given velocities and accelerations (m, n); zero where not given.
+        """Pass `poses` (m, n) at `times` (m,), which start at 0, with the given velocities and
+        accelerations (m, n); zero where not given.
 
         Raises
         ------
@@ -105,10 +111,12 @@ class QuinticMotion(PiecewisePolynomial):
         jerk: ArrayLike = np.inf,
         dwell: float = 0.0,
     ) -> Self:
-        """Stop at each of `poses` (m, n) for `dwell` seconds and move between them as fast as the limits (one number or one per joint) allow.
+        """Stop at each of `poses` (m, n) for `dwell` seconds and move between them as fast as the
+        limits (one number or one per joint) allow.
 
-        The time between two poses is the largest over the joints of `15/8 d / velocity`, `sqrt(10/sqrt(3) d / acceleration)` and
-        `cbrt(60 d / jerk)`, d the distance; the slowest joint attains its limit exactly and the others arrive together with it.
+        The time between two poses is the largest over the joints of `15/8 d / velocity`,
+        `sqrt(10/sqrt(3) d / acceleration)` and `cbrt(60 d / jerk)`, d the distance; the slowest
+        joint attains its limit exactly and the others arrive together with it.
         """
         q = way_point_array(poses, "poses")
         n = q.shape[1]
@@ -147,7 +155,9 @@ class QuinticMotion(PiecewisePolynomial):
 
 
 def _hermite(h: Array, q: Array, v: Array, a: Array) -> Array:
-    """Return the quintic coefficients, (6, m, n), highest power first, that match q, v, a (m + 1, n) at the ends of pieces h (m, 1) long."""
+    """Return the quintic coefficients, (6, m, n), highest power first, that match q, v, a (m + 1,
+    n) at the ends of pieces h (m, 1) long.
+    """
     q0, v0, a0 = q[:-1], v[:-1], a[:-1]
     v1, a1 = v[1:], a[1:]
     d = q[1:] - q0

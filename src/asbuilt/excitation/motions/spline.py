@@ -34,7 +34,10 @@ ITERATIONS = 40
 
 
 class SplineMotion(PiecewisePolynomial):
-    """Move along a spline through way points; build it with `through` (given times) or `within` (given limits)."""
+    """Move along a spline through way points.
+
+    Build it with `through` (given times) or `within` (given limits).
+    """
 
     parametrisation = "spline"
 
@@ -42,11 +45,14 @@ class SplineMotion(PiecewisePolynomial):
     def through(
         cls, way_points: ArrayLike, times: ArrayLike, *, degree: int = 5, ends: Ends = "rest"
     ) -> Self:
-        """Pass `way_points` (m, n) at `times` (m,), which start at 0, with a spline of degree 3 or 5.
+        """Pass `way_points` (m, n) at `times` (m,), which start at 0, with a spline of degree 3 or
+        5.
 
-        `ends` says what vanishes at both ends: velocity and acceleration ("rest"), velocity ("clamped", degree 3 only), or the derivatives
-        that make the curve smoothest ("natural": acceleration for degree 3; third and fourth derivative for degree 5). A cubic at rest
-        has two more knots, in the middle of the first and the last interval (Biagiotti & Melchiorri 2008, section 4.4.3).
+        `ends` says what vanishes at both ends: velocity and acceleration ("rest"), velocity
+        ("clamped", degree 3 only), or the derivatives that make the curve smoothest ("natural":
+        acceleration for degree 3; third and fourth derivative for degree 5). A cubic at rest has
+        two more knots, in the middle of the first and the last interval (Biagiotti & Melchiorri
+        2008, section 4.4.3).
 
         Raises
         ------
@@ -102,9 +108,11 @@ class SplineMotion(PiecewisePolynomial):
     ) -> Self:
         """Pass `way_points` (m, n) in a short time within the limits, one number or one per joint.
 
-        The times between way points start from the limits of each step alone and are improved by a quasi-Newton method (L-BFGS) on a smooth
-        stand-in for the duration; then the whole is scaled so that one limit is attained exactly, since velocity falls with the scale
-        of time, acceleration with its square and jerk with its cube. The shorter of the two is returned; it is not proven optimal.
+        The times between way points start from the limits of each step alone and are improved by a
+        quasi-Newton method (L-BFGS) on a smooth stand-in for the duration; then the whole is scaled
+        so that one limit is attained exactly, since velocity falls with the scale of time,
+        acceleration with its square and jerk with its cube. The shorter of the two is returned; it
+        is not proven optimal.
         """
         q = way_point_array(way_points)
         n = q.shape[1]
@@ -151,7 +159,9 @@ class SplineMotion(PiecewisePolynomial):
 
 
 def _stretches(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
-    """Return by how much time must be stretched to meet each limit on velocity, acceleration and jerk in each piece and joint, flat."""
+    """Return by how much time must be stretched to meet each limit on velocity, acceleration and
+    jerk in each piece and joint, flat.
+    """
     needed = []
     for order, limit in enumerate(limits, start=1):
         if np.any(np.isfinite(limit)):

@@ -13,10 +13,13 @@ _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}
 def match_joints(
     labels: Sequence[str], joint_names: Sequence[str], *, source: str, robot: str
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Return, for each joint of the robot, the position of its label, and notes on what was assumed.
+    """Return, for each joint of the robot, the position of its label, and notes on what was
+    assumed.
 
-    Names are equal when their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name space; joints that the robot does not have
-    are left out, such as a gripper's, unless the labels only count them: a log of seven numbered joints is none of a robot with four. Labels that count (`lbr_joint_0`, ...) go to the robot's joints in numeric order when no name fits.
+    Names are equal when their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a
+    name space; joints that the robot does not have are left out, such as a gripper's, unless the
+    labels only count them: a log of seven numbered joints is none of a robot with four. Labels that
+    count (`lbr_joint_0`, ...) go to the robot's joints in numeric order when no name fits.
 
     Raises
     ------
@@ -85,7 +88,9 @@ def _misfit(labels: Sequence[str], joint_names: Sequence[str], source: str, robo
 
 
 def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:
-    """Return the order that sorts labels by their number, if the numbers run on from 0 or 1 without a gap."""
+    """Return the order that sorts labels by their number, if the numbers run on from 0 or 1 without
+    a gap.
+    """
     numbers = numbers_in(labels)
     if numbers is None or sorted(numbers) not in (
         list(range(len(labels))),

@@ -21,7 +21,8 @@ _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_se
 class Layout:
     """Columns of each quantity in joint order, and the factor of each column to SI.
 
-    `quantities` has position and torque, and velocity, acceleration, and extras such as `tau_ext` where the log has them.
+    `quantities` has position and torque, and velocity, acceleration, and extras such as `tau_ext`
+    where the log has them.
     """
 
     time: str | None
@@ -59,7 +60,8 @@ def find_layout(
     Raises
     ------
     RecordingError
-        If positions or torques are missing, columns are missing or claim the same place, or they do not fit the robot's joints.
+        If positions or torques are missing, columns are missing or claim the same place, or they do
+        not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
     groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})})
@@ -116,7 +118,10 @@ def find_layout(
 def _chosen(
     groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group
 ) -> dict[str, _Group]:
-    """Return the groups by the names of their quantities; what is beside position, velocity, acceleration and torque is extra."""
+    """Return the groups by the names of their quantities.
+
+    What is beside position, velocity, acceleration and torque is extra.
+    """
     chosen = {"position": position, "torque": torque}
     for (quantity, kind), group in groups.items():
         if group is position or group is torque or quantity == "time":
@@ -131,7 +136,8 @@ def _chosen(
 def _own_columns(
     names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet
 ) -> dict[str, tuple[str, str]]:
-    """Return the columns that are plainly a quantity's letters and the name of a joint of the robot, for quantities that have one for every joint.
+    """Return the columns that are plainly a quantity's letters and the name of a joint of the
+    robot, for quantities that have one for every joint.
 
     No joint's name can then be mistaken for a word, as in `q_tau` of a joint called tau.
     """
@@ -215,7 +221,10 @@ def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | No
 
 
 def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
-    """Sort a group by joint number where it only counts, and return its joint labels; where some columns name a joint, numbers are the names of the rest."""
+    """Sort a group by joint number where it only counts, and return its joint labels.
+
+    Where some columns name a joint, numbers are the names of the rest.
+    """
     _refuse_repeats(source, quantity, group)
     if sheet.joints is None and any(role.joint for role in group.roles):
         group.roles = [

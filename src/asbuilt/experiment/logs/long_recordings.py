@@ -1,4 +1,7 @@
-"""Recordings too long to be held as logged: opened, read stretch by stretch, and thinned while they are read."""
+"""Recordings too long to be held as logged.
+
+Opened, read stretch by stretch, and thinned while they are read.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples, stream_samples
 
 LONG = 200e6
-"""Size [bytes] of the numbers in a Parquet file, or of a text file, from which a recording is read in stretches."""
+"""Size [bytes] of the numbers in a Parquet file, or of a text file, from which a recording is read
+in stretches.
+"""
 CHUNK = 30_000
 """Samples read at once."""
 HEAD = 60_000
@@ -65,13 +70,19 @@ class RecordingStream:
 
     @cached_property
     def head(self) -> Recording:
-        """The beginning, by which the recording is checked and its filters are chosen; raises `RecordingError` where there is none."""
+        """The beginning, by which the recording is checked and its filters are chosen.
+
+        Raises `RecordingError` where there is none.
+        """
         for recording in self._read(HEAD):
             return recording
         raise RecordingError(f"{self.path} is not a recording: it holds no samples")
 
     def prepared(self, chain: SignalChain) -> Samples:
-        """Return its samples after filtering and thinning; only these are held, about 100 MB for an hour of seven joints."""
+        """Return its samples after filtering and thinning.
+
+        Only these are held, about 100 MB for an hour of seven joints.
+        """
         columns: dict[str, Array] = {}
         bounds, first = [0], None
         for samples in stream_samples(self, chain):
@@ -109,12 +120,17 @@ class RecordingStream:
 
 
 def head_of(recording: Recording | RecordingStream) -> Recording:
-    """Return what a recording is checked by and its filters are chosen by: itself, or the beginning of a stream."""
+    """Return what a recording is checked by and its filters are chosen by.
+
+    Itself, or the beginning of a stream.
+    """
     return recording.head if isinstance(recording, RecordingStream) else recording
 
 
 def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
-    """Return the samples of a recording, held or not, after the signal chain, whose open choices are made for it."""
+    """Return the samples of a recording, held or not, after the signal chain, whose open choices
+    are made for it.
+    """
     if isinstance(recording, RecordingStream):
         return recording.prepared(chain.resolved(recording.head))
     return prepare_samples(recording, chain)

@@ -59,16 +59,19 @@ def read_recording(
     gain: ArrayLike | None = None,
     torque_source: TorqueSource | None = None,
 ) -> Recording:
-    """Read one recording from a file, a ROS 2 bag, a recording sheet that lists files, or files of one quantity each.
+    """Read one recording from a file, a ROS 2 bag, a recording sheet that lists files, or files of
+    one quantity each.
 
-    With `model` the columns come in the order of its joints, found by name where the log has names. `rate` [Hz] makes the clock where the log has
-    none; `gain` (torque per logged unit, one or per joint) and `torque_source` stand in place of the sheet's; `flip_torque` turns the sign of what the log, the
-    sheet and `gain` give.
+    With `model` the columns come in the order of its joints, found by name where the log has names.
+    `rate` [Hz] makes the clock where the log has none; `gain` (torque per logged unit, one or per
+    joint) and `torque_source` stand in place of the sheet's; `flip_torque` turns the sign of what
+    the log, the sheet and `gain` give.
 
     Raises
     ------
     RecordingError
-        If the file is no recording or does not fit the robot; the message says where and what to do.
+        If the file is no recording or does not fit the robot; the message says where and what to
+        do.
     UsageError
         If the rate is not a positive number.
     """
@@ -104,7 +107,10 @@ def read_recording(
 def read_recordings(
     paths: Sequence[PathLike], **options: Unpack[ReadingOptions]
 ) -> list[Recording]:
-    """Read several recordings; files whose names differ in the quantity alone (`run_positions.csv`, `run_efforts.csv`) are one recording.
+    """Read several recordings.
+
+    Files whose names differ in the quantity alone (`run_positions.csv`, `run_efforts.csv`) are one
+    recording.
 
     Options are those of `read_recording` and hold for all.
     """
@@ -184,7 +190,9 @@ def build_recording(
     first_sample: int = 0,
     origin: float | None = None,
 ) -> Recording:
-    """Put a table's columns in joint order and SI units, and make the clock: the time column, or `rate` [Hz] from `first_sample` on.
+    """Put a table's columns in joint order and SI units, and make the clock.
+
+    The time column, or `rate` [Hz] from `first_sample` on.
 
     Times later than 1e6 s (a calendar's) count from `origin`, the first of them where None.
     """
@@ -235,7 +243,10 @@ def apply_sheet(
     gain: ArrayLike | None = None,
     torque_source: TorqueSource | None = None,
 ) -> Recording:
-    """Apply sign, gains, torque source and time windows; `gain` stands in place of the sheet's gains, and `flip_torque` turns the sign that results."""
+    """Apply sign, gains, torque source and time windows.
+
+    `gain` stands in place of the sheet's gains, and `flip_torque` turns the sign that results.
+    """
     source = torque_source or sheet.torque_source
     if source is not None:
         recording = replace(recording, torque_source=source)
@@ -303,7 +314,9 @@ def _read_tables(paths: list[Path], sheet: RecordingSheet) -> Table:
 
 
 def grouped_files(paths: list[Path]) -> list[list[Path]]:
-    """Group files of one quantity each, but not whole recordings whose names say `torque` or `position` by chance."""
+    """Group files of one quantity each, but not whole recordings whose names say `torque` or
+    `position` by chance.
+    """
     for path in paths:
         check_readable(path)
     groups: list[list[Path]] = []

@@ -30,7 +30,9 @@ def role_groups(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def merge_role_files(tables: Mapping[str, Table]) -> Table:
-    """Join files of one quantity each at equal time stamps; a key names the quantity, or is a file name that ends in it.
+    """Join files of one quantity each at equal time stamps.
+
+    A key names the quantity, or is a file name that ends in it.
 
     Columns that tell no quantity themselves are joints of the file's.
 

@@ -130,7 +130,10 @@ _TOKEN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 @dataclass(frozen=True)
 class Role:
-    """What one column holds: `joint` is what the name says of the joint ("" where it only counts), `index` its last number, `scale` to SI.
+    """What one column holds.
+
+    `joint` is what the name says of the joint ("" where it only counts), `index` its last number,
+    `scale` to SI.
 
     `kind` tells apart columns of one quantity: "", "external", "motor" or "sensor".
     """
@@ -161,7 +164,8 @@ def words_of(name: str) -> list[str]:
 
 
 def recognise(name: str) -> Role | None:
-    """Return the role that a column's name tells, or None where it tells none (or a desired value, a temperature, ...).
+    """Return the role that a column's name tells, or None where it tells none (or a desired value,
+    a temperature, ...).
 
     Examples
     --------
@@ -243,7 +247,10 @@ def recognise(name: str) -> Role | None:
 
 
 def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
-    """Return the quantity that a file name ends or begins with, and the rest of the name: "run1_positions" -> ("position", "run1")."""
+    """Return the quantity that a file name ends or begins with, and the rest of the name.
+
+    "run1_positions" -> ("position", "run1").
+    """
     words = words_of(stem)
     for k in (len(words) - 1, 0):
         if words and words[k] in _WORDS and _WORDS[words[k]] != "time":

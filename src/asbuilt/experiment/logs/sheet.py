@@ -44,7 +44,10 @@ class _Part(BaseModel):
 
 
 class SheetColumns(_Part):
-    """Columns by name, or by number from 1; lists in joint order, where "2-7" and "q_1-q_6" stand for all between."""
+    """Columns by name, or by number from 1.
+
+    Lists in joint order, where "2-7" and "q_1-q_6" stand for all between.
+    """
 
     time: ColumnName | None = None
     position: ColumnList | None = None
@@ -101,8 +104,8 @@ class SheetFiles(_Part):
 class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what would be told from the names.
 
-    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's), `gains` turn them into N m (amperes times N m/A);
-    both are one number or one per joint.
+    `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
+    `gains` turn them into N m (amperes times N m/A); both are one number or one per joint.
 
     Examples
     --------
@@ -124,7 +127,9 @@ class RecordingSheet(_Part):
     topic: str | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
-        """Return which instants t (N,) [s] of a recording that began at `start` lie in one of the windows."""
+        """Return which instants t (N,) [s] of a recording that began at `start` lie in one of the
+        windows.
+        """
         inside = np.zeros(t.size, dtype=np.bool_)
         for window in self.windows:
             inside |= (t >= start + window.start) & (t < start + window.stop)
@@ -157,7 +162,8 @@ def read_sheet(path: str | Path) -> RecordingSheet:
     Raises
     ------
     RecordingError
-        If the file is no TOML, has a field that a sheet does not have, or a value that makes no sense; the message names field, value and cure.
+        If the file is no TOML, has a field that a sheet does not have, or a value that makes no
+        sense; the message names field, value and cure.
     """
     path = Path(path)
     try:
@@ -175,7 +181,10 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 
 def sheet_beside(log: Path) -> Path | None:
-    """Return the sheet that lies beside a log: `run.csv.toml` or `run.toml`, if its fields are those of a sheet."""
+    """Return the sheet that lies beside a log.
+
+    `run.csv.toml` or `run.toml`, if its fields are those of a sheet.
+    """
     for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
         if candidate == log or not candidate.is_file():
             continue

@@ -38,10 +38,12 @@ from asbuilt.experiment.recording import Recording
 def stream_recording(
     path: PathLike, *, chunk_samples: int = 200_000, **options: Unpack[ReadingOptions]
 ) -> Iterator[Recording]:
-    """Read a recording in consecutive stretches of `chunk_samples`, the last of which may be shorter.
+    """Read a recording in consecutive stretches of `chunk_samples`, the last of which may be
+    shorter.
 
-    Parquet is read in slices and delimited text lazily, so memory depends on the stretch, not on the length; other formats are read whole first.
-    Extra quantities are left out. Options are those of `read_recording`.
+    Parquet is read in slices and delimited text lazily, so memory depends on the stretch, not on
+    the length; other formats are read whole first. Extra quantities are left out. Options are those
+    of `read_recording`.
 
     Raises
     ------

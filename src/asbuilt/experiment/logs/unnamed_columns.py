@@ -10,7 +10,9 @@ from asbuilt.arrays import Array
 
 
 def suggest_sheet(columns: Mapping[str, Array], n_joints: int | None) -> str:
-    """Write the recording sheet that columns without names seem to ask for: a rising column is time, a group that is another's derivative its velocity.
+    """Write the recording sheet that columns without names seem to ask for.
+
+    A rising column is time, a group that is another's derivative its velocity.
 
     Groups that the values do not tell apart are left for the reader to name.
     """
@@ -54,7 +56,9 @@ def _rises(values: Array) -> bool:
 
 
 def _position_and_velocity(t: Array, groups: list[Array]) -> tuple[int, int | None]:
-    """Return the pair of groups of which the second follows the derivative of the first, or the first group alone."""
+    """Return the pair of groups of which the second follows the derivative of the first, or the
+    first group alone.
+    """
     best, pair = 0.8, None
     for i, q in enumerate(groups):
         for k, qd in enumerate(groups):

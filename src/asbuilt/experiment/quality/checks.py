@@ -21,10 +21,14 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Finding
 
 _ORDER = {"error": 0, "warning": 1, "info": 2}
-TOO_LITTLE = ("too-few-samples", "too-short")
-"""Codes of errors that forbid an identification of the whole robot, and no other use of a recording."""
-UNKNOWN_TORQUE = ("torque-flipped", "joint-torque-flipped", "torque-scale")
-"""Codes of errors that say no more than that gains are wrong or not known, for uses that look for the gains."""
+TOO_LITTLE = ("too_few_samples", "too_short")
+"""Codes of errors that forbid an identification of the whole robot, and no other use of a
+recording.
+"""
+UNKNOWN_TORQUE = ("torque_flipped", "joint_torque_flipped", "torque_scale")
+"""Codes of errors that say no more than that gains are wrong or not known, for uses that look for
+the gains.
+"""
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,8 @@ class RecordingCheck:
         return "\n".join([head, verdict, *(str(finding) for finding in self.findings)])
 
     def raise_errors(self, *, but: Collection[str] = ()) -> None:
-        """Raise the first error, with the others after it, if there is any whose code is not among `but`.
+        """Raise the first error, with the others after it, if there is any whose code is not among
+        `but`.
 
         Raises
         ------
@@ -90,10 +95,12 @@ class RecordingCheck:
 
 
 def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:
-    """Look for everything that would spoil an identification of `model` from `recording`, and say it with place, value and cure.
+    """Look for everything that would spoil an identification of `model` from `recording`, and say
+    it with place, value and cure.
 
-    Checked are the clock, missing values, units, signs, the order of joints, limits, saturation, filtering and excitation; where the clock is wrong,
-    the clock and missing values alone. A stream is gone through twice; besides its times only a dozen pieces of it are held.
+    Checked are the clock, missing values, units, signs, the order of joints, limits, saturation,
+    filtering and excitation; where the clock is wrong, the clock and missing values alone. A stream
+    is gone through twice; besides its times only a dozen pieces of it are held.
 
     Raises
     ------
@@ -104,7 +111,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     known = survey(model, stretches)
     findings = list(clock_findings(known))
     if not any(
-        finding.severity == "error" and finding.code.startswith("clock") for finding in findings
+        finding.severity == "error" and finding.code.startswith("clock_") for finding in findings
     ):
         findings += _findings_in_time(model, stretches, known)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
@@ -125,7 +132,10 @@ def refuse_spoilt(
     *,
     but: Collection[str] = TOO_LITTLE,
 ) -> None:
-    """Raise the errors of the first recording that has some, those of the codes `but` apart; a stream is judged by its first stretch."""
+    """Raise the errors of the first recording that has some, those of the codes `but` apart.
+
+    A stream is judged by its first stretch.
+    """
     for recording in recordings:
         check_recording(model, head_of(recording)).raise_errors(but=but)
 

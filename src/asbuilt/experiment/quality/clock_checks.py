@@ -23,7 +23,9 @@ _CLOCK_UNITS = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 def clock_findings(recording: Survey) -> Iterator[Finding]:
-    """Look for values that are no numbers or absurd, a clock in the wrong unit, times that repeat, run back or jump, an uneven clock, and samples that repeat the last one."""
+    """Look for values that are no numbers or absurd, a clock in the wrong unit, times that repeat,
+    run back or jump, an uneven clock, and samples that repeat the last one.
+    """
     yield from _not_finite(recording)
     t = recording.t
     steps = np.diff(t)
@@ -31,7 +33,7 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
     if backward.size:
         k = int(backward[0])
         yield Finding(
-            "clock-backward",
+            "clock_backward",
             "error",
             f"time runs back {backward.size} times, first from {t[k]:.6g} s to {t[k + 1]:.6g} s at"
             f" sample {k + 2}",
@@ -43,7 +45,7 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
     if repeated.size:
         k = int(repeated[0])
         yield Finding(
-            "clock-repeated",
+            "clock_repeated",
             "error" if repeated.size > 0.01 * t.size else "warning",
             f"{repeated.size} of {t.size} samples have the time stamp of the sample before, first"
             f" {t[k]:.6g} s at sample {k + 2}",
@@ -59,7 +61,7 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
     if gaps.size:
         longest = int(gaps[np.argmax(steps[gaps])])
         yield Finding(
-            "clock-gap",
+            "clock_gap",
             "warning",
             f"{gaps.size} gaps in the clock, the longest {steps[longest]:.4g} s after"
             f" {t[longest]:.6g} s where samples come every {step:.4g} s",
@@ -71,7 +73,7 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
     if spread > _IRREGULAR:
         low, high = np.percentile(usual, [0.5, 99.5])
         yield Finding(
-            "clock-irregular",
+            "clock_irregular",
             "info",
             f"the clock is uneven: steps from {1e3 * low:.3g} ms to {1e3 * high:.3g} ms, median"
             f" {1e3 * step:.3g} ms",
@@ -81,11 +83,14 @@ def clock_findings(recording: Survey) -> Iterator[Finding]:
 
 
 def _not_finite(recording: Survey) -> Iterator[Finding]:
-    """Find values that are missing, infinite or absurd; columns that lack the same rows are told of together."""
+    """Find values that are missing, infinite or absurd.
+
+    Columns that lack the same rows are told of together.
+    """
     bad_times = np.flatnonzero(~np.isfinite(recording.t))
     if bad_times.size:
         yield Finding(
-            "not-finite",
+            "not_finite",
             "error",
             f"{bad_times.size} of {recording.n_samples} time stamps are no numbers, first at sample"
             f" {bad_times[0] + 1}",
@@ -109,7 +114,7 @@ def _not_finite(recording: Survey) -> Iterator[Finding]:
             for what in dict.fromkeys(column.quantity for column in columns)
         ]
         yield Finding(
-            "not-finite",
+            "not_finite",
             "error",
             f"{rows.size} of {recording.n_samples} values of {' and '.join(told)} are no usable"
             f" numbers, the first {kind} at sample {rows[0] + 1}, t = {recording.t[rows[0]]:.6g} s",
@@ -120,10 +125,13 @@ def _not_finite(recording: Survey) -> Iterator[Finding]:
 
 
 def _wrong_unit(step: float) -> Iterator[Finding]:
-    """Find a clock that counts in other units than seconds: no controller logs so slowly, or so fast."""
+    """Find a clock that counts in other units than seconds.
+
+    No controller logs so slowly, or so fast.
+    """
     if 1.0 / step > _FASTEST:
         yield Finding(
-            "clock-unit",
+            "clock_unit",
             "error",
             f"samples come every {step:.3g} s, {1.0 / step:.3g} a second: the time stamps are not"
             " in the unit their name or the sheet says",
@@ -135,7 +143,7 @@ def _wrong_unit(step: float) -> Iterator[Finding]:
     )
     if 1.0 / step < _SLOWEST and unit is not None:
         yield Finding(
-            "clock-unit",
+            "clock_unit",
             "error",
             f"samples come every {step:.4g} s: the time stamps look like {unit}",
             f'Write the unit in a recording sheet: units = {{ time = "{unit}" }}',
@@ -154,7 +162,7 @@ def _stale(recording: Survey) -> Iterator[Finding]:
     if repeats > _STALE:
         times = brief.sum() / brief.size
         yield Finding(
-            "stale-samples",
+            "stale_samples",
             "warning",
             f"{100 * repeats:.0f} % of the samples repeat the one before in every joint: the log"
             f" runs at {recording.rate:.4g} Hz but values are fresh about every {times:.3g} samples"

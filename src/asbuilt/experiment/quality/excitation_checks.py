@@ -25,14 +25,16 @@ _MOST_SAMPLES = 800
 def excitation_findings(
     model: RobotModel, recording: Survey, motion: SmoothedMotion | None
 ) -> Iterator[Finding]:
-    """Compare samples with parameters, and look at the scaled condition number of the observation matrix on this motion.
+    """Compare samples with parameters, and look at the scaled condition number of the observation
+    matrix on this motion.
 
-    Base parameters with viscous, Coulomb and offset terms; columns are scaled to unit length before their singular values are taken.
+    Base parameters with viscous, Coulomb and offset terms; columns are scaled to unit length before
+    their singular values are taken.
     """
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     if recording.n_samples < base.n_base:
         yield Finding(
-            "too-few-samples",
+            "too_few_samples",
             "error",
             f"{recording.n_samples} samples are fewer than the {base.n_base} parameters to find"
             " (base parameters, viscous, Coulomb and offset terms)",
@@ -41,7 +43,7 @@ def excitation_findings(
         return
     if motion is None:
         yield Finding(
-            "too-short",
+            "too_short",
             "error",
             f"no stretch of the recording is long enough to differentiate: {recording.n_samples}"
             f" samples in {recording.duration:.3g} s",
@@ -67,7 +69,7 @@ def excitation_findings(
     involved = joined([base.names[k] for k in order[:4]])
     if rank < base.n_base:
         yield Finding(
-            "rank-deficient",
+            "rank_deficient",
             "warning",
             f"this motion tells {rank} of {base.n_base} parameters; the least told are {involved}",
             "Move every joint on its own course (asbuilt excite), or choose fewer drive terms"
@@ -75,7 +77,7 @@ def excitation_findings(
         )
     elif values[0] / values[-1] > _WEAK_CONDITION:
         yield Finding(
-            "weak-excitation",
+            "weak_excitation",
             "warning",
             "this motion excites the robot poorly: the scaled condition number is"
             f" {values[0] / values[-1]:.3g} (good motions have 10 to 50), {recording.duration:.3g}"

@@ -1,4 +1,6 @@
-"""What has to be known of every single sample before a recording is judged, gathered stretch by stretch, so that the recording need not be held."""
+"""What has to be known of every single sample before a recording is judged, gathered stretch by
+stretch, so that the recording need not be held.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ FULL_TORQUE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """The rows in which the column of one quantity and joint holds no usable number, and what stands in the first."""
+    """The rows in which the column of one quantity and joint holds no usable number, and what
+    stands in the first.
+    """
 
     quantity: str
     joint: int
@@ -36,9 +40,11 @@ class Missing:
 class Survey:
     """Hold what one pass over all samples of a recording tells of it.
 
-    `t` (N,) are its times; `fresh` (N,) says which samples differ from the one before in position or torque, `heard` which have a time and torques, `usable` which have positions
-    and, where logged, velocities, too. `reach` has the extremes of the positions, `effort` those of fresh torques; `beyond` counts positions outside the limits of the model,
-    `loud` fresh torques that reach theirs. Values that no robot could log count as missing.
+    `t` (N,) are its times; `fresh` (N,) says which samples differ from the one before in position
+    or torque, `heard` which have a time and torques, `usable` which have positions and, where
+    logged, velocities, too. `reach` has the extremes of the positions, `effort` those of fresh
+    torques; `beyond` counts positions outside the limits of the model, `loud` fresh torques that
+    reach theirs. Values that no robot could log count as missing.
     """
 
     source: str
@@ -70,7 +76,10 @@ class Survey:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]: the inverse of the median positive time step; NaN where there is none."""
+        """Sampling rate [Hz]: the inverse of the median positive time step.
+
+        NaN where there is none.
+        """
         return median_rate(self.t)
 
     @property
@@ -80,7 +89,8 @@ class Survey:
 
 
 def survey(model: RobotModel, stretches: Iterable[Recording]) -> Survey:
-    """Go once through the stretches of a recording in order, or through one that is held, a single stretch.
+    """Go once through the stretches of a recording in order, or through one that is held, a single
+    stretch.
 
     Raises RecordingError where there is no stretch, or its joints are not those of the model.
     """
@@ -147,7 +157,10 @@ def survey(model: RobotModel, stretches: Iterable[Recording]) -> Survey:
 
 
 def as_modelled(model: RobotModel, recording: Recording) -> Recording:
-    """Return the recording with its joints in the order of the model; raises RecordingError where they are not those of the model."""
+    """Return the recording with its joints in the order of the model.
+
+    Raises RecordingError where they are not those of the model.
+    """
     if recording.n_joints != model.n_joints:
         raise RecordingError(
             f"{recording.source} has {recording.n_joints} joints"
@@ -163,7 +176,9 @@ def as_modelled(model: RobotModel, recording: Recording) -> Recording:
 
 
 def believable(recording: Recording) -> Recording:
-    """Return the recording with NaN in place of values that no robot could log, so that no other check stumbles over them."""
+    """Return the recording with NaN in place of values that no robot could log, so that no other
+    check stumbles over them.
+    """
 
     def cleaned(what: str, values: Array) -> Array:
         return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)

@@ -1,4 +1,7 @@
-"""Whether the logged motion is plausible for the robot: units, limits, joints that stand or move alike, velocities that fit."""
+"""Whether the logged motion is plausible for the robot.
+
+Units, limits, joints that stand or move alike, velocities that fit.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,10 @@ _END = 0.4
 
 
 def in_degrees(model: RobotModel, recording: Survey, motion: SmoothedMotion | None) -> str | None:
-    """Return why the positions must be degrees: as radians they leave the limits or exceed the speeds, as degrees they do not."""
+    """Return why the positions must be degrees.
+
+    As radians they leave the limits or exceed the speeds, as degrees they do not.
+    """
     turning = np.array([joint.is_revolute for joint in model.joints])
     if not turning.any():
         return None
@@ -69,7 +75,9 @@ def in_degrees(model: RobotModel, recording: Survey, motion: SmoothedMotion | No
 def motion_findings(
     model: RobotModel, recording: Survey, motion: SmoothedMotion | None
 ) -> Iterator[Finding]:
-    """Look for degrees, positions outside limits, joints that stand or move alike, and velocities that are not the derivative of the positions."""
+    """Look for degrees, positions outside limits, joints that stand or move alike, and velocities
+    that are not the derivative of the positions.
+    """
     degrees = in_degrees(model, recording, motion)
     if degrees is not None:
         yield Finding(
@@ -95,7 +103,7 @@ def _limits(model: RobotModel, recording: Survey) -> Iterator[Finding]:
             continue
         unit = "rad" if joint.is_revolute else "m"
         yield Finding(
-            "position-limit",
+            "position_limit",
             "warning",
             f"{joint.name} is outside its limits [{joint.limits.lower:.4g},"
             f" {joint.limits.upper:.4g}] {unit} in {count} of {recording.n_samples} samples,"
@@ -120,7 +128,7 @@ def _still(model: RobotModel, recording: Survey, scale: float) -> Iterator[Findi
     if len(standing) == model.n_joints:
         name, reach, unit = max(standing, key=lambda joint: joint[1])
         yield Finding(
-            "nothing-moves",
+            "nothing_moves",
             "error",
             f"no joint moves: {name} moves most, {reach:.3g} {unit} in all",
             "Record the robot while it moves (asbuilt excite designs a motion), and check that the"
@@ -129,7 +137,7 @@ def _still(model: RobotModel, recording: Survey, scale: float) -> Iterator[Findi
         return
     for name, reach, unit in standing:
         yield Finding(
-            "joint-still",
+            "joint_still",
             "warning",
             f"{name} hardly moves: {reach:.3g} {unit} in all",
             "Its friction and part of its inertia cannot be found from this recording; move every"
@@ -151,7 +159,7 @@ def _alike(recording: Survey) -> Iterator[Finding]:
     least = float(np.min(likeness[np.ix_(group, group)]))
     everyone = len(group) == n
     yield Finding(
-        "joints-alike",
+        "joints_alike",
         "warning" if everyone else "info",
         f"{'all' if everyone else len(group)} joints move in step: {joined(names)} (correlation of"
         f" positions at least {least:.4f})",
@@ -168,7 +176,7 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
     if not moving.size:
         if np.all(logged == 0) and np.any(energy > 0):
             yield Finding(
-                "velocity-zero",
+                "velocity_zero",
                 "warning",
                 f"the logged velocities are 0 in all {recording.n_samples} samples while the joints"
                 " move",
@@ -185,7 +193,7 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
     if swapped:
         told = joined([f"the velocity of {names[a]} is that of {names[b]}" for a, b in swapped])
         yield Finding(
-            "velocity-swapped",
+            "velocity_swapped",
             "error",
             f"velocity columns are in another order than position columns: {told}",
             "Name the columns of each joint in a recording sheet: [columns] velocity = [...]",
@@ -201,7 +209,7 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
     unit = next((text for factor, text in known.items() if abs(middle / factor - 1) < 0.2), None)
     if unit is not None:
         yield Finding(
-            "velocity-units",
+            "velocity_units",
             "error",
             f"the logged velocities are {middle:.4g} times the derivative of the positions: they"
             f" look like {unit}",
@@ -223,7 +231,7 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
         else:
             continue
         yield Finding(
-            "velocity-mismatch",
+            "velocity_mismatch",
             "warning",
             message,
             "Leave the velocity columns out, so that positions are differentiated",
@@ -236,7 +244,9 @@ def _velocities(recording: Survey, motion: SmoothedMotion, logged: Array) -> Ite
 def _lag(
     recording: Survey, motion: SmoothedMotion, logged: Array, moving: list[int]
 ) -> Iterator[Finding]:
-    """Find the shift that matches logged velocities best with the derivative of the positions, to a fraction of a sample by a parabola."""
+    """Find the shift that matches logged velocities best with the derivative of the positions, to a
+    fraction of a sample by a parabola.
+    """
     lags = np.array([_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
     if not np.all(np.isfinite(lags)):
         return
@@ -247,7 +257,7 @@ def _lag(
         low, high = np.sort(np.abs(lags))[[0, -1]]
         worst = moving[int(np.argmax(np.abs(lags)))]
         yield Finding(
-            "velocity-lag",
+            "velocity_lag",
             "info",
             f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative"
             f" of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms (samples come every"
@@ -259,7 +269,10 @@ def _lag(
 
 
 def _best_shift(late: Array, early: Array) -> float:
-    """Return by how many samples `late` comes after `early`; NaN where no shift up to a fifth of the signal matches."""
+    """Return by how many samples `late` comes after `early`.
+
+    NaN where no shift up to a fifth of the signal matches.
+    """
     most = min(30, late.size // 5)
     if most < 1:
         return float("nan")
@@ -294,7 +307,7 @@ def _ends(
             k = max(bad, key=lambda k: worst[k] / spread[k])
             window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"
             yield Finding(
-                "end-transient",
+                "end_transient",
                 "warning",
                 f"in the {name} {_END:g} s logged velocities and positions do not belong together:"
                 f" they part by {worst[k]:.3g} rad/s in {recording.joint_names[k]}, against"

@@ -1,4 +1,7 @@
-"""What is known of the samples seen so far and takes in more of them: extremes, the furthest, moments."""
+"""What is known of the samples seen so far and takes in more of them.
+
+Extremes, the furthest, moments.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,10 @@ IN_STEP = 0.995
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """How many numbers a column held, the lowest and the highest of them, all (n,); infinite where it held none."""
+    """How many numbers a column held, the lowest and the highest of them, all (n,).
+
+    Infinite where it held none.
+    """
 
     count: Indices
     low: Array
@@ -38,7 +44,9 @@ class Extremes:
 
 @dataclass(frozen=True, eq=False)
 class Furthest:
-    """Of every joint: in how many samples something was too far, and amount, value and row of the furthest, all (n,)."""
+    """Of every joint: in how many samples something was too far, and amount, value and row of the
+    furthest, all (n,).
+    """
 
     count: Indices
     amount: Array
@@ -58,7 +66,10 @@ class Furthest:
     def with_more(
         self, amount: Array, too_far: NDArray[np.bool_], value: Array, rows: Indices
     ) -> Furthest:
-        """Take in further samples: amounts, which of them are too far, values (N, n) and rows (N,); amounts may be NaN."""
+        """Take in further samples: amounts, which of them are too far, values (N, n) and rows (N,).
+
+        Amounts may be NaN.
+        """
         if not len(rows):
             return self
         amount = np.where(np.isnan(amount), -np.inf, amount)
@@ -75,7 +86,10 @@ class Furthest:
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """Moments of the samples whose positions are all there: how many, their extremes (n,), sums (n,) and products (n, n) about the first of them."""
+    """Moments of the samples whose positions are all there.
+
+    How many, their extremes (n,), sums (n,) and products (n, n) about the first of them.
+    """
 
     n_samples: int
     low: Array

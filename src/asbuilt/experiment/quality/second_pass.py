@@ -1,4 +1,7 @@
-"""What can only be looked at once the extremes and the clock of a recording are known: a second pass, stretch by stretch."""
+"""What can only be looked at once the extremes and the clock of a recording are known.
+
+A second pass, stretch by stretch.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,10 @@ _NEAR = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Plateau:
-    """How often a torque is at its extreme: the places among the fresh samples, how many are near it, and their different values."""
+    """How often a torque is at its extreme.
+
+    The places among the fresh samples, how many are near it, and their different values.
+    """
 
     extreme: float
     width: float
@@ -42,7 +48,9 @@ class Plateau:
 
 @dataclass(frozen=True, eq=False)
 class CloserLook:
-    """Hold the samples of chosen pieces, the torques by which filters are found, and the plateaus at both extremes of every joint, none where it hardly varies."""
+    """Hold the samples of chosen pieces, the torques by which filters are found, and the plateaus
+    at both extremes of every joint, none where it hardly varies.
+    """
 
     pieces: tuple[Recording, ...]
     torques: tuple[Array, ...]
@@ -52,9 +60,11 @@ class CloserLook:
 def look_closer(
     model: RobotModel, stretches: Iterable[Recording], known: Survey, rows: Sequence[Indices]
 ) -> CloserLook:
-    """Go through the stretches again for pieces of consecutive `rows`, and for torques that stay at their extremes.
+    """Go through the stretches again for pieces of consecutive `rows`, and for torques that stay at
+    their extremes.
 
-    The torques of a recording that is held are all of them, those of one in several stretches those of the pieces.
+    The torques of a recording that is held are all of them, those of one in several stretches those
+    of the pieces.
     """
     plateaus = [_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]

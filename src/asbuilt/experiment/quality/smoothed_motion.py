@@ -1,4 +1,7 @@
-"""A recording on an even clock, smoothed just enough to differentiate it twice: the basis of the checks."""
+"""A recording on an even clock, smoothed just enough to differentiate it twice.
+
+The basis of the checks.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ _MOST_STRETCHES = 12
 
 @dataclass(frozen=True, eq=False)
 class SmoothedMotion:
-    """Evenly sampled stretches of a recording, one after another: `q, qd, qdd, tau` (N, n); `logged_qd` where velocities were logged.
+    """Evenly sampled stretches of a recording, one after another: `q, qd, qdd, tau` (N, n).
+
+    `logged_qd` where velocities were logged.
 
     `stretch` (N,) numbers the stretch of each sample; `rate` in Hz.
     """
@@ -49,7 +54,10 @@ class SmoothedMotion:
 
 @dataclass(frozen=True, eq=False)
 class EvenPieces:
-    """The pieces of a recording to be smoothed: the rows of each, the usual step of the clock [s] and the width of the smoothing in samples."""
+    """The pieces of a recording to be smoothed.
+
+    The rows of each, the usual step of the clock [s] and the width of the smoothing in samples.
+    """
 
     rows: tuple[NDArray[np.int64], ...]
     step: float
@@ -57,7 +65,10 @@ class EvenPieces:
 
     @classmethod
     def of(cls, t: Array, usable: NDArray[np.bool_]) -> EvenPieces | None:
-        """Choose pieces between gaps and without bad samples, of long recordings a dozen; None where no stretch is long enough."""
+        """Choose pieces between gaps and without bad samples, of long recordings a dozen.
+
+        None where no stretch is long enough.
+        """
         rows = np.flatnonzero(usable)
         t = t[rows]
         if not np.all(np.diff(t) > 0):
@@ -88,7 +99,10 @@ class EvenPieces:
 
 
 def smoothed_motion(pieces: EvenPieces, logged: Sequence[Recording]) -> SmoothedMotion:
-    """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964); `logged` are the samples of every piece."""
+    """Smooth positions and torques alike by local cubics over 0.15 s (Savitzky and Golay, 1964).
+
+    `logged` are the samples of every piece.
+    """
     smooth: list[list[Array]] = []
     numbers = []
     inner = slice(pieces.window // 2, -(pieces.window // 2))

@@ -1,4 +1,7 @@
-"""Whether the logged torques are those of this robot: sign, scale, order of joints, saturation, filtering."""
+"""Whether the logged torques are those of this robot.
+
+Sign, scale, order of joints, saturation, filtering.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,9 @@ from asbuilt.findings import Finding, joined
 _CLEAR = 0.9
 """Correlation with the model's torque from which a joint's torque speaks clearly,"""
 _FAINT = 0.3
-"""and from which the loudest one, where none is clear, is what the model says beneath noise or friction of its own size,"""
+"""and from which the loudest one, where none is clear, is what the model says beneath noise or
+friction of its own size,
+"""
 _ALIKE = (0.8, 1.25)
 """if its size is within these factors of the model's."""
 _SPEAKING_SHARE = 0.02
@@ -43,9 +48,12 @@ def torque_findings(
     motion: SmoothedMotion | None,
     position_scale: Array,
 ) -> Iterator[Finding]:
-    """Hold the measured torques against the model's rigid-body torques; gravity decides most, its size is known to some tens of percent from CAD.
+    """Hold the measured torques against the model's rigid-body torques.
 
-    `position_scale` (n,) turns logged positions into rad (1, or pi/180 where they were found to be degrees).
+    Gravity decides most, its size is known to some tens of percent from CAD.
+
+    `position_scale` (n,) turns logged positions into rad (1, or pi/180 where they were found to be
+    degrees).
     """
     yield from _saturation(model, recording, closer)
     yield from _filtered(closer.torques, recording.rate)
@@ -54,7 +62,7 @@ def torque_findings(
     fit = TorqueFit.of(model, motion, position_scale)
     if not np.any(fit.predicted > 0):
         yield Finding(
-            "no-inertia",
+            "no_inertia",
             "info",
             f"{model.name} has no inertial parameters, or none that act in this motion; the"
             " torques' sign, scale and order were not checked",
@@ -64,7 +72,7 @@ def torque_findings(
     ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
     if ratio == 0:
         yield Finding(
-            "no-torque",
+            "no_torque",
             "error",
             f"the torques do not change at all: the first joint's is {recording.first_torque:.4g}"
             f" in {recording.n_samples} samples",
@@ -97,7 +105,7 @@ def _exchanges(model: RobotModel, fit: TorqueFit, best: TorqueFit) -> Iterator[F
         told.append(f"{names[k]} fits {what}")
     before, after = (float(np.mean(np.abs(f.correlation[moved]))) for f in (fit, best))
     yield Finding(
-        "joints-swapped",
+        "joints_swapped",
         "error",
         f"joints look swapped: {joined(told)} (mean correlation with the model's torque {after:.3f}"
         f" instead of {before:.3f})",
@@ -112,7 +120,7 @@ def _exchanges_without_cad(model: RobotModel, fit: TorqueFit) -> Iterator[Findin
     if exchange is not None:
         one, other = (model.joint_names[k] for k in exchange.joints)
         yield Finding(
-            "joints-swapped",
+            "joints_swapped",
             "error",
             f"the torques of {one} and {other} look swapped: whatever the masses and friction,"
             f" {100 * exchange.as_logged:.2g} % of their variance is left unexplained as logged and"
@@ -135,7 +143,7 @@ def _sign_and_scale(
         if correlation[k] > _FAINT and _ALIKE[0] < gain[k] < _ALIKE[1]:
             return  # as the model says, beneath noise or friction of its own size
         yield Finding(
-            "torque-unlike-model",
+            "torque_unlike_model",
             "warning",
             f"no joint's torque follows the model's (correlation {correlation[k]:.2f} in"
             f" {names[k]}, which should vary by {predicted[k]:.3g} N m)",
@@ -152,7 +160,7 @@ def _sign_and_scale(
     negative = [k for k in speaking if correlation[k] < 0]
     if len(negative) * 2 > len(speaking):
         yield Finding(
-            "torque-flipped",
+            "torque_flipped",
             "error",
             "the torque sign looks flipped: the measured torque falls where the model's rises"
             f" ({evidence})",
@@ -169,7 +177,7 @@ def _sign_and_scale(
         )
         if against and 0.2 < abs(gain[k]) / scale < 5:
             yield Finding(
-                "joint-torque-flipped",
+                "joint_torque_flipped",
                 "error",
                 f"the torque of {names[k]} alone has the opposite sign of the model's (gain"
                 f" {gain[k]:.3g}, correlation {correlation[k]:.3f})",
@@ -181,7 +189,7 @@ def _sign_and_scale(
     friction = sign * fit.friction_correlation if silent.any() else np.zeros(model.n_joints)
     for k in np.flatnonzero(silent & (friction < -_BRAKING)).tolist():
         yield Finding(
-            "joint-torque-flipped",
+            "joint_torque_flipped",
             "warning",
             f"the torque of {names[k]} acts against its motion (correlation with the direction of"
             f" motion {friction[k]:.2f}), as friction does not; its sign may be the opposite of the"
@@ -196,7 +204,7 @@ def _sign_and_scale(
     odd = [k for k in speaking if abs(correlation[k]) > 0.95 and not 0.2 < abs(gain[k]) / scale < 5]
     for k in odd:
         yield Finding(
-            "joint-torque-scale",
+            "joint_torque_scale",
             "warning",
             f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's while the others are"
             f" about {scale:.3g} times theirs",
@@ -223,7 +231,7 @@ def _scale_finding(model: RobotModel, recording: Survey, scale: float, evidence:
             "Give the factor to N m: --gain G, or units in a recording sheet",
         )
     return Finding(
-        "torque-scale",
+        "torque_scale",
         "error",
         f"the torques are {scale:.3g} times those of {model.name} ({evidence}): {guess}",
         cure,
@@ -259,7 +267,7 @@ def _saturation(model: RobotModel, recording: Survey, closer: CloserLook) -> Ite
             continue
         if 3 <= over < 0.5 * fresh.size:
             yield Finding(
-                "torque-limit",
+                "torque_limit",
                 "warning",
                 f"the torque of {joint.name} reaches {recording.loud.value[k]:.4g} N m in {over} of"
                 f" {fresh.size} samples; its limit is {limit:.4g} N m",
@@ -270,7 +278,9 @@ def _saturation(model: RobotModel, recording: Survey, closer: CloserLook) -> Ite
 
 
 def _longest_run(places: Indices) -> tuple[int, int]:
-    """Return how many of rising places follow each other without a break at most, and the first of them."""
+    """Return how many of rising places follow each other without a break at most, and the first of
+    them.
+    """
     if not places.size:
         return 0, 0
     starts = np.flatnonzero(np.diff(places, prepend=places[0] - 2) != 1)
@@ -280,7 +290,10 @@ def _longest_run(places: Indices) -> tuple[int, int]:
 
 
 def _filtered(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
-    """Find torques (N, n) without the noise floor of a sensor: power at high frequency below 1e-9 of the peak's, in most joints; several pieces are averaged."""
+    """Find torques (N, n) without the noise floor of a sensor.
+
+    Power at high frequency below 1e-9 of the peak's, in most joints; several pieces are averaged.
+    """
     shortest = min((len(tau) for tau in torques if len(tau) >= _SHORTEST), default=0)
     if not shortest or not np.isfinite(rate):
         return
@@ -298,7 +311,7 @@ def _filtered(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
     middle = np.median(relative, axis=1)
     last = int(np.flatnonzero(middle > max(100 * float(np.median(floor)), 1e-9))[-1])
     yield Finding(
-        "already-filtered",
+        "already_filtered",
         "info",
         f"the torques hold nothing above about {frequency[last]:.2g} Hz (power at high frequency is"
         f" {np.median(floor):.0e} of the peak's): they were low-pass filtered before, or simulated"

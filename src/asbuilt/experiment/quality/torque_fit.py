@@ -1,4 +1,6 @@
-"""How well the measured torques follow the model's, under one assignment of columns to joints or another."""
+"""How well the measured torques follow the model's, under one assignment of columns to joints or
+another.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ BREAKAWAY = 0.02
 _FLOOR = 0.02
 """Misfit below which a better fit counts no more."""
 _DECISIVE = 2.0
-"""Fall of the cost from which an exchange of joints is believed: a misfit of one joint that falls to an eighth."""
+"""Fall of the cost from which an exchange of joints is believed.
+
+A misfit of one joint that falls to an eighth.
+"""
 _MOST_SAMPLES = 400
 """Samples that are enough for it."""
 _MOST_JOINTS = 10
@@ -30,10 +35,11 @@ _MOST_JOINTS = 10
 
 @dataclass(frozen=True, eq=False)
 class TorqueFit:
-    """Compare torque columns with the model's rigid-body torques, offset and friction of each joint taken out of both.
+    """Compare torque columns with the model's rigid-body torques, offset and friction of each joint
+    taken out of both.
 
-    `motion_of[k]` and `torque_of[k]` are the columns taken for joint k. Measured y_k and predicted x_k are what is left of each after projection on
-    1, qd_k and tanh(qd_k / 0.02).
+    `motion_of[k]` and `torque_of[k]` are the columns taken for joint k. Measured y_k and predicted
+    x_k are what is left of each after projection on 1, qd_k and tanh(qd_k / 0.02).
     """
 
     model: RobotModel
@@ -48,7 +54,9 @@ class TorqueFit:
     def of(
         cls, model: RobotModel, motion: SmoothedMotion, scale: Array, torque_scale: float = 1.0
     ) -> TorqueFit:
-        """Compare a recording's smoothed motion, positions multiplied by `scale` (n,), under the logged order of joints."""
+        """Compare a recording's smoothed motion, positions multiplied by `scale` (n,), under the
+        logged order of joints.
+        """
         rows = motion.thinned(_MOST_SAMPLES)
         order = tuple(range(model.n_joints))
         return cls(
@@ -106,9 +114,11 @@ class TorqueFit:
 
     @property
     def friction_correlation(self) -> Array:
-        """Correlation of each joint's torque with its direction of motion tanh(qd_k / 0.02), shape (n,), every rigid-body torque taken out of both.
+        """Correlation of each joint's torque with its direction of motion tanh(qd_k / 0.02), shape
+        (n,), every rigid-body torque taken out of both.
 
-        What any masses could explain is projected out, so CAD does not matter; joints whose friction moves less than a tenth of their torque get 0.
+        What any masses could explain is projected out, so CAD does not matter; joints whose
+        friction moves less than a tenth of their torque get 0.
         """
         pick = list(self.motion_of)
         base = find_base_parameters(self.model, DriveSet.parse("offset"))
@@ -142,7 +152,9 @@ class TorqueFit:
 
     @property
     def cost(self) -> float:
-        """Sum over joints of the logarithm of the misfit, for the better of the two signs of all torques."""
+        """Sum over joints of the logarithm of the misfit, for the better of the two signs of all
+        torques.
+        """
         return min(float(np.sum(np.log(self.misfit(sign) + _FLOOR))) for sign in (1, -1))
 
     def neighbours(self) -> Iterator[TorqueFit]:
@@ -161,7 +173,10 @@ class TorqueFit:
 
 
 def best_assignment(fit: TorqueFit) -> TorqueFit:
-    """Exchange pairs of joints as long as the torques fit decisively better: the cost falls by 2 and an exchanged joint then fits well."""
+    """Exchange pairs of joints as long as the torques fit decisively better.
+
+    The cost falls by 2 and an exchanged joint then fits well.
+    """
     best = fit
     for _ in range(fit.model.n_joints):
         candidate = min(best.neighbours(), key=lambda other: other.cost, default=best)

@@ -1,4 +1,7 @@
-"""Whether two torques are exchanged, told without CAD: in the right order some masses and some friction explain them all."""
+"""Whether two torques are exchanged, told without CAD.
+
+In the right order some masses and some friction explain them all.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +18,24 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.quality.torque_fit import BREAKAWAY, TorqueFit
 
 DECISIVE = 4.0
-"""Fall of the cost, the sum over joints of the logarithm of the unexplained share, from which an exchange is believed: both shares fall to an eighth."""
+"""Fall of the cost, the sum over joints of the logarithm of the unexplained share, from which an
+exchange is believed: both shares fall to an eighth.
+"""
 FLOOR = 1e-3
 """Unexplained share below which a better fit counts no more."""
 FEWEST_ROWS = 3
 """Torques per unknown below which anything is explained."""
 LEAST_SINGULAR = 1e-10
-"""Eigenvalue of the scaled normal equations, relative to the largest, below which a direction is not excited."""
+"""Eigenvalue of the scaled normal equations, relative to the largest, below which a direction is
+not excited.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """Two joints (from 0) whose torques are exchanged, and the mean unexplained share of their torques as logged and exchanged."""
+    """Two joints (from 0) whose torques are exchanged, and the mean unexplained share of their
+    torques as logged and exchanged.
+    """
 
     joints: tuple[int, int]
     as_logged: float
@@ -34,9 +43,11 @@ class Exchange:
 
 
 def exchanged_torques(fit: TorqueFit) -> Exchange | None:
-    """Return the exchange of two torques that base parameters, viscous and dry friction and offsets of any size explain far better than the order logged; None where none does.
+    """Return the exchange of two torques that base parameters, viscous and dry friction and offsets
+    of any size explain far better than the order logged; None where none does.
 
-    Each order has its own least squares, torques scaled to unit variance. CAD plays no part, so wrists, whose friction is as large as what their links do, are told apart as well.
+    Each order has its own least squares, torques scaled to unit variance. CAD plays no part, so
+    wrists, whose friction is as large as what their links do, are told apart as well.
     """
     n, samples = fit.model.n_joints, len(fit.q)
     base = find_base_parameters(fit.model, DriveSet.parse("viscous,offset"))
@@ -83,7 +94,11 @@ def exchanged_torques(fit: TorqueFit) -> Exchange | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Normal:
-    """The normal equations of each joint: `grams` (n, p, p), `sides` (n, n, p) of its rows with each torque, of unit variance, `power` and `spread` (n,) of the torques, scaled and as they are, and the samples."""
+    """The normal equations of each joint.
+
+    `grams` (n, p, p), `sides` (n, n, p) of its rows with each torque, of unit variance, `power` and
+    `spread` (n,) of the torques, scaled and as they are, and the samples.
+    """
 
     grams: Array
     sides: Array
@@ -92,7 +107,9 @@ class _Normal:
     samples: int
 
     def unexplained(self, torque_of: NDArray[np.intp]) -> Array:
-        """Return the unexplained share (n,) of the torque of every joint where joint k has torque `torque_of[k]`."""
+        """Return the unexplained share (n,) of the torque of every joint where joint k has torque
+        `torque_of[k]`.
+        """
         scale = 1.0 / self.spread[torque_of]
         side = np.stack([self.sides[k, j] for k, j in enumerate(torque_of)])
         gram = np.einsum("k,kpq->pq", scale**2, self.grams)

@@ -18,16 +18,21 @@ WINDOW = 20.0
 NOISY = 0.01
 """Share of the velocity's power from which white noise of the positions is reckoned with;"""
 ABOVE_NOISE = 4.0
-"""the motion then ends where its spectrum, over SMOOTHED bins, last exceeds that of the noise so many times."""
+"""the motion then ends where its spectrum, over SMOOTHED bins, last exceeds that of the noise so
+many times.
+"""
 SMOOTHED = 11
 
 
 def motion_bandwidth(runs: Sequence[Array], rate: float) -> float:
-    """Return the frequency [Hz] below which 95 % of the velocity's power lies, for the fastest of the joints that move.
+    """Return the frequency [Hz] below which 95 % of the velocity's power lies, for the fastest of
+    the joints that move.
 
-    `runs` are position arrays (L, n) at one uniform `rate` [Hz]. The velocity's spectrum is (2 pi f)^2 times the position's (Welch, IEEE Trans. Audio and
-    Electroacoustics, 1967). Joints whose velocity is below a hundredth of the fastest joint's are noise, not motion, and do not count. White noise of
-    the positions, whose differences grow with the rate, is told by the upper half of the spectrum, and what it buries does not count.
+    `runs` are position arrays (L, n) at one uniform `rate` [Hz]. The velocity's spectrum is (2 pi
+    f)^2 times the position's (Welch, IEEE Trans. Audio and Electroacoustics, 1967). Joints whose
+    velocity is below a hundredth of the fastest joint's are noise, not motion, and do not count.
+    White noise of the positions, whose differences grow with the rate, is told by the upper half of
+    the spectrum, and what it buries does not count.
     """
     window = min(round(WINDOW * rate), max(q.shape[0] for q in runs) - 1)
     total = np.zeros((window // 2 + 1, runs[0].shape[1]))
@@ -50,7 +55,9 @@ def motion_bandwidth(runs: Sequence[Array], rate: float) -> float:
 
 
 def _buried(total: Array, cycles: Array) -> NDArray[np.bool_]:
-    """Return which bins (F, n) of velocity spectra lie beyond the motion in white noise of the positions; `cycles` (F,) are frequencies per sample."""
+    """Return which bins (F, n) of velocity spectra lie beyond the motion in white noise of the
+    positions; `cycles` (F,) are frequencies per sample.
+    """
     shape = np.sin(np.pi * cycles)[:, None] ** 2
     upper = cycles >= 0.25
     noise = shape * (

@@ -11,9 +11,12 @@ from asbuilt.errors import UsageError
 
 
 def central_differences(x: ArrayLike, rate: float) -> Array:
-    """Differentiate the columns of x (N,) or (N, m): (x[k+1] - x[k-1]) rate / 2, exact on parabolas; second-order one-sided at the ends.
+    """Differentiate the columns of x (N,) or (N, m).
 
-    A sine of frequency f comes out at sin(w) / w of its derivative, w = 2 pi f / rate, without phase.
+    (x[k+1] - x[k-1]) rate / 2, exact on parabolas; second-order one-sided at the ends.
+
+    A sine of frequency f comes out at sin(w) / w of its derivative, w = 2 pi f / rate, without
+    phase.
 
     Examples
     --------
@@ -29,10 +32,11 @@ def central_differences(x: ArrayLike, rate: float) -> Array:
 def savitzky_golay(
     x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4
 ) -> tuple[Array, Array, Array]:
-    """Smooth the columns of x (N,) or (N, m) and return value, first and second derivative from a moving polynomial of the given degree.
+    """Smooth the columns of x (N,) or (N, m) and return value, first and second derivative from a
+    moving polynomial of the given degree.
 
-    The window is that of `savitzky_golay_window`. Exact on polynomials up to the degree, also at the ends (Savitzky and Golay, Analytical
-    Chemistry, 1964).
+    The window is that of `savitzky_golay_window`. Exact on polynomials up to the degree, also at
+    the ends (Savitzky and Golay, Analytical Chemistry, 1964).
     """
     values = np.asarray(x, dtype=np.float64)
     if not 0.0 < cutoff < 0.5 * rate:
@@ -58,20 +62,24 @@ def savitzky_golay(
 
 
 def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
-    """Return the odd window length 2 m + 1 whose smoothing filter has its -3 dB point nearest `cutoff` [Hz], at least degree + 2.
+    """Return the odd window length 2 m + 1 whose smoothing filter has its -3 dB point nearest
+    `cutoff` [Hz], at least degree + 2.
 
-    Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011).
+    Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay
+    filter?, IEEE Signal Processing Magazine, 2011).
     """
     half = ((degree + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
     return max(2 * round(half) + 1, degree + 2 + (degree + 1) % 2)
 
 
 def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array, Array, Array]:
-    """Smooth the columns of x (N,) or (N, m) with a cubic smoothing spline and return value, first and second derivative.
+    """Smooth the columns of x (N,) or (N, m) with a cubic smoothing spline and return value, first
+    and second derivative.
 
-    With time k counted in samples the spline minimises sum (x - s)^2 + lambda int s''^2 dk (Reinsch, Numerische Mathematik, 1967). Away from the ends it
-    is a zero-phase filter of amplitude 1 / (1 + lambda w^4), w = 2 pi f / rate (Craven and Wahba, Numerische Mathematik, 1979), so lambda follows
-    from -3 dB at `cutoff` [Hz].
+    With time k counted in samples the spline minimises sum (x - s)^2 + lambda int s''^2 dk
+    (Reinsch, Numerische Mathematik, 1967). Away from the ends it is a zero-phase filter of
+    amplitude 1 / (1 + lambda w^4), w = 2 pi f / rate (Craven and Wahba, Numerische Mathematik,
+    1979), so lambda follows from -3 dB at `cutoff` [Hz].
     """
     values = np.asarray(x, dtype=np.float64)
     if not 0.0 < cutoff < 0.5 * rate:

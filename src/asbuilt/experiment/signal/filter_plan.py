@@ -1,4 +1,7 @@
-"""What a signal chain comes to at one sampling rate: filters, factors and margins, and how they turn a run into segments."""
+"""What a signal chain comes to at one sampling rate.
+
+Filters, factors and margins, and how they turn a run into segments.
+"""
 
 from __future__ import annotations
 
@@ -40,15 +43,18 @@ PARALLEL_IN_CUTOFFS = 1.0
 OUTPUT_RATE_IN_CUTOFFS = 4.0
 """Rate after the parallel filter in its cutoffs, where the user does not say otherwise."""
 EXACT = 1e-12
-"""Where the low-pass's impulse response has fallen to this share of its peak, what lies beyond does not matter."""
+"""Where the low-pass's impulse response has fallen to this share of its peak, what lies beyond does
+not matter.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterPlan:
     """The filters of a chain whose cutoff is known, for logs at `rate` [Hz].
 
-    `thinning` is how many logged samples make one of `Samples`, `anti_alias` what the torque passes before that, `parallel` what remains to be applied.
-    `margin` logged samples are trimmed at either end of a run; `exact` of them depend on the ends at all.
+    `thinning` is how many logged samples make one of `Samples`, `anti_alias` what the torque passes
+    before that, `parallel` what remains to be applied. `margin` logged samples are trimmed at
+    either end of a run; `exact` of them depend on the ends at all.
     """
 
     chain: SignalChain
@@ -112,7 +118,9 @@ class FilterPlan:
 
     @property
     def reach(self) -> int:
-        """How many logged samples on either side a prepared sample depends on (the rest of the response is below 1e-12)."""
+        """How many logged samples on either side a prepared sample depends on (the rest of the
+        response is below 1e-12).
+        """
         smear = self.anti_alias.margin if self.anti_alias else 0
         rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
         return max(self.exact, smear) + rest + 2
@@ -159,7 +167,8 @@ class FilterPlan:
         )
 
     def segments(self, run: UniformRun, low: int, stop: int) -> tuple[list[Piece], int]:
-        """Return the segments of a run between the logged samples `low` and `stop`, and the `low` from which a longer run would go on.
+        """Return the segments of a run between the logged samples `low` and `stop`, and the `low`
+        from which a longer run would go on.
 
         Going on from there gives, put together, the filtered samples of the whole run, each once.
         """

@@ -54,12 +54,16 @@ def parse_rule(rule: str) -> Blocks | Last:
 
 
 def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
-    """Return (train, held out) by a rule: `blocks:5s:3` holds out every third 5 s block, `last:0.3` the last 30 % of the time.
+    """Return (train, held out) by a rule.
 
-    Time counts from where the recording began, whatever was trimmed, so that the division does not depend on the filters.
+    `blocks:5s:3` holds out every third 5 s block, `last:0.3` the last 30 % of the time.
 
-    Every sample goes to exactly one side and every border cuts a segment, so the parallel filter, which needs `margin` inputs on either side of an output
-    and drops outputs that lack them, never mixes torques of the two sides: the margins are the guard bands.
+    Time counts from where the recording began, whatever was trimmed, so that the division does not
+    depend on the filters.
+
+    Every sample goes to exactly one side and every border cuts a segment, so the parallel filter,
+    which needs `margin` inputs on either side of an output and drops outputs that lack them, never
+    mixes torques of the two sides: the margins are the guard bands.
 
     Raises
     ------

@@ -17,16 +17,23 @@ STOP_BAND = 60.0
 STOP_BAND_EDGE = 1.75
 """Where the stop band begins, in cutoffs."""
 TRANSITION = 1.2
-"""Width of the transition band about the -6 dB point, in cutoffs; that point lies near 1.12 cutoffs."""
+"""Width of the transition band about the -6 dB point, in cutoffs.
+
+That point lies near 1.12 cutoffs.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class ParallelFilter:
-    """A zero-phase finite low-pass followed by decimation: y[k] = sum_j taps[j] x[k decimation + j].
+    """A zero-phase finite low-pass followed by decimation.
 
-    `taps` (2 margin + 1,) are symmetric with sum 1, so output k belongs to input `k decimation + margin` and the first and last `margin` inputs have
-    no output of their own: nothing is assumed about what lies beyond the ends. Since tau = Y(q, qd, qdd) chi holds at every instant, F tau = (F Y) chi holds
-    for any linear F: filtering both alike adds no bias (Gautier, Janot and Vandanjon, IEEE Trans. Control Systems Technology, 2013).
+    Y[k] = sum_j taps[j] x[k decimation + j].
+
+    `taps` (2 margin + 1,) are symmetric with sum 1, so output k belongs to input `k decimation +
+    margin` and the first and last `margin` inputs have no output of their own: nothing is assumed
+    about what lies beyond the ends. Since tau = Y(q, qd, qdd) chi holds at every instant, F tau =
+    (F Y) chi holds for any linear F: filtering both alike adds no bias (Gautier, Janot and
+    Vandanjon, IEEE Trans. Control Systems Technology, 2013).
 
     `cutoff` is the -3 dB frequency [Hz] at the input `rate` [Hz].
     """
@@ -62,13 +69,19 @@ class ParallelFilter:
         return self.rate / self.decimation
 
     def n_outputs(self, n_inputs: int) -> int:
-        """Return how many outputs a run of `n_inputs` contiguous samples has; 0 where it is too short."""
+        """Return how many outputs a run of `n_inputs` contiguous samples has.
+
+        0 where it is too short.
+        """
         return max(0, (n_inputs - self.taps.size) // self.decimation + 1)
 
     def apply(self, x: Array, axis: int = -1, out: Array | None = None) -> Array:
-        """Filter and decimate one contiguous run along `axis`; (..., L) becomes (..., n_outputs(L)).
+        """Filter and decimate one contiguous run along `axis`.
 
-        Fastest where samples are innermost (`axis=-1`, C order). `out` is filled where given (only for two-dimensional x and axis -1).
+        (..., L) becomes (..., n_outputs(L)).
+
+        Fastest where samples are innermost (`axis=-1`, C order). `out` is filled where given (only
+        for two-dimensional x and axis -1).
         """
         values = np.asarray(x, dtype=np.float64)
         if values.ndim == 2 and axis in (-1, 1) and values.flags.c_contiguous:
@@ -92,12 +105,14 @@ class ParallelFilter:
 
 @lru_cache(maxsize=64)
 def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> ParallelFilter:
-    """Design a Kaiser-windowed sinc with -3 dB at `cutoff` [Hz] and 60 dB from 1.75 cutoffs on (Kaiser, 1974).
+    """Design a Kaiser-windowed sinc with -3 dB at `cutoff` [Hz] and 60 dB from 1.75 cutoffs on
+    (Kaiser, 1974).
 
     Raises
     ------
     UsageError
-        If the cutoff is beyond what the rate, or the rate after decimation, can carry without aliasing.
+        If the cutoff is beyond what the rate, or the rate after decimation, can carry without
+        aliasing.
     """
     highest = 0.5 * rate / STOP_BAND_EDGE
     if not 0.0 < cutoff <= highest:

@@ -22,7 +22,10 @@ SHORTEST_RUN = 8
 
 @dataclass(frozen=True, eq=False)
 class UniformRun:
-    """One gapless run on a uniform clock: t (L,), q, tau and, where logged, qd (L, n); `tau` is the torque as recorded, at the instants t."""
+    """One gapless run on a uniform clock: t (L,), q, tau and, where logged, qd (L, n).
+
+    `tau` is the torque as recorded, at the instants t.
+    """
 
     t: Array
     q: Array
@@ -33,12 +36,15 @@ class UniformRun:
 def uniform_runs(
     recording: Recording, rate: float | None = None, max_gap: float | None = None
 ) -> tuple[list[UniformRun], float, tuple[str, ...]]:
-    """Return the gapless runs of a recording on a uniform clock, their common rate [Hz] and a sentence for everything that was changed.
+    """Return the gapless runs of a recording on a uniform clock, their common rate [Hz] and a
+    sentence for everything that was changed.
 
-    Rows with NaN or infinities, rows whose time does not advance and rows that repeat the row before them to the last bit while the robot moves
-    (a log polled faster than the controller writes) are dropped. A pause longer than `max_gap` [s] (by default 4.5 sample periods) ends a run; nothing
-    is ever interpolated across it. An irregular clock, or one at another rate than asked for, is brought to a uniform one by cubic splines through
-    the samples of the run (error (5/384) h^4 x'''' at step h: Hall and Meyer, Journal of Approximation Theory, 1976).
+    Rows with NaN or infinities, rows whose time does not advance and rows that repeat the row
+    before them to the last bit while the robot moves (a log polled faster than the controller
+    writes) are dropped. A pause longer than `max_gap` [s] (by default 4.5 sample periods) ends a
+    run; nothing is ever interpolated across it. An irregular clock, or one at another rate than
+    asked for, is brought to a uniform one by cubic splines through the samples of the run (error
+    (5/384) h^4 x'''' at step h: Hall and Meyer, Journal of Approximation Theory, 1976).
 
     Raises
     ------
@@ -144,7 +150,9 @@ def _fresh(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _logged_rate(t: Array, period: float) -> float:
-    """Return the inverse of the mean step outside gaps, rounded where a whole number fits to a part in a thousand."""
+    """Return the inverse of the mean step outside gaps, rounded where a whole number fits to a part
+    in a thousand.
+    """
     steps = np.diff(t)
     return _rounded(1.0 / float(np.mean(steps[steps <= GAP * period])))
 
@@ -154,10 +162,14 @@ def _rounded(rate: float) -> float:
 
 
 def _clock(t: Array, q: Array) -> tuple[Array, bool]:
-    """Return the instants of a run: an even clock fitted to the stamps where that makes the positions smoother, otherwise the stamps.
+    """Return the instants of a run.
 
-    A controller that samples evenly but is stamped by another process has stamps that jitter about its ticks; believing them would turn
-    speed times jitter into position noise. Smoothness is the root mean square of the third difference on an even grid.
+    An even clock fitted to the stamps where that makes the positions smoother, otherwise the
+    stamps.
+
+    A controller that samples evenly but is stamped by another process has stamps that jitter about
+    its ticks; believing them would turn speed times jitter into position noise. Smoothness is the
+    root mean square of the third difference on an even grid.
     """
     period = float(np.median(np.diff(t)))
     tick = _ticks(t, period)
@@ -182,10 +194,12 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
 
 
 def _ticks(t: Array, period: float) -> Array | None:
-    """Return the number of the clock tick (L,) each stamp belongs to, or None where the stamps follow no clock of this period.
+    """Return the number of the clock tick (L,) each stamp belongs to, or None where the stamps
+    follow no clock of this period.
 
-    The phase of the stamps against the period is averaged on the circle over stretches of a few hundred stamps, so that a late stamp is not taken for a lost
-    sample, and unwrapped from stretch to stretch, so that the period need not be exact.
+    The phase of the stamps against the period is averaged on the circle over stretches of a few
+    hundred stamps, so that a late stamp is not taken for a lost sample, and unwrapped from stretch
+    to stretch, so that the period need not be exact.
     """
     turns = (t - t[0]) / period
     stretches = np.array_split(np.arange(t.size), max(1, t.size // 256))

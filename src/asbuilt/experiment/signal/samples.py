@@ -1,4 +1,7 @@
-"""What identification uses: positions, velocities, accelerations and torques on a uniform clock, and how they were made."""
+"""What identification uses.
+
+Positions, velocities, accelerations and torques on a uniform clock, and how they were made.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +22,17 @@ Segments = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Hold prepared samples: t (N,) s; q, qd, qdd, tau (N, n) in SI; all joints at the same instants.
+    """Hold prepared samples: t (N,) s; q, qd, qdd, tau (N, n) in SI.
 
-    `segments` are the half-open index ranges of contiguous, uniformly sampled runs at `rate` [Hz]; between them lie gaps. `parallel` is a filter still to be
-    applied, run by run and alike, to the torque and to every regressor column (`filtered`); None where there is none. `tau` is what that
-    filter takes; `tau_raw` is the torque as logged, unfiltered, at the same instants, for errors that filtering cannot flatter.
-    `origin` [s] is where the recording began, before trimming, and where blocks of time begin; by default the first sample.
-    `provenance` says in sentences what was done.
+    All joints at the same instants.
+
+    `segments` are the half-open index ranges of contiguous, uniformly sampled runs at `rate` [Hz];
+    between them lie gaps. `parallel` is a filter still to be applied, run by run and alike, to the
+    torque and to every regressor column (`filtered`); None where there is none. `tau` is what that
+    filter takes; `tau_raw` is the torque as logged, unfiltered, at the same instants, for errors
+    that filtering cannot flatter. `origin` [s] is where the recording began, before trimming, and
+    where blocks of time begin; by default the first sample. `provenance` says in sentences what was
+    done.
 
     Examples
     --------
@@ -91,7 +98,9 @@ class Samples:
 
     @property
     def n_filtered(self) -> int:
-        """Number of samples after the parallel filter, which is how many rows per joint identification has."""
+        """Number of samples after the parallel filter, which is how many rows per joint
+        identification has.
+        """
         return sum(self._n_outputs(b - a) for a, b in self.segments)
 
     @property
@@ -111,11 +120,17 @@ class Samples:
 
     @property
     def filtered_torque(self) -> Array:
-        """The torque (n_filtered, n) after the parallel filter: the right-hand side of identification."""
+        """The torque (n_filtered, n) after the parallel filter.
+
+        The right-hand side of identification.
+        """
         return self.filtered(self.tau)
 
     def filtered(self, x: Array) -> Array:
-        """Apply the parallel filter, segment by segment, to x (N, ...) given at `t`; returns (n_filtered, ...)."""
+        """Apply the parallel filter, segment by segment, to x (N, ...) given at `t`.
+
+        Returns (n_filtered, ...).
+        """
         return np.concatenate(
             [
                 self.parallel.apply(x[a:b], axis=0) if self.parallel else x[a:b]
@@ -124,7 +139,10 @@ class Samples:
         )
 
     def select(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return the samples where `keep` (N,) holds; what was contiguous and stays so remains one segment."""
+        """Return the samples where `keep` (N,) holds.
+
+        What was contiguous and stays so remains one segment.
+        """
         mask = np.asarray(keep)
         if mask.dtype != np.bool_ or mask.shape != self.t.shape:
             raise UsageError(

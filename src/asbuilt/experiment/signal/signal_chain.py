@@ -28,21 +28,29 @@ POSITION_BANDWIDTHS = 10.0
 SLOWEST_RATE = 1.0
 """Slower logs [Hz] tell no velocities; their clock rather counts in another unit than seconds."""
 LOWEST_CUTOFF = 3.0
-"""Lowest default cutoff [Hz]: however slow the motion, friction changes sign within a fraction of a second."""
+"""Lowest default cutoff [Hz].
+
+However slow the motion, friction changes sign within a fraction of a second.
+"""
 HIGHEST_CUTOFF = 0.2
 """Highest default cutoff, as a share of the sampling rate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SignalChain:
-    """Say how recordings become samples; what is None is chosen from the recording and stated in the samples' provenance.
+    """Say how recordings become samples.
 
-    `cutoff` [Hz] low-passes positions with a Butterworth filter of `order` forwards and backwards, -3 dB of both passes (`corrected=False`: of each
-    pass); `derivative` makes velocity and acceleration; `velocity` says whether logged velocities are used. `parallel` low-passes torque and regressor columns
-    alike at `parallel_cutoff` [Hz], by default `cutoff`; without it the torque stays as it is. `rate` [Hz] resamples; `decimate` is how many logged
-    samples make one row in the end; `max_gap` [s] is the longest pause that is bridged; `trimmed` drops what the ends disturb. Where a joint is slower than
-    `standstill` (one speed per joint) for 0.5 s or more its velocity and acceleration are exactly zero, and where all joints stand for that long
-    the samples are left out, unless `rests`.
+    What is None is chosen from the recording and stated in the samples' provenance.
+
+    `cutoff` [Hz] low-passes positions with a Butterworth filter of `order` forwards and backwards,
+    -3 dB of both passes (`corrected=False`: of each pass); `derivative` makes velocity and
+    acceleration; `velocity` says whether logged velocities are used. `parallel` low-passes torque
+    and regressor columns alike at `parallel_cutoff` [Hz], by default `cutoff`; without it the
+    torque stays as it is. `rate` [Hz] resamples; `decimate` is how many logged samples make one row
+    in the end; `max_gap` [s] is the longest pause that is bridged; `trimmed` drops what the ends
+    disturb. Where a joint is slower than `standstill` (one speed per joint) for 0.5 s or more its
+    velocity and acceleration are exactly zero, and where all joints stand for that long the samples
+    are left out, unless `rests`.
 
     Examples
     --------
@@ -84,9 +92,10 @@ class SignalChain:
     def preset(cls, name: str) -> SignalChain:
         """Return a named chain: `default`, or `paper2015`.
 
-        `paper2015` (Hayat, Abhishek and Saha, iNaCoMM 2015, section 4): positions through a second-order Butterworth at 7 Hz forwards and backwards, the
-        double pass not corrected; velocity and acceleration by central differences; everything, torque included, decimated by 10 with a
-        Chebyshev type I filter of order 8; no parallel filter, no trimming.
+        `paper2015` (Hayat, Abhishek and Saha, iNaCoMM 2015, section 4): positions through a
+        second-order Butterworth at 7 Hz forwards and backwards, the double pass not corrected;
+        velocity and acceleration by central differences; everything, torque included, decimated by
+        10 with a Chebyshev type I filter of order 8; no parallel filter, no trimming.
         """
         presets = {
             "default": cls(),
@@ -106,7 +115,8 @@ class SignalChain:
         return presets[name]
 
     def resolved(self, *recordings: Recording) -> SignalChain:
-        """Return the chain with the cutoff and standstill speeds that it would choose for these recordings, so that others are treated alike.
+        """Return the chain with the cutoff and standstill speeds that it would choose for these
+        recordings, so that others are treated alike.
 
         Whether logged velocities are good is left to be decided recording by recording.
         """
@@ -118,7 +128,9 @@ class SignalChain:
 
 
 def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> Samples:
-    """Filter, differentiate, thin and trim a recording; each run of it without a gap or a rest becomes a segment.
+    """Filter, differentiate, thin and trim a recording.
+
+    Each run of it without a gap or a rest becomes a segment.
 
     Raises
     ------
@@ -175,15 +187,17 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
 def stream_samples(
     recordings: Iterable[Recording], chain: SignalChain | None = None
 ) -> Iterator[Samples]:
-    """Prepare a recording that comes in consecutive chunks, holding one chunk and its overlap at a time.
+    """Prepare a recording that comes in consecutive chunks, holding one chunk and its overlap at a
+    time.
 
-    The filtered samples of all that is yielded are those of `prepare_samples` on the whole, each once; what the chain chooses from a recording it chooses from
-    the first chunk.
+    The filtered samples of all that is yielded are those of `prepare_samples` on the whole, each
+    once; what the chain chooses from a recording it chooses from the first chunk.
 
     Raises
     ------
     UsageError
-        If the chain decimates without a parallel filter, as `paper2015` does; that works on whole recordings only.
+        If the chain decimates without a parallel filter, as `paper2015` does; that works on whole
+        recordings only.
     """
     chain = chain or SignalChain()
     plan: FilterPlan | None = None

@@ -13,11 +13,16 @@ SLOW = 0.003
 SLOWEST = 0.0015
 """The same as a share of the fastest joint's top speed, for joints that hardly move at all."""
 PAUSE = 0.5
-"""How long [s] a joint must be slow to be standing, and all joints must stand to be left out; a reversal is over sooner."""
+"""How long [s] a joint must be slow to be standing, and all joints must stand to be left out.
+
+A reversal is over sooner.
+"""
 
 
 def standstill_speeds(velocities: Sequence[Array]) -> tuple[float, ...]:
-    """Return the speed of each joint below which it may be standing, from the velocities (L, n) of all runs."""
+    """Return the speed of each joint below which it may be standing, from the velocities (L, n) of
+    all runs.
+    """
     top = np.max([np.quantile(np.abs(qd), 0.99, axis=0) for qd in velocities], axis=0)
     return tuple(np.maximum(SLOW * top, SLOWEST * top.max()).tolist())
 
@@ -29,9 +34,11 @@ def standing(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
 
 
 def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, int]]:
-    """Return the index ranges that are left of (L, n) when rests of all joints are cut out but for `shoulder` samples next to motion.
+    """Return the index ranges that are left of (L, n) when rests of all joints are cut out but for
+    `shoulder` samples next to motion.
 
-    Within a rest friction takes any value up to the Coulomb torque, so its samples say little about a model in which friction follows the velocity.
+    Within a rest friction takes any value up to the Coulomb torque, so its samples say little about
+    a model in which friction follows the velocity.
     """
     rest = _lasting(np.asarray(still.all(axis=1)), PAUSE * rate)
     keep = ~rest

@@ -19,7 +19,10 @@ LARGEST_NOISE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class VelocityVerdict:
-    """Say how logged velocities compare with the derivative of the positions: worst lag [s] and gain over the joints, median ratio of noise."""
+    """Say how logged velocities compare with the derivative of the positions.
+
+    Worst lag [s] and gain over the joints, median ratio of noise.
+    """
 
     lag: float
     gain: float
@@ -47,10 +50,13 @@ class VelocityVerdict:
 def compare_velocities(
     pairs: Sequence[tuple[Array, Array, Array, Array]], rate: float
 ) -> VelocityVerdict:
-    """Compare velocities over the runs; each of `pairs` holds the low-passed derivative v, the logged velocity w low-passed alike, and both before the low-pass.
+    """Compare velocities over the runs.
 
-    To first order w(t) = gain v(t - lag) = gain v - gain lag dv/dt, whose two coefficients follow by least squares, joint by joint. Noise is what the low-pass
-    removes.
+    Each of `pairs` holds the low-passed derivative v, the logged velocity w low-passed alike, and
+    both before the low-pass.
+
+    To first order w(t) = gain v(t - lag) = gain v - gain lag dv/dt, whose two coefficients follow
+    by least squares, joint by joint. Noise is what the low-pass removes.
     """
     n = pairs[0][0].shape[1]
     lags, gains, noises = np.zeros(n), np.ones(n), np.ones(n)

@@ -30,9 +30,10 @@ class LoggedColumns:
 class DataLogger:
     """Describe a logger: its `rate` [Hz], and what goes wrong in it.
 
-    A time stamp misses the instant of its values by `clock_jitter` [s] (standard deviation); the fraction `dropped` of the samples gets lost, in
-    bursts of `burst` samples on average. `accelerations` logs velocities and accelerations too, which no real robot measures, as long as the sensors
-    are perfect: beside positions that an encoder rounds they would tell what it hides.
+    A time stamp misses the instant of its values by `clock_jitter` [s] (standard deviation); the
+    fraction `dropped` of the samples gets lost, in bursts of `burst` samples on average.
+    `accelerations` logs velocities and accelerations too, which no real robot measures, as long as
+    the sensors are perfect: beside positions that an encoder rounds they would tell what it hides.
     """
 
     rate: float = 1000.0
@@ -67,7 +68,9 @@ class DataLogger:
         command: Array,
         rng: np.random.Generator,
     ) -> LoggedColumns:
-        """Return what is written down of a trajectory and its torque (N, n), sampled at a multiple of the rate."""
+        """Return what is written down of a trajectory and its torque (N, n), sampled at a multiple
+        of the rate.
+        """
         every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
         pick = slice(None, None, every)
         seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])

@@ -19,13 +19,16 @@ FeedForward = Literal["none", "gravity", "full", "exact"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveTrain:
-    """Describe the drives; every field but `warming` is one number or one per joint, in units of the joint (N m and rad, or N and m).
+    """Describe the drives; every field but `warming` is one number or one per joint, in units of
+    the joint (N m and rad, or N and m).
 
-    `armature` is the rotor's inertia at the joint, `viscous` and `coulomb` the friction of the running gear, `offset` a constant torque. Below the
-    `stribeck_velocity` dry friction rises by up to `stiction`: `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)`. All friction falls
-    by the fraction `warming` of its cold value while the gear warms up, `1 - warming (1 - exp(-t / warming_time))` with the time [s].
-    `backlash` is the play of the gear at the joint: the encoder on the motor runs ahead of the link by half of it while the torque is positive and
-    lags behind while it is negative, with a smooth passage over `engagement` (torque).
+    `armature` is the rotor's inertia at the joint, `viscous` and `coulomb` the friction of the
+    running gear, `offset` a constant torque. Below the `stribeck_velocity` dry friction rises by up
+    to `stiction`: `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)`. All friction falls
+    by the fraction `warming` of its cold value while the gear warms up, `1 - warming (1 - exp(-t /
+    warming_time))` with the time [s]. `backlash` is the play of the gear at the joint: the encoder
+    on the motor runs ahead of the link by half of it while the torque is positive and lags behind
+    while it is negative, with a smooth passage over `engagement` (torque).
     """
 
     armature: PerJoint = 0.0
@@ -58,19 +61,24 @@ class DriveTrain:
         return 1.0 - self.warming * (1.0 - np.exp(-t / self.warming_time))
 
     def motor_position(self, q: Array, tau: Array) -> Array:
-        """Return what the encoder on the motor sees of link positions q while torques tau are transmitted, shape of q [rad or m]."""
+        """Return what the encoder on the motor sees of link positions q while torques tau are
+        transmitted, shape of q [rad or m].
+        """
         n = q.shape[-1]
         return q + 0.5 * self.of("backlash", n) * np.tanh(tau / self.of("engagement", n))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionController:
-    """Describe the controller that makes the robot follow: `tau = feed-forward + M (w^2 (q_command - q) + 2 damping w (qd_command - qd))`.
+    """Describe the controller that makes the robot follow.
 
-    M is the mass matrix of the description at the command, armature included, and `w = 2 pi bandwidth` [Hz], so that every joint answers alike
-    (computed torque). The feed-forward is what the *description* says that the bodies take: nothing, their gravity, or all of it; `exact` adds what
-    rotors and friction take, as they are. The torque is held between two ticks of `rate` [Hz], rounded up to a multiple of the logger's, and limited to
-    what the joint can give.
+    `tau = feed-forward + M (w^2 (q_command - q) + 2 damping w (qd_command - qd))`.
+
+    M is the mass matrix of the description at the command, armature included, and `w = 2 pi
+    bandwidth` [Hz], so that every joint answers alike (computed torque). The feed-forward is what
+    the *description* says that the bodies take: nothing, their gravity, or all of it; `exact` adds
+    what rotors and friction take, as they are. The torque is held between two ticks of `rate` [Hz],
+    rounded up to a multiple of the logger's, and limited to what the joint can give.
     """
 
     bandwidth: float = 12.0
@@ -93,7 +101,9 @@ class PositionController:
             )
 
     def gains(self, described: RobotModel, armature: Array, q: Array) -> tuple[Array, float]:
-        """Return stiffness (N, n, n) at positions (N, n), and by what time [s] a velocity error counts as a position error."""
+        """Return stiffness (N, n, n) at positions (N, n), and by what time [s] a velocity error
+        counts as a position error.
+        """
         pole = 2.0 * np.pi * self.bandwidth
         return (mass_matrix(described, q) + np.diag(armature)) * pole**2, 2.0 * self.damping / pole
 

@@ -34,10 +34,12 @@ RUNAWAY = 1e4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeMotion:
-    """Hold a motion that nobody controls, and its energies [J], each (N,): states and torques are (N, n), `t` (N,).
+    """Hold a motion that nobody controls, and its energies [J], each (N,).
 
-    `kinetic` counts rotors too, `potential` is zero where the motion starts, `work` is what the drives have put in, `dissipated` what friction
-    has taken out.
+    States and torques are (N, n), `t` (N,).
+
+    `kinetic` counts rotors too, `potential` is zero where the motion starts, `work` is what the
+    drives have put in, `dissipated` what friction has taken out.
     """
 
     model: RobotModel
@@ -58,9 +60,11 @@ class FreeMotion:
 
     @property
     def imbalance(self) -> float:
-        """Largest energy that came from nowhere or got lost, in parts of the energy that was turned over.
+        """Largest energy that came from nowhere or got lost, in parts of the energy that was turned
+        over.
 
-        The motion is MuJoCo's, the energies are those of asbuilt's equations, so this compares the two and the integrator.
+        The motion is MuJoCo's, the energies are those of asbuilt's equations, so this compares the
+        two and the integrator.
         """
         missing = self.total - self.total[0] - self.work + self.dissipated
         turnover = np.ptp(self.kinetic) + np.ptp(self.potential)
@@ -77,18 +81,22 @@ def run_free(
     start: ArrayLike | None = None,
     speed: ArrayLike | None = None,
 ) -> FreeMotion:
-    """Let a robot go in the physics engine, with the armature and friction that its description gives, and without joint stops.
+    """Let a robot go in the physics engine, with the armature and friction that its description
+    gives, and without joint stops.
 
-    `drop` releases it at rest with drives that give nothing; `free` also takes the friction away and starts at 0.3 of the speed limits, so that the
-    energy must stay; `step` commands 0.2 rad more (0.05 m) from a controller that knows the gravity and mass matrix of this model, and its torque
-    limits, but no friction. `start` (n,) is the pose, by default the one in which gravity pulls hardest out of many; `speed` (n,) the velocity.
+    `drop` releases it at rest with drives that give nothing; `free` also takes the friction away
+    and starts at 0.3 of the speed limits, so that the energy must stay; `step` commands 0.2 rad
+    more (0.05 m) from a controller that knows the gravity and mass matrix of this model, and its
+    torque limits, but no friction. `start` (n,) is the pose, by default the one in which gravity
+    pulls hardest out of many; `speed` (n,) the velocity.
 
     Raises
     ------
     UsageError
         If pose or speed do not fit the robot, or there is no such release.
     InertiaError
-        If the mass matrix is not positive definite on the way, as it may be where inertias were identified without constraints.
+        If the mass matrix is not positive definite on the way, as it may be where inertias were
+        identified without constraints.
 
     Examples
     --------
@@ -162,7 +170,9 @@ def run_free(
 
 
 def heaviest_pose(model: RobotModel) -> Array:
-    """Return, out of 512 poses within the limits, the one with the largest gravity torque for its joints' range, shape (n,)."""
+    """Return, out of 512 poses within the limits, the one with the largest gravity torque for its
+    joints' range, shape (n,).
+    """
     bounds = MotionBounds.assumed(model)
     poses = np.random.default_rng(0).uniform(bounds.lower, bounds.upper, (512, model.n_joints))
     poses = np.vstack([0.5 * (bounds.lower + bounds.upper), poses])

@@ -1,4 +1,7 @@
-"""MuJoCo as the physics of a robot: an engine written by others, so that what it says is a second opinion."""
+"""MuJoCo as the physics of a robot.
+
+An engine written by others, so that what it says is a second opinion.
+"""
 
 from __future__ import annotations
 
@@ -23,15 +26,24 @@ from asbuilt.errors import InertiaError, MissingExtraError
 
 _ASKEW = rotation_from_rpy([0.3, 0.2, 0.1])
 STAND_IN = LinkInertia.from_com(1.0, [0.1, 0.2, 0.3], _ASKEW @ np.diag([2.0, 3.0, 4.0]) @ _ASKEW.T)
-"""Compiled in place of an inertia that no body has and overwritten afterwards; askew, lest MuJoCo takes shortcuts with it."""
+"""Compiled in place of an inertia that no body has and overwritten afterwards.
+
+Askew, lest MuJoCo takes shortcuts with it.
+"""
 FRICTION_IMPEDANCE = 0.9999
-"""How hard MuJoCo makes dry friction: the share of the force that stops a joint which it applies (1 would be rigid)."""
+"""How hard MuJoCo makes dry friction.
+
+The share of the force that stops a joint which it applies (1 would be rigid).
+"""
 FRICTION_TIME = 0.002
 """Time constant with which a joint that dry friction holds comes to rest [s]."""
 SINGULAR = 1e-12
 """Ratio of the eigenvalues of a mass matrix at which it counts as singular."""
 STABLE = 2.0
-"""Step times rate of decay up to which the integrator is used; Runge-Kutta of fourth order blows up from 2.79 on."""
+"""Step times rate of decay up to which the integrator is used.
+
+Runge-Kutta of fourth order blows up from 2.79 on.
+"""
 
 
 def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
@@ -43,10 +55,13 @@ def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
 
 
 class Physics:
-    """A robot in MuJoCo: rigid bodies, armature, viscous and dry friction, torques on the joints; without contacts and joint stops.
+    """A robot in MuJoCo: rigid bodies, armature, viscous and dry friction, torques on the joints.
 
-    Any inertia is taken, also one that no rigid body has, as long as the mass matrix is positive definite. `armature`, `viscous` and `coulomb`
-    (n,) replace what the description says; zeros where they are not given. `timestep` [s] is that of the integrator, Runge-Kutta of fourth order,
+    Without contacts and joint stops.
+
+    Any inertia is taken, also one that no rigid body has, as long as the mass matrix is positive
+    definite. `armature`, `viscous` and `coulomb` (n,) replace what the description says; zeros
+    where they are not given. `timestep` [s] is that of the integrator, Runge-Kutta of fourth order,
     which divides it further where viscous friction stops a light joint within it.
 
     Raises
@@ -135,7 +150,10 @@ class Physics:
             self.compiled.body_inertia[k] = moments
 
     def _sound_mass_matrices(self) -> Array:
-        """Return the mass matrices of some random poses (8, n, n), armature included; raises InertiaError where one is singular."""
+        """Return the mass matrices of some random poses (8, n, n), armature included.
+
+        Raises InertiaError where one is singular.
+        """
         q = np.random.default_rng(0).uniform(-np.pi, np.pi, (8, self.model.n_joints))
         masses: Array = mass_matrix(self.model, q) + np.diag(
             self.compiled.dof_armature[self._order]
@@ -152,14 +170,19 @@ class Physics:
         return masses
 
     def _fastest_decay(self, masses: Array) -> float:
-        """Return the fastest rate at which viscous friction alone brings a joint to rest, the largest eigenvalue of M^-1 D [1/s]."""
+        """Return the fastest rate at which viscous friction alone brings a joint to rest, the
+        largest eigenvalue of M^-1 D [1/s].
+        """
         root = np.sqrt(self.compiled.dof_damping[self._order])
         return float(
             np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
         )
 
     def inverse_dynamics(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
-        """Return MuJoCo's torque for states (N, n): rigid bodies, armature and viscous friction, without dry friction; shape (N, n)."""
+        """Return MuJoCo's torque for states (N, n).
+
+        Rigid bodies, armature and viscous friction, without dry friction; shape (N, n).
+        """
         states = [np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd)]
         torque = np.empty(states[0].shape)
         flags = self.compiled.opt.disableflags
@@ -175,9 +198,11 @@ class Physics:
     def accelerations(
         self, q: Array, qd: Array, tau: Array, *, coulomb: Array, viscous: Array
     ) -> tuple[Array, Array]:
-        """Return joint accelerations and the torque of friction, two (N, n), for states, torques and friction of the moment, all (N, n).
+        """Return joint accelerations and the torque of friction, two (N, n), for states, torques
+        and friction of the moment, all (N, n).
 
-        Friction is counted as the drive has to overcome it: `tau = rigid bodies + armature qdd + friction`.
+        Friction is counted as the drive has to overcome it: `tau = rigid bodies + armature qdd +
+        friction`.
         """
         acceleration, friction = np.empty(q.shape), np.empty(q.shape)
         data, order = self.data, self._order

@@ -19,13 +19,17 @@ SIGNED = ("torque_bias", "torque_gain", "ripple_phase")
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """Say how the sensors distort what they measure; every field is one number or one per joint, zero for a perfect sensor.
+    """Say how the sensors distort what they measure.
 
-    Position: `round_to(q + N(0, position_noise), 2 pi / encoder_counts)`, with counts per turn at the joint, or per metre; 0 counts for no
-    quantisation. Torque: `round_to(torque_gain tau + torque_bias + ripple + N(0, torque_noise), torque_resolution)` with the ripple
-    `torque_ripple sin(ripple_cycles q + ripple_phase)`, its phase in rad, and `ripple_cycles` per turn at the joint, or per metre. A negative
-    `torque_gain` is a sensor that counts the other way. Noise is white, and independent of joint and time. Velocities are logged only where
-    `velocity_noise` is given.
+    Every field is one number or one per joint, zero for a perfect sensor.
+
+    Position: `round_to(q + N(0, position_noise), 2 pi / encoder_counts)`, with counts per turn at
+    the joint, or per metre; 0 counts for no quantisation. Torque: `round_to(torque_gain tau +
+    torque_bias + ripple + N(0, torque_noise), torque_resolution)` with the ripple `torque_ripple
+    sin(ripple_cycles q + ripple_phase)`, its phase in rad, and `ripple_cycles` per turn at the
+    joint, or per metre. A negative `torque_gain` is a sensor that counts the other way. Noise is
+    white, and independent of joint and time. Velocities are logged only where `velocity_noise` is
+    given.
     """
 
     position_noise: PerJoint = 0.0
@@ -40,7 +44,9 @@ class SensorNoise:
     ripple_phase: PerJoint = 0.0
 
     def check(self, n: int) -> None:
-        """Raise UsageError if a field has neither one number nor one for each of n joints, or a negative one where that makes no sense."""
+        """Raise UsageError if a field has neither one number nor one for each of n joints, or a
+        negative one where that makes no sense.
+        """
         for entry in fields(self):
             value = getattr(self, entry.name)
             if value is not None:
@@ -49,12 +55,14 @@ class SensorNoise:
     def measured(
         self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator
     ) -> tuple[Array, Array | None, Array]:
-        """Return position, velocity (None where it is not logged) and torque, each (N, n), as these sensors see them.
+        """Return position, velocity (None where it is not logged) and torque, each (N, n), as these
+        sensors see them.
 
         Raises
         ------
         UsageError
-            If a field has neither one number nor one per joint, or a negative one where that makes no sense.
+            If a field has neither one number nor one per joint, or a negative one where that makes
+            no sense.
         """
         n = model.n_joints
         counts = per_joint(self.encoder_counts, n, "encoder_counts")
@@ -92,7 +100,10 @@ PERFECT_SENSORS = SensorNoise()
 
 
 def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
-    """Return one number or one per joint as (n,); raises UsageError for any other shape, and for negative numbers unless `signed`."""
+    """Return one number or one per joint as (n,).
+
+    Raises UsageError for any other shape, and for negative numbers unless `signed`.
+    """
     array = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if (
         array.shape not in ((1,), (n,))

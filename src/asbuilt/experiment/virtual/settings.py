@@ -25,7 +25,8 @@ SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, 
 
 
 def setting_names() -> dict[str, str]:
-    """Return every setting by the name it is given by, and the part that it belongs to ("" for the robot itself).
+    """Return every setting by the name it is given by, and the part that it belongs to ("" for the
+    robot itself).
 
     Names that two parts share carry the part before a dot.
 
@@ -45,7 +46,9 @@ def setting_names() -> dict[str, str]:
 
 
 def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
-    """Return the robot with each `NAME=VALUE` of `settings` in place of what it had; a value is a number, one per joint with commas, or a word.
+    """Return the robot with each `NAME=VALUE` of `settings` in place of what it had.
+
+    A value is a number, one per joint with commas, or a word.
 
     Raises
     ------

@@ -30,8 +30,8 @@ Seed = np.random.Generator | int | None
 class SimulatedRecording:
     """Hold what a virtual robot logged, and the truth behind it.
 
-    `truth` (n_standard,) are the parameters `names` of the robot that moved, tool, mounting and drives included; `model` and `drive`
-    are that robot's.
+    `truth` (n_standard,) are the parameters `names` of the robot that moved, tool, mounting and
+    drives included; `model` and `drive` are that robot's.
     """
 
     recording: Recording
@@ -44,10 +44,13 @@ class SimulatedRecording:
 
 @dataclass(frozen=True, eq=False)
 class InstalledRobot:
-    """Describe the robot as it stands on the floor: `model` with everything on it, its drives and its sensors.
+    """Describe the robot as it stands on the floor.
 
-    `drive_values` (n columns_per_joint,) belong to `drive`, joint by joint. Built from a description by `ideal` or `typical` and changed
-    with the methods that start with `with_`; each returns another robot.
+    `model` with everything on it, its drives and its sensors.
+
+    `drive_values` (n columns_per_joint,) belong to `drive`, joint by joint. Built from a
+    description by `ideal` or `typical` and changed with the methods that start with `with_`; each
+    returns another robot.
 
     Examples
     --------
@@ -85,18 +88,25 @@ class InstalledRobot:
 
     @classmethod
     def ideal(cls, model: RobotModel) -> InstalledRobot:
-        """Return the robot of the description, with the drive values that it gives and perfect sensors."""
+        """Return the robot of the description, with the drive values that it gives and perfect
+        sensors.
+        """
         drive, values = described_drive(model)
         return cls(model, drive, values)
 
     @classmethod
     def typical(cls, model: RobotModel, rng: Seed = None) -> InstalledRobot:
-        """Return the robot as one finds it: other than its description in everything that usually differs.
+        """Return the robot as one finds it.
 
-        A gripper of 3 % of the moving mass at the last link, the base tilted by about 0.3 degrees, mass distributions off by about 3 %, armature
-        (about 15 % of the mean joint inertia), viscous, Coulomb and offset friction (1.5, 2 and 0.5 % of the torque range, the viscous one at
-        the velocity limit), beside further drive terms of the description, such as those of coupled motors, as they stand; and sensors: 2^16 counts per turn or 10^5 per metre, torque noise 0.1 %, bias 0.1 % and resolution 0.01 % of the torque
-        range. Everything is drawn from `rng`.
+        Other than its description in everything that usually differs.
+
+        A gripper of 3 % of the moving mass at the last link, the base tilted by about 0.3 degrees,
+        mass distributions off by about 3 %, armature (about 15 % of the mean joint inertia),
+        viscous, Coulomb and offset friction (1.5, 2 and 0.5 % of the torque range, the viscous one
+        at the velocity limit), beside further drive terms of the description, such as those of
+        coupled motors, as they stand; and sensors: 2^16 counts per turn or 10^5 per metre, torque
+        noise 0.1 %, bias 0.1 % and resolution 0.01 % of the torque range. Everything is drawn from
+        `rng`.
         """
         generator = np.random.default_rng(rng)
         n = model.n_joints
@@ -140,7 +150,9 @@ class InstalledRobot:
         )
 
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> InstalledRobot:
-        """Return the robot with a body welded to a link or frame `at`, given in its axes; to the last link where none is named.
+        """Return the robot with a body welded to a link or frame `at`, given in its axes.
+
+        To the last link where none is named.
 
         Raises
         ------
@@ -150,10 +162,13 @@ class InstalledRobot:
         return replace(self, model=with_body(self.model, tool, at))
 
     def with_perturbed_links(self, fraction: float, rng: Seed = None) -> InstalledRobot:
-        """Return the robot with other mass distributions: every link stretched, sheared, shifted and made heavier by about `fraction`.
+        """Return the robot with other mass distributions.
 
-        The pseudo-inertia becomes `s A J A^T` with `s = exp(fraction N)`, `A = [[1 + fraction N / 2, fraction r N / 2], [0, 1]]`, r the radius of
-        gyration; a consistent link stays consistent, since congruence keeps J positive definite (Wensing et al. 2018).
+        Every link stretched, sheared, shifted and made heavier by about `fraction`.
+
+        The pseudo-inertia becomes `s A J A^T` with `s = exp(fraction N)`, `A = [[1 + fraction N /
+        2, fraction r N / 2], [0, 1]]`, r the radius of gyration; a consistent link stays
+        consistent, since congruence keeps J positive definite (Wensing et al. 2018).
         """
         generator = np.random.default_rng(rng)
         links = []
@@ -172,7 +187,10 @@ class InstalledRobot:
         return replace(self, model=replace(self.model, links=tuple(links)))
 
     def tilted(self, roll: float, pitch: float) -> InstalledRobot:
-        """Return the robot mounted askew: its root turned by small angles [rad] about x, then y, so that gravity comes from elsewhere."""
+        """Return the robot mounted askew.
+
+        Its root turned by small angles [rad] about x, then y, so that gravity comes from elsewhere.
+        """
         gravity = rotation_from_rpy([roll, pitch, 0.0]).T @ self.model.gravity
         return replace(self, model=self.model.with_gravity(gravity))
 
@@ -190,16 +208,22 @@ class InstalledRobot:
         return read_only(np.concatenate([self.model.parameters, np.asarray(self.drive_values)]))
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torque that the motion takes, rigid bodies and drives, without any sensor; shape (N, n)."""
+        """Return the torque that the motion takes, rigid bodies and drives, without any sensor.
+
+        Shape (N, n).
+        """
         rigid = inverse_dynamics(self.model, q, qd, qdd)
         return rigid + drive_torque(
             self.drive, self.drive_values, q, qd, qdd, load=rigid, shares=self.model.motor_shares
         )
 
     def record(self, motion: Motion, rate: float = 1000.0, rng: Seed = None) -> SimulatedRecording:
-        """Move along `motion` exactly and log it at `rate` [Hz] with the robot's sensors; the same `rng` gives the same recording.
+        """Move along `motion` exactly and log it at `rate` [Hz] with the robot's sensors.
 
-        With perfect sensors velocities and accelerations are logged too; a real robot's are left out, see `SensorNoise`.
+        The same `rng` gives the same recording.
+
+        With perfect sensors velocities and accelerations are logged too; a real robot's are left
+        out, see `SensorNoise`.
 
         Raises
         ------
@@ -251,7 +275,9 @@ class InstalledRobot:
 
 
 def with_body(model: RobotModel, body: LinkInertia, at: str | None = None) -> RobotModel:
-    """Return the robot with a body welded to a link or frame `at`, given in its axes; to the last link where none is named.
+    """Return the robot with a body welded to a link or frame `at`, given in its axes.
+
+    To the last link where none is named.
 
     Raises
     ------
@@ -295,10 +321,13 @@ def simulate_recording(
     tool: LinkInertia | None = None,
     rng: Seed = None,
 ) -> Recording:
-    """Return what the robot of a description logs along a motion: `tau = inverse_dynamics(q, qd, qdd) + drive terms`, noise-free by default.
+    """Return what the robot of a description logs along a motion.
 
-    Without `drive` the drive terms are those whose values the description gives; with it, `drive_values` (n columns_per_joint,) are needed unless
-    the description has them all. `tool` is welded to the last link. For more, and for the truth, see `InstalledRobot`.
+    `tau = inverse_dynamics(q, qd, qdd) + drive terms`, noise-free by default.
+
+    Without `drive` the drive terms are those whose values the description gives; with it,
+    `drive_values` (n columns_per_joint,) are needed unless the description has them all. `tool` is
+    welded to the last link. For more, and for the truth, see `InstalledRobot`.
 
     Raises
     ------
@@ -328,7 +357,9 @@ def simulate_recording(
 
 
 def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the torque range of each joint (its limit, or the largest at random states) and its mean inertia, two (n,)."""
+    """Return the torque range of each joint (its limit, or the largest at random states) and its
+    mean inertia, two (n,).
+    """
     bounds = MotionBounds.assumed(model)
     low = np.stack([bounds.lower, -bounds.velocity, -bounds.acceleration])
     high = np.stack([bounds.upper, bounds.velocity, bounds.acceleration])
@@ -339,7 +370,9 @@ def torque_and_inertia(model: RobotModel, rng: np.random.Generator) -> tuple[Arr
 
 
 def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tuple[DriveSet, Array]:
-    """Return drive terms with those others that the description has, and their values joint by joint; `values` (n, columns_per_joint) are those of `drive`."""
+    """Return drive terms with those others that the description has, and their values joint by
+    joint; `values` (n, columns_per_joint) are those of `drive`.
+    """
     described, stated = described_drive(model)
     whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
     n = model.n_joints

@@ -21,10 +21,13 @@ ASTRAY = 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedMotion:
-    """Hold what the robot really did at the controller's ticks: `t` (N,), link states `q, qd, qdd` and torques (N, n).
+    """Hold what the robot really did at the controller's ticks.
 
-    `motor` is the drive's torque, `friction` the part of it that friction takes, `armature` the part that speeds up the rotor; the rest moves the
-    links. At a tick, where the torque steps, `motor` and `qdd` are the means of before and after.
+    `t` (N,), link states `q, qd, qdd` and torques (N, n).
+
+    `motor` is the drive's torque, `friction` the part of it that friction takes, `armature` the
+    part that speeds up the rotor; the rest moves the links. At a tick, where the torque steps,
+    `motor` and `qdd` are the means of before and after.
     """
 
     t: Array
@@ -52,9 +55,11 @@ def track(
     substeps: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> TrackedMotion:
-    """Follow a command whose samples are the controller's ticks, after holding the first pose for half a second.
+    """Follow a command whose samples are the controller's ticks, after holding the first pose for
+    half a second.
 
-    The engine must have been built with the drive train's armature, viscous and Coulomb friction and a time step of a tick over `substeps`.
+    The engine must have been built with the drive train's armature, viscous and Coulomb friction
+    and a time step of a tick over `substeps`.
 
     Raises
     ------

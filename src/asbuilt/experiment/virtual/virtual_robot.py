@@ -1,4 +1,7 @@
-"""A virtual robot on MuJoCo: commanded like a real one, moving like a real one, logged like a real one."""
+"""A virtual robot on MuJoCo.
+
+Commanded like a real one, moving like a real one, logged like a real one.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +45,14 @@ LONGEST_STEP = 1e-3
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VirtualRobot:
-    """Describe a robot as it stands there: what is on it (`model`), what its controller believes (`described`), drives, sensors, logger.
+    """Describe a robot as it stands there.
 
-    `torque` says what is logged: what the "motor" gives, its "current" times the nominal constant, or a "sensor" behind the gear, which feels neither
-    the rotor's inertia nor the friction in front of it; `behind` is the share of the friction that it does feel. Built by `preset` and
-    changed with `dataclasses.replace`.
+    What is on it (`model`), what its controller believes (`described`), drives, sensors, logger.
+
+    `torque` says what is logged: what the "motor" gives, its "current" times the nominal constant,
+    or a "sensor" behind the gear, which feels neither the rotor's inertia nor the friction in front
+    of it; `behind` is the share of the friction that it does feel. Built by `preset` and changed
+    with `dataclasses.replace`.
 
     Examples
     --------
@@ -96,16 +102,21 @@ class VirtualRobot:
         tool: LinkInertia | None = None,
         at: str | None = None,
     ) -> VirtualRobot:
-        """Return a robot of the description as one meets it in theory, in a laboratory, or in a factory.
+        """Return a robot of the description as one meets it in theory, in a laboratory, or in a
+        factory.
 
-        `ideal`: the description and nothing else, perfect sensors that also log accelerations, a controller that knows all.
-        `lab`: mass distributions 3 % off; joint torque sensors (noise 0.1 %, bias 0.1 %, ripple 0.1 % of the torque range), 2^19 counts per turn, 30 %
-        of the friction behind the sensor; rotors, viscous and dry friction of the usual size.
-        `factory`: mass distributions 8 % off, a base tilted by about 0.3 degrees; motor currents (noise 1 %, gain error 3 %, ripple 0.5 %); 2^16
-        counts; Stribeck friction, backlash of about 0.5 arc minutes, a gear that loses 10 % of its friction as it warms up in 5 minutes, time stamps
-        that jitter by 50 us, 0.5 % of the samples lost; 250 Hz. Percentages are of the torque range; values are drawn from `rng`.
+        `ideal`: the description and nothing else, perfect sensors that also log accelerations, a
+        controller that knows all. `lab`: mass distributions 3 % off; joint torque sensors (noise
+        0.1 %, bias 0.1 %, ripple 0.1 % of the torque range), 2^19 counts per turn, 30 % of the
+        friction behind the sensor; rotors, viscous and dry friction of the usual size. `factory`:
+        mass distributions 8 % off, a base tilted by about 0.3 degrees; motor currents (noise 1 %,
+        gain error 3 %, ripple 0.5 %); 2^16 counts; Stribeck friction, backlash of about 0.5 arc
+        minutes, a gear that loses 10 % of its friction as it warms up in 5 minutes, time stamps
+        that jitter by 50 us, 0.5 % of the samples lost; 250 Hz. Percentages are of the torque
+        range; values are drawn from `rng`.
 
-        `tool` is welded to the link or frame `at`, by default the last link; the controller does not know of it.
+        `tool` is welded to the link or frame `at`, by default the last link; the controller does
+        not know of it.
 
         Raises
         ------
@@ -119,7 +130,9 @@ class VirtualRobot:
         return robot if tool is None else robot.with_tool(tool, at)
 
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> VirtualRobot:
-        """Return the robot with a body welded to the link or frame `at` (default: the last link), given in its axes."""
+        """Return the robot with a body welded to the link or frame `at` (default: the last link),
+        given in its axes.
+        """
         return replace(self, model=with_body(self.model, tool, at))
 
     def logging(self, rate: float | None) -> VirtualRobot:
@@ -128,7 +141,10 @@ class VirtualRobot:
 
     @property
     def drive(self) -> DriveSet:
-        """The drive terms that the logged torque contains; of an `ideal` robot those that its description gives or that are not zero."""
+        """The drive terms that the logged torque contains.
+
+        Of an `ideal` robot those that its description gives or that are not zero.
+        """
         felt = DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
         if self.name != "ideal":
             return felt
@@ -142,7 +158,8 @@ class VirtualRobot:
 
     @property
     def truth(self) -> Array:
-        """Standard parameters of links and drives as the logged torque contains them, cold, without gain errors; shape (n_standard,).
+        """Standard parameters of links and drives as the logged torque contains them, cold, without
+        gain errors; shape (n_standard,).
 
         A sensor's bias is part of the offset.
         """
@@ -162,7 +179,9 @@ class VirtualRobot:
     def record(
         self, motion: Motion, rng: Seed = None, *, progress: Callable[[float], None] | None = None
     ) -> SimulatedRecording:
-        """Command the motion, let the robot follow it in the engine and log it; the same `rng` gives the same recording.
+        """Command the motion, let the robot follow it in the engine and log it.
+
+        The same `rng` gives the same recording.
 
         Raises
         ------
@@ -359,7 +378,8 @@ def _factory(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
 def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
     """Return drives of the usual size for the torque range of each joint.
 
-    A rotor that the whole range speeds up by 200 rad/s^2 (or 200 m/s^2); 1.5 % viscous friction at top speed, 2 % Coulomb, 0.5 % offset.
+    A rotor that the whole range speeds up by 200 rad/s^2 (or 200 m/s^2); 1.5 % viscous friction at
+    top speed, 2 % Coulomb, 0.5 % offset.
     """
     torque, _ = torque_and_inertia(model, rng)
     spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))

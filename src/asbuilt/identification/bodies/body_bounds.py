@@ -17,12 +17,17 @@ LIGHTEST = 0.05
 HEAVIEST = 10.0
 """and largest, unless all links together weigh more: then that."""
 FARTHEST = 2.0
-"""How far a centre of mass may lie from that of CAD by default, along each axis, in multiples of the largest reach of a link."""
+"""How far a centre of mass may lie from that of CAD by default, along each axis, in multiples of
+the largest reach of a link.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyBounds:
-    """Hold linear bounds `rows @ chi + offsets >= 0` on the standard parameters; `labels` say each in words."""
+    """Hold linear bounds `rows @ chi + offsets >= 0` on the standard parameters.
+
+    `labels` say each in words.
+    """
 
     rows: Array
     offsets: Array
@@ -55,9 +60,12 @@ def non_negative_drives(prior: CadPrior) -> BodyBounds:
 
 
 def generous_bounds(prior: CadPrior) -> BodyBounds:
-    """Return bounds that only exclude the absurd: non-negative drives, masses within a factor of CAD, centres of mass near the robot.
+    """Return bounds that only exclude the absurd.
 
-    A link weighs from a twentieth to ten times its CAD mass (or as much as all links), and its centre of mass lies within two reaches of that of CAD.
+    Non-negative drives, masses within a factor of CAD, centres of mass near the robot.
+
+    A link weighs from a twentieth to ten times its CAD mass (or as much as all links), and its
+    centre of mass lies within two reaches of that of CAD.
     """
     bodies = prior.parameters[: 10 * prior.n_links].reshape(-1, 10)
     total = float(bodies[:, 9].sum())
@@ -77,7 +85,8 @@ def body_bounds(
     mass: Mapping[int, tuple[float, float]] | None = None,
     com: Mapping[int, tuple[Sequence[float] | Array, Sequence[float] | Array]] | None = None,
 ) -> BodyBounds:
-    """Return bounds on the mass [kg] and the centre of mass [m, link axes] of links, counted from 0: (lower, upper) each.
+    """Return bounds on the mass [kg] and the centre of mass [m, link axes] of links, counted from
+    0: (lower, upper) each.
 
     Raises `UsageError` for links that do not exist and for a lower bound above its upper one.
     """

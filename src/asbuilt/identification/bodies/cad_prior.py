@@ -1,4 +1,7 @@
-"""What CAD says of every body, made into a prior: positive definite, with a distance that does not depend on frames or units."""
+"""What CAD says of every body, made into a prior.
+
+Positive definite, with a distance that does not depend on frames or units.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,16 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 
 NO_THICKNESS = 1e-5
-"""A body whose smallest principal second moment about the centre of mass is below this fraction of their sum is no solid: a plate 0.3 % thick;"""
+"""A body whose smallest principal second moment about the centre of mass is below this fraction of
+their sum is no solid: a plate 0.3 % thick;
+"""
 USUAL_THICKNESS = 1e-3
 """every moment is then brought to at least this fraction."""
 POINT_MASS = 1e-9
-"""A body whose second moments add up to less than this, in mass times squared reach, is a point: it gets those of a body a quarter as wide as its reach."""
+"""A body whose second moments add up to less than this, in mass times squared reach, is a point.
+
+It gets those of a body a quarter as wide as its reach.
+"""
 SMALLEST_REACH = 0.05
 """Size [m] of a body whose joints leave it none."""
 GUESSED_STRENGTH = 0.1
@@ -30,11 +38,16 @@ PSEUDO_INERTIA_BASIS.setflags(write=False)
 
 SVEC_ROW, SVEC_COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
 SVEC_LENGTH: Array = np.where(SVEC_ROW == SVEC_COLUMN, 1.0, np.sqrt(2.0))
-"""The entry of a symmetric 4 x 4 matrix that each entry of its `svec` holds, and the factor it holds it by."""
+"""The entry of a symmetric 4 x 4 matrix that each entry of its `svec` holds, and the factor it
+holds it by.
+"""
 
 
 def svec(matrix: Array) -> Array:
-    """Return symmetric 4 x 4 matrices as vectors of the same norm, (..., 4, 4) -> (..., 10): upper triangle by columns, off-diagonal entries times sqrt(2)."""
+    """Return symmetric 4 x 4 matrices as vectors of the same norm, (..., 4, 4) -> (..., 10).
+
+    Upper triangle by columns, off-diagonal entries times sqrt(2).
+    """
     return np.asarray(matrix[..., SVEC_ROW, SVEC_COLUMN] * SVEC_LENGTH)
 
 
@@ -54,9 +67,10 @@ IDENTITY_SVEC: Array = svec(np.eye(4))
 class CadPrior:
     """Hold what is believed of n bodies and their drives before any measurement.
 
-    `parameters` (n_standard,) are the standard parameters, positive definite for every link, 0 for drive terms on which CAD is silent;
-    `strength` (n,) is 1 for links that CAD describes and less for guessed ones; `reach` (n,) is the size of each link [m];
-    `non_negative` are the drive columns bounded by zero; `notes` say what had to be mended or guessed.
+    `parameters` (n_standard,) are the standard parameters, positive definite for every link, 0 for
+    drive terms on which CAD is silent; `strength` (n,) is 1 for links that CAD describes and less
+    for guessed ones; `reach` (n,) is the size of each link [m]; `non_negative` are the drive
+    columns bounded by zero; `notes` say what had to be mended or guessed.
     """
 
     robot: str
@@ -83,20 +97,29 @@ class CadPrior:
 
     @property
     def metric(self) -> Array:
-        """Hessian of the divergence at CAD, shape (n, 10, 10): `g_ab = tr(P0^-1 B_a P0^-1 B_b)`, with the strength of each link."""
+        """Hessian of the divergence at CAD, shape (n, 10, 10).
+
+        `g_ab = tr(P0^-1 B_a P0^-1 B_b)`, with the strength of each link.
+        """
         return body_metric(self.parameters[: 10 * self.n_links], self.strength)
 
     @property
     def drive_scale(self) -> Array:
-        """Size against which drive parameters are held, shape (n_standard - 10 n,): what CAD says where that is not zero, else 1."""
+        """Size against which drive parameters are held, shape (n_standard - 10 n,).
+
+        What CAD says where that is not zero, else 1.
+        """
         stated = np.abs(self.parameters[10 * self.n_links :])
         return np.where(stated > 0, stated, 1.0)
 
     def divergence(self, parameters: Array) -> Array:
-        """Return the entropic divergence of every link from CAD, shape (n,): `tr(P0^-1 P) - log det(P0^-1 P) - 4`.
+        """Return the entropic divergence of every link from CAD, shape (n,).
 
-        It is the Bregman divergence of -log det, zero at CAD, infinite where a body becomes impossible, the same in all frames and units
-        (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020, eq. 23). Infinite for what no body has.
+        `tr(P0^-1 P) - log det(P0^-1 P) - 4`.
+
+        It is the Bregman divergence of -log det, zero at CAD, infinite where a body becomes
+        impossible, the same in all frames and units (Lee, Wensing & Park, IEEE Trans. Robotics 36,
+        2020, eq. 23). Infinite for what no body has.
         """
         whitened = self.relative_eigenvalues(parameters)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -106,14 +129,19 @@ class CadPrior:
         return np.where(np.isnan(value), np.inf, value)
 
     def relative_eigenvalues(self, parameters: Array) -> Array:
-        """Return the eigenvalues of `P0^-1 P` of every link, ascending, shape (n, 4): 1 at CAD, all positive for real bodies."""
+        """Return the eigenvalues of `P0^-1 P` of every link, ascending, shape (n, 4).
+
+        1 at CAD, all positive for real bodies.
+        """
         inverse = np.linalg.inv(np.linalg.cholesky(self.pseudo_inertias))
         P = pseudo_inertias(parameters[: 10 * self.n_links].reshape(-1, 10))
         return np.asarray(np.linalg.eigvalsh(inverse @ P @ inverse.transpose(0, 2, 1)))
 
 
 def body_metric(parameters: Array, strength: Array) -> Array:
-    """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10): the Hessian of -log det, a metric without frames or units.
+    """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10).
+
+    The Hessian of -log det, a metric without frames or units.
 
     B_a are the pseudo-inertias of the unit parameters (Lee & Park, IEEE RA-L 3, 2018).
     """
@@ -122,7 +150,10 @@ def body_metric(parameters: Array, strength: Array) -> Array:
 
 
 def body_metric_root(parameters: Array, strength: Array) -> Array:
-    """Return roots S_i (n, 10, 10) of `body_metric`, S_i^T S_i: column a is svec(L_i^-1 B_a L_i^-T) with P_i = L_i L_i^T, so that nothing is squared."""
+    """Return roots S_i (n, 10, 10) of `body_metric`, S_i^T S_i.
+
+    Column a is svec(L_i^-1 B_a L_i^-T) with P_i = L_i L_i^T, so that nothing is squared.
+    """
     inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(parameters.reshape(-1, 10))))[
         :, None
     ]
@@ -131,10 +162,11 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
 
 
 def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
-    """Return what the description of a robot says of its bodies, mended where it is impossible and guessed where it is silent.
+    """Return what the description of a robot says of its bodies, mended where it is impossible and
+    guessed where it is silent.
 
-    A body without thickness, or less, gets some. A link without mass gets that of its neighbours, its centre between its joints, and the size of
-    its reach; guesses count a tenth.
+    A body without thickness, or less, gets some. A link without mass gets that of its neighbours,
+    its centre between its joints, and the size of its reach; guesses count a tenth.
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
     if not model.drives_by_design:
@@ -196,7 +228,9 @@ def _second_moment(inertia: Array) -> Array:
 
 
 def _joint_points(model: RobotModel, i: int) -> Array:
-    """Origins of the link's own joint, of the joints it carries and of the frames on it, in link axes, shape (k, 3)."""
+    """Origins of the link's own joint, of the joints it carries and of the frames on it, in link
+    axes, shape (k, 3).
+    """
     points = [np.linalg.inv(model.joints[i].after)[:3, 3]]
     points += [joint.before[:3, 3] for joint in model.joints if joint.parent == i]
     points += [frame.placement[:3, 3] for frame in model.frames if frame.link == i]
@@ -212,6 +246,8 @@ def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
 
 
 def non_negative_columns(n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
-    """Return the standard parameters of drives that no passive drive has below zero, as columns of the standard regressor."""
+    """Return the standard parameters of drives that no passive drive has below zero, as columns of
+    the standard regressor.
+    """
     bounded = [term.non_negative for term in drive.terms for _ in term.letters] * n_joints
     return 10 * n_joints + np.flatnonzero(bounded)

@@ -14,7 +14,10 @@ from asbuilt.arrays import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConeSolution:
-    """Hold what the solver answers: its `status` in words, the point `x` where it stopped, and after how many `iterations`."""
+    """Hold what the solver answers.
+
+    Its `status` in words, the point `x` where it stopped, and after how many `iterations`.
+    """
 
     status: str
     x: Array
@@ -34,9 +37,11 @@ def solve_cone_program(
     cones: list[Any],
     **settings: float | bool,
 ) -> ConeSolution:
-    """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones, for P upper triangular; further `settings` by Clarabel's names.
+    """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones, for P upper
+    triangular; further `settings` by Clarabel's names.
 
-    Semidefinite cones take the `svec` of a matrix. Source: Goulart & Chen, Clarabel: an interior-point solver for conic programs, 2024.
+    Semidefinite cones take the `svec` of a matrix. Source: Goulart & Chen, Clarabel: an
+    interior-point solver for conic programs, 2024.
     """
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False

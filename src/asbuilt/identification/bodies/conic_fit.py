@@ -1,4 +1,7 @@
-"""The least torque error that real bodies allow: a conic program on the square-root information, solved by Clarabel in milliseconds."""
+"""The least torque error that real bodies allow.
+
+A conic program on the square-root information, solved by Clarabel in milliseconds.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +29,22 @@ from asbuilt.identification.bodies.cone_program import solve_cone_program
 SMALLEST_PART = 1e-3
 """Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
 TINY_PULL = 1e-3
-"""Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution unique."""
+"""Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution
+unique.
+"""
 RESOLVED = (1e-11, 1e-9, 1e-7)
-"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide: it only counts where there is next to no noise. The stronger ones
-are tried where the solver gives up, as with torques that no robot near CAD could have."""
+"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide.
+
+It only counts where there is next to no noise. The stronger ones are tried where the solver gives
+up, as with torques that no robot near CAD could have.
+"""
 DRIVE_PULL = 1e-3
 """Pull of drive parameters beside that of bodies."""
 CERTAIN = 1e-13
-"""How precise a proof must be that bounds contradict one another: large residuals look like proofs at the solver's usual tolerance."""
+"""How precise a proof must be that bounds contradict one another.
+
+Large residuals look like proofs at the solver's usual tolerance.
+"""
 ROUGH = 1e-6
 """Relative gap and infeasibility of a rough fit, 1e-8 being the solver's usual ones."""
 EXACTLY: dict[str, float | bool] = {"tol_infeas_abs": CERTAIN, "tol_infeas_rel": CERTAIN}
@@ -47,7 +58,9 @@ ROUGHLY: dict[str, float | bool] = EXACTLY | {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConicFit:
-    """Hold the minimiser `chi` (n_standard,), the largest part t of the CAD bodies below all bodies (`P_i >= t P0_i`), and the iterations it took."""
+    """Hold the minimiser `chi` (n_standard,), the largest part t of the CAD bodies below all bodies
+    (`P_i >= t P0_i`), and the iterations it took.
+    """
 
     chi: Array
     part: float
@@ -63,12 +76,15 @@ def fit_real_bodies(
     weight: float = TINY_PULL,
     smallest_part: float = SMALLEST_PART,
 ) -> ConicFit:
-    """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` subject to `P_i >= smallest_part P0_i` for every link and to `bounds`.
+    """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` subject to `P_i >= smallest_part
+    P0_i` for every link and to `bounds`.
 
-    [R z] is the triangular `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the CAD values, g their metric: the distance
-    `tr((P0^-1 dP)^2)` of every body, the same in all frames and units (the constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
-    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, near 1 all of them, which a solver likes. Positive definiteness after Wensing, Kim &
-    Slotine, IEEE RA-L 3, 2018, and Sousa & Cortesao, IJRR 33, 2014.
+    [R z] is the triangular `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the
+    CAD values, g their metric: the distance `tr((P0^-1 dP)^2)` of every body, the same in all
+    frames and units (the constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, near 1 all of them, which a
+    solver likes. Positive definiteness after Wensing, Kim & Slotine, IEEE RA-L 3, 2018, and Sousa &
+    Cortesao, IJRR 33, 2014.
 
     Raises `IdentifiabilityError` where the bounds leave nothing, saying so.
     """
@@ -77,10 +93,14 @@ def fit_real_bodies(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RealBodies:
-    """Hold what all conic fits of one robot have in common: `fit` is `fit_real_bodies` for another factor.
+    """Hold what all conic fits of one robot have in common.
 
-    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) + s = (z, limits)`, r the residual, s in the `cones`; the first p rows
-    take `R torque` at `places` of their data, whose entries `told` (n_standard, p) can be nonzero. `bounds` and `room` are the linear ones, `bounds q <= room`.
+    `fit` is `fit_real_bodies` for another factor.
+
+    `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) +
+    s = (z, limits)`, r the residual, s in the `cones`; the first p rows take `R torque` at `places`
+    of their data, whose entries `told` (n_standard, p) can be nonzero. `bounds` and `room` are the
+    linear ones, `bounds q <= room`.
     """
 
     prior: CadPrior
@@ -142,7 +162,9 @@ class RealBodies:
         )
 
     def fit(self, factor: Array, weight: float = TINY_PULL, *, rough: bool = False) -> ConicFit:
-        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1); a `rough` one misses it by a thousandth of a standard error or so.
+        """Return the minimiser for the triangular factor [R z] (p + 1, p + 1).
+
+        A `rough` one misses it by a thousandth of a standard error or so.
 
         Raises `IdentifiabilityError` where the bounds leave nothing, or the solver gives up.
         """
@@ -193,7 +215,10 @@ class RealBodies:
         return ConicFit(self.bodies @ q, self._smallest(q), iterations)
 
     def _at_bounds(self, q: Array) -> Array:
-        """Return q with drive parameters that rounding has left beyond their own bound at it: friction of -1e-9 would be a drive that pushes."""
+        """Return q with drive parameters that rounding has left beyond their own bound at it.
+
+        Friction of -1e-9 would be a drive that pushes.
+        """
         q, inertial = q.copy(), 10 * self.prior.n_links
         for row, room in zip(self.bounds[:, inertial:], self.room, strict=True):
             (own,) = np.nonzero(row)
@@ -207,9 +232,12 @@ class RealBodies:
         )
 
     def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
-        """Return the minimiser within the linear bounds, where its bodies are real already: no cone is needed for it then. None elsewhere.
+        """Return the minimiser within the linear bounds, where its bodies are real already.
 
-        Least distance programming by non-negative least squares (Lawson & Hanson, Solving Least Squares Problems, 1974, chapter 23).
+        No cone is needed for it then. None elsewhere.
+
+        Least distance programming by non-negative least squares (Lawson & Hanson, Solving Least
+        Squares Problems, 1974, chapter 23).
         """
         root, info = lapack.dpotrf(torque.T @ torque + np.diag(pull), lower=1)
         if info:
@@ -234,7 +262,10 @@ class RealBodies:
 
 
 def near_one(prior: CadPrior) -> tuple[Array, Array]:
-    """Return M and q0 with `chi = M q`: q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD."""
+    """Return M and q0 with `chi = M q`.
+
+    Q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD.
+    """
     n, inertial = len(prior.parameters), 10 * prior.n_links
     roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]
     images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)

@@ -17,20 +17,29 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 
 MARGIN_TOLERANCE = 1e-8
-"""How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be rounding of the solver."""
+"""How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be
+rounding of the solver.
+"""
 
 ROUNDING_OF_DRIVES = 1e-9
-"""How far below zero friction or an armature may be and still be rounding: at unit velocity and acceleration that makes no more than 1e-9 N m."""
+"""How far below zero friction or an armature may be and still be rounding.
+
+At unit velocity and acceleration that makes no more than 1e-9 N m.
+"""
 
 
 def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
-    """Return the largest t such that some standard parameters with `K chi = beta` have pseudo-inertias `P_i >= t 1` for every link.
+    """Return the largest t such that some standard parameters with `K chi = beta` have
+    pseudo-inertias `P_i >= t 1` for every link.
 
-    The 4 x 4 pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a real body is positive semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a
-    negative margin says that no bodies can have these base parameters. Armatures, where among the drive terms, must be at least t as well; friction
-    is not judged. A semidefinite program, solved by Clarabel in milliseconds. Infinite where nothing bounds t.
+    The 4 x 4 pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a real body is positive
+    semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a negative margin says that no
+    bodies can have these base parameters. Armatures, where among the drive terms, must be at least
+    t as well; friction is not judged. A semidefinite program, solved by Clarabel in milliseconds.
+    Infinite where nothing bounds t.
 
-    Raises `IdentifiabilityError` where beta is not of shape (p,) or not finite, or the solver gives up.
+    Raises `IdentifiabilityError` where beta is not of shape (p,) or not finite, or the solver gives
+    up.
     """
     values = np.asarray(beta, dtype=np.float64)
     if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
@@ -87,13 +96,18 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
 
 
 def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
-    """Return whether a margin says that real bodies can have `beta`: it is not negative beyond the solver's rounding."""
+    """Return whether a margin says that real bodies can have `beta`.
+
+    It is not negative beyond the solver's rounding.
+    """
     scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
     return margin >= -MARGIN_TOLERANCE * scale
 
 
 def pushing_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
-    """Return the names of the base parameters (p,) that are a drive parameter by itself and below zero, where a passive drive has it at zero or above."""
+    """Return the names of the base parameters (p,) that are a drive parameter by itself and below
+    zero, where a passive drive has it at zero or above.
+    """
     values = np.asarray(beta, dtype=np.float64)
     n_links = sum(name.startswith("Ixx") for name in base.standard_names)
     alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(

@@ -1,4 +1,7 @@
-"""The bodies closest to CAD in entropy, given torques or exact base parameters: smooth and convex, solved by Newton's method, many problems side by side."""
+"""The bodies closest to CAD in entropy, given torques or exact base parameters.
+
+Smooth and convex, solved by Newton's method, many problems side by side.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +27,13 @@ from asbuilt.identification.bodies.conic_fit import near_one
 DRIVE_RIDGE = 1e-6
 """Pull of drive parameters toward CAD, or toward zero, that decides only what nothing else does."""
 BARRIER = 1e-3
-"""Weight of the logarithm that keeps a bounded parameter off its bound, in units of the squared weighted residual: far below one standard error."""
+"""Weight of the logarithm that keeps a bounded parameter off its bound, in units of the squared
+weighted residual: far below one standard error.
+"""
 CLOSE = 1e-9
-"""Squared Newton decrement, in units of the squared weighted residual or of the weight where that is less, from which one more step is the last,"""
+"""Squared Newton decrement, in units of the squared weighted residual or of the weight where that
+is less, from which one more step is the last,
+"""
 CENTRAL = 0.5
 """if duals and multipliers are no further than this fraction from those of the bodies and bounds."""
 ROUNDING = 1e-14
@@ -40,7 +47,10 @@ NEAR_EDGE = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinates:
-    """Split the standard parameters: `chi = kept beta + dependent d`, so that `K chi = beta` whatever d (K is the regrouping, 1 on its own columns).
+    """Split the standard parameters.
+
+    `chi = kept beta + dependent d`, so that `K chi = beta` whatever d (K is the regrouping, 1 on
+    its own columns).
 
     `kept` (n_standard, p), `dependent` (n_standard, n_standard - p).
     """
@@ -68,9 +78,12 @@ class Coordinates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntropicFits:
-    """Hold the minimisers of m problems: `chi` (m, n_standard), the `values` there (m,), and how many Newton `steps` the slowest took.
+    """Hold the minimisers of m problems.
 
-    `duals` (m, n_links, 4, 4) belong to the bodies and `multipliers` (m, n_bounds) to the bounds; with them the search goes on for another weight.
+    `chi` (m, n_standard), the `values` there (m,), and how many Newton `steps` the slowest took.
+
+    `duals` (m, n_links, 4, 4) belong to the bodies and `multipliers` (m, n_bounds) to the bounds;
+    with them the search goes on for another weight.
     """
 
     chi: Array
@@ -88,13 +101,17 @@ class EntropicFits:
 
 
 class EntropicProblem:
-    """Minimise `|R K chi - z|^2 / 2 + weight sum_i D(P_i || P0_i)` over the standard parameters of one robot, for any number of triangular factors [R z] at once.
+    """Minimise `|R K chi - z|^2 / 2 + weight sum_i D(P_i || P0_i)` over the standard parameters of
+    one robot, for any number of triangular factors [R z] at once.
 
-    D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi` stays what it is at the start, exactly. Bounds enter with a
-    logarithmic barrier. The variables are those of `fit_real_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`. Newton's method on a self-concordant function with a
-    line search; the Hessian of a body is taken as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the body and its dual `Z -> weight Q^-1`, that of a bound likewise, which
-    sees edges coming that a former, stronger weight kept away (Nesterov & Todd, SIAM J. Optimization 8, 1998; Boyd & Vandenberghe, Convex Optimization,
-    2004, sections 9.6 and 11.7; Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi`
+    stays what it is at the start, exactly. Bounds enter with a logarithmic barrier. The variables
+    are those of `fit_real_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`. Newton's
+    method on a self-concordant function with a line search; the Hessian of a body is taken as `W^-1
+    (x) W^-1`, `W Z W = Q`, halfway between the body and its dual `Z -> weight Q^-1`, that of a
+    bound likewise, which sees edges coming that a former, stronger weight kept away (Nesterov &
+    Todd, SIAM J. Optimization 8, 1998; Boyd & Vandenberghe, Convex Optimization, 2004, sections 9.6
+    and 11.7; Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
     """
 
     def __init__(
@@ -119,7 +136,9 @@ class EntropicProblem:
         self.held = held
 
     def curve(self, hessians: Array, scaling: Array) -> None:
-        """Add to Hessians (m, v, v) those of the divergences and of the pull of the drives, from the scaling points W^-1 (m, n_links, 4, 4)."""
+        """Add to Hessians (m, v, v) those of the divergences and of the pull of the drives, from
+        the scaling points W^-1 (m, n_links, 4, 4).
+        """
         n = self.inertial
         pairs = (
             scaling[..., SVEC_ROW[:, None], SVEC_ROW]
@@ -150,7 +169,8 @@ class EntropicProblem:
         barrier: float = BARRIER,
         close: float = CLOSE,
     ) -> EntropicFits:
-        """Return the minima for m factors (m, p + 1, p + 1), from `start` (m, n_standard) strictly inside: definite bodies, bounds kept with room to spare.
+        """Return the minima for m factors (m, p + 1, p + 1), from `start` (m, n_standard) strictly
+        inside: definite bodies, bounds kept with room to spare.
 
         Raises `IdentifiabilityError` where a start is outside, or a descent stalls.
         """
@@ -181,8 +201,9 @@ class EntropicProblem:
 class _Search:
     """Hold where m descents stand.
 
-    Steps `y` (m, v) along the free coordinates, bodies and drives `q`, `error` of the torque, `slack` of the bounds, Cholesky `roots` of the bodies, `duals`, `multipliers`,
-    `values` and squared Newton `decrements`.
+    Steps `y` (m, v) along the free coordinates, bodies and drives `q`, `error` of the torque,
+    `slack` of the bounds, Cholesky `roots` of the bodies, `duals`, `multipliers`, `values` and
+    squared Newton `decrements`.
     """
 
     def __init__(
@@ -220,7 +241,8 @@ class _Search:
             self.multipliers = barrier / self.slack
 
     def model(self, a: Indices | slice) -> tuple[Array, Array, Array, Array]:
-        """Return gradients (m, v), Hessians (m, v, v), and T (m, n_links, 4, 4) and V (m, n_links, 4) of problems a.
+        """Return gradients (m, v), Hessians (m, v, v), and T (m, n_links, 4, 4) and V (m, n_links,
+        4) of problems a.
 
         T takes bodies and duals to the same diagonal, `T Q T^T = T^-T Z T^-1 = diag(V)`.
         """

@@ -1,4 +1,7 @@
-"""Why no robot has the base parameters that were found: a combination of few of them that real bodies and passive drives cannot have, and by how much."""
+"""Why no robot has the base parameters that were found.
+
+A combination of few of them that real bodies and passive drives cannot have, and by how much.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,9 @@ from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
 FEW = 3
 """Parameters in a combination that is short enough."""
 ROUNDS = 6
-"""Tries at a shorter combination, each with a price on every parameter that grows as its part in the last one falls (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008),"""
+"""Tries at a shorter combination, each with a price on every parameter that grows as its part in
+the last one falls (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008),
+"""
 DEAREST = 100.0
 """up to this; the price is in units of what its own standard error adds beside the combination's."""
 SOLVED = 1e-9
@@ -33,9 +38,12 @@ ROUNDING = 1e-4
 class Impossibility:
     """Hold a proof that no robot has base parameters beta (p,), and how sure it is.
 
-    `y^T beta` is at least zero for all real bodies and passive drives: `K^T y` is non-negative on every pseudo-inertia and every drive parameter that must not be negative.
-    The beta found has `value = y^T beta < 0` with the standard error `std_error`; y is `coefficients` at the parameters `names` with the numbers `ids`, zero elsewhere.
-    `sigmas` is how many standard errors beta lies from the nearest that is possible, all parameters together: `min |L^-1 (beta - K chi)|`, `C = L L^T`.
+    `y^T beta` is at least zero for all real bodies and passive drives: `K^T y` is non-negative on
+    every pseudo-inertia and every drive parameter that must not be negative. The beta found has
+    `value = y^T beta < 0` with the standard error `std_error`; y is `coefficients` at the
+    parameters `names` with the numbers `ids`, zero elsewhere. `sigmas` is how many standard errors
+    beta lies from the nearest that is possible, all parameters together: `min |L^-1 (beta - K
+    chi)|`, `C = L L^T`.
     """
 
     names: tuple[str, ...]
@@ -66,11 +74,14 @@ class Impossibility:
 def why_impossible(
     base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
 ) -> Impossibility | None:
-    """Return the proof with few parameters that no real bodies and passive drives have beta, None where some have.
+    """Return the proof with few parameters that no real bodies and passive drives have beta, None
+    where some have.
 
-    The cone of possible base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and only if some y is non-negative on all of it and negative at beta (Farkas'
-    lemma for cones: Boyd & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T beta|` is one over the distance
-    from beta to the cone in standard errors; `sum |y_j| sqrt(C_jj)` beside it keeps y short. Second-order and semidefinite programs, solved by Clarabel.
+    The cone of possible base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and
+    only if some y is non-negative on all of it and negative at beta (Farkas' lemma for cones: Boyd
+    & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T
+    beta|` is one over the distance from beta to the cone in standard errors; `sum |y_j| sqrt(C_jj)`
+    beside it keeps y short. Second-order and semidefinite programs, solved by Clarabel.
     """
     problem = _Separation(
         base, prior, np.asarray(beta, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
@@ -97,7 +108,10 @@ def why_impossible(
 
 
 class _Separation:
-    """The program for y, in units of the standard errors: `images` (n_standard, p) is what a unit of each parameter does to bodies near 1 and to drives."""
+    """The program for y, in units of the standard errors.
+
+    `images` (n_standard, p) is what a unit of each parameter does to bodies near 1 and to drives.
+    """
 
     def __init__(
         self, base: BaseParameters, prior: CadPrior, beta: Array, covariance: Array
@@ -119,7 +133,9 @@ class _Separation:
         return float(np.linalg.norm(self.root.T @ (y * self.size)))
 
     def plainest(self) -> Array | None:
-        """Return y (p,) with one parameter that is below zero beyond doubt though no robot has it there, the surest of all such; None where there is none."""
+        """Return y (p,) with one parameter that is below zero beyond doubt though no robot has it
+        there, the surest of all such; None where there is none.
+        """
         bodies = np.array(
             [
                 [smat(part) for part in column.reshape(-1, 10)]
@@ -157,7 +173,8 @@ class _Separation:
     def solve(self, prices: Array) -> Array | None:
         """Return y (p,), or None where there is no proof.
 
-        With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta = -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
+        With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta =
+        -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.
         """
         p = len(self.beta)
         at = self.beta / self.size

@@ -1,4 +1,7 @@
-"""From base parameters to a full robot: real bodies for every link that give the identified torques and are closest to CAD."""
+"""From base parameters to a full robot.
+
+Real bodies for every link that give the identified torques and are closest to CAD.
+"""
 
 from __future__ import annotations
 
@@ -25,26 +28,41 @@ from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProb
 from asbuilt.identification.information.triangular import triangular_factor
 
 EXACT_PART = 1e-6
-"""Base parameters are kept exactly where bodies of at least this part of CAD have them; below, rounding would decide what is possible."""
+"""Base parameters are kept exactly where bodies of at least this part of CAD have them.
+
+Below, rounding would decide what is possible.
+"""
 FINE_BARRIER = 1e-12
 LEAST_SHARE = 1e-5
-"""Armature that is left where an armature and a link share a base parameter and nothing else tells them apart."""
+"""Armature that is left where an armature and a link share a base parameter and nothing else tells
+them apart.
+"""
 RANDOM_STATES = 500
 RANDOM_RATE = 2.0
-"""Largest velocity [rad/s or m/s] and acceleration [rad/s^2 or m/s^2] of random motion; joints without limits turn through the whole circle or slide by a metre."""
+"""Largest velocity [rad/s or m/s] and acceleration [rad/s^2 or m/s^2] of random motion.
+
+Joints without limits turn through the whole circle or slide by a metre.
+"""
 RANDOM_SEED = 2015
 RELATIVE_RESOLUTION = 1e-3
-"""Torque differences are weighed against this part of the torque when the nearest possible robot is sought: the pull to CAD then has no say."""
+"""Torque differences are weighed against this part of the torque when the nearest possible robot is
+sought: the pull to CAD then has no say.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandardParameters:
-    """Hold the standard parameters of a whole robot: `parameters` (n_standard,), and the base parameters `beta` (p,) that they give.
+    """Hold the standard parameters of a whole robot.
 
-    `exact` says whether beta is the one asked for, `possible` whether all links are real bodies (and, where the nearest was asked for, all drives passive).
-    `torque_rms` (n,) [N m or N] is what the difference from the beta asked for costs in random motion, beside `torque_rms_of_motion` (n,), the torque itself; `nearest_in` says
-    in which motion the torque of the nearest is. `part` is the largest t with `P_i >= t P0_i` for every link, P0 being CAD; `smallest_eigenvalue` that of all pseudo-inertias; `divergence` (n,) is the entropic
-    distance of every link from CAD; `notes` say what CAD did not.
+    `parameters` (n_standard,), and the base parameters `beta` (p,) that they give.
+
+    `exact` says whether beta is the one asked for, `possible` whether all links are real bodies
+    (and, where the nearest was asked for, all drives passive). `torque_rms` (n,) [N m or N] is what
+    the difference from the beta asked for costs in random motion, beside `torque_rms_of_motion`
+    (n,), the torque itself; `nearest_in` says in which motion the torque of the nearest is. `part`
+    is the largest t with `P_i >= t P0_i` for every link, P0 being CAD; `smallest_eigenvalue` that
+    of all pseudo-inertias; `divergence` (n,) is the entropic distance of every link from CAD;
+    `notes` say what CAD did not.
     """
 
     parameters: Array
@@ -95,15 +113,21 @@ def standard_parameters(
     nearest: bool = False,
     information: ArrayLike | None = None,
 ) -> StandardParameters:
-    """Return real bodies for every link with `K chi = beta` exactly that are closest to CAD: least entropic divergence from it.
+    """Return real bodies for every link with `K chi = beta` exactly that are closest to CAD.
 
-    Where no real bodies have beta, either beta is kept, with the impossible bodies closest to CAD in the metric there, or (`nearest`) the nearest possible beta takes its
-    place: least `(K chi - beta)^T A (K chi - beta)` with the `information` matrix A (p, p) of the data used (least weighted torque difference there), or, where none is
-    given, that of random motion (least RMS torque difference); then again the bodies closest to CAD. The nearest has passive drives, too. Otherwise drive parameters that beta tells by themselves stay as they
-    are; an armature that shares a base parameter with a link is not negative.
+    Least entropic divergence from it.
 
-    Convex throughout: a conic program for how deep inside `K chi = beta` leads, Newton's method for the closest (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020;
-    Wensing, Kim & Slotine, IEEE RA-L 3, 2018).
+    Where no real bodies have beta, either beta is kept, with the impossible bodies closest to CAD
+    in the metric there, or (`nearest`) the nearest possible beta takes its place: least `(K chi -
+    beta)^T A (K chi - beta)` with the `information` matrix A (p, p) of the data used (least
+    weighted torque difference there), or, where none is given, that of random motion (least RMS
+    torque difference); then again the bodies closest to CAD. The nearest has passive drives, too.
+    Otherwise drive parameters that beta tells by themselves stay as they are; an armature that
+    shares a base parameter with a link is not negative.
+
+    Convex throughout: a conic program for how deep inside `K chi = beta` leads, Newton's method for
+    the closest (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020; Wensing, Kim & Slotine, IEEE
+    RA-L 3, 2018).
 
     Raises `IdentifiabilityError` where beta has another shape or is not finite.
     """
@@ -159,9 +183,11 @@ def standard_parameters(
 def deepest_inside(
     cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds
 ) -> tuple[Array, float]:
-    """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for every link and `bounds` hold with some t to spare.
+    """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for
+    every link and `bounds` hold with some t to spare.
 
-    t is negative where no real bodies have beta. Raises `IdentifiabilityError` where the solver gives up.
+    t is negative where no real bodies have beta. Raises `IdentifiabilityError` where the solver
+    gives up.
     """
     bodies, q0 = near_one(cad)
     inertial = 10 * cad.n_links
@@ -192,9 +218,11 @@ def deepest_inside(
 def _closest_above(
     cad: CadPrior, coordinates: Coordinates, chi: Array, part: float, bounds: BodyBounds
 ) -> Array:
-    """Return the closest to CAD with the base parameters of chi and `P_i >= floor P0_i`, the floor being half of `part` at most.
+    """Return the closest to CAD with the base parameters of chi and `P_i >= floor P0_i`, the floor
+    being half of `part` at most.
 
-    The divergence is that of what is above the floor, `D(P - floor P0 || (1 - floor) P0)`, least at CAD as well.
+    The divergence is that of what is above the floor, `D(P - floor P0 || (1 - floor) P0)`, least at
+    CAD as well.
     """
     floor = min(SMALLEST_PART, 0.5 * part)
     inertial = 10 * cad.n_links
@@ -207,7 +235,9 @@ def _closest_above(
 
 
 def _closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> Array:
-    """Return the parameters with `K chi = beta` that are closest to CAD in the metric there, possible or not."""
+    """Return the parameters with `K chi = beta` that are closest to CAD in the metric there,
+    possible or not.
+    """
     bodies, _ = near_one(cad)
     whitened = np.linalg.solve(
         bodies, np.column_stack([coordinates.kept @ beta - cad.parameters, coordinates.dependent])
@@ -233,7 +263,9 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
 
 
 def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
-    """Return the observation matrix (N n, p) of random motion within the limits of the robot, sample by sample, the same at every call."""
+    """Return the observation matrix (N n, p) of random motion within the limits of the robot,
+    sample by sample, the same at every call.
+    """
     rng = np.random.default_rng(RANDOM_SEED)
     limits = [joint.limits for joint in model.joints]
     reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]

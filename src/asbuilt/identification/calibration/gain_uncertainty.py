@@ -20,11 +20,17 @@ USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
 }
 """Standard deviation of a joint's gain, as a fraction, where nothing better is stated.
 
-Currents: data sheets of motors usually promise the torque constant to +-10 % (limits: 5.8 % as a standard deviation), and neodymium magnets lose about 0.1 % of
-their field per kelvin, 4 % over 40 K of warming; together 7 %. Torques that a controller works out from currents have been calibrated once, and warm up all the same: 5 %.
-Joint torque sensors are calibrated at the joint; their gain is not questioned. These are assumptions: the published gains of a UR10e turned out 3 to 11 % high."""
+Currents: data sheets of motors usually promise the torque constant to +-10 % (limits: 5.8 % as a
+standard deviation), and neodymium magnets lose about 0.1 % of their field per kelvin, 4 % over 40 K
+of warming; together 7 %. Torques that a controller works out from currents have been calibrated
+once, and warm up all the same: 5 %. Joint torque sensors are calibrated at the joint; their gain is
+not questioned. These are assumptions: the published gains of a UR10e turned out 3 to 11 % high.
+"""
 COMMON = 1.0 / 3.0
-"""Share of the variance that all joints have in common: they warm up together and often have magnets of one make (4 of 7 %, squared)."""
+"""Share of the variance that all joints have in common.
+
+They warm up together and often have magnets of one make (4 of 7 %, squared).
+"""
 MOST = 0.5
 """Largest fraction that is taken for an uncertainty."""
 RANK_TOLERANCE = 1e-10
@@ -33,9 +39,12 @@ RANK_TOLERANCE = 1e-10
 def relative_gain_errors(
     source: TorqueSource, n_joints: int, stated: ArrayLike | None = None
 ) -> Array:
-    """Return the standard deviation of each joint's gain, (n,), as fractions: what is stated (one for all joints or one each), else what is usual for the source.
+    """Return the standard deviation of each joint's gain, (n,), as fractions.
 
-    Raises UsageError for another number of values, and for values that are no fractions from 0 to 0.5.
+    What is stated (one for all joints or one each), else what is usual for the source.
+
+    Raises UsageError for another number of values, and for values that are no fractions from 0 to
+    0.5.
     """
     if stated is None:
         return np.full(n_joints, USUAL_UNCERTAINTY[source])
@@ -54,13 +63,19 @@ def relative_gain_errors(
 
 
 def gain_covariance(uncertainty: Array) -> Array:
-    """Return the covariance (n, n) of gains with these standard deviations (n,), as fractions; a third of the variance is common to all joints."""
+    """Return the covariance (n, n) of gains with these standard deviations (n,), as fractions.
+
+    A third of the variance is common to all joints.
+    """
     n = len(uncertainty)
     return np.asarray(np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON))
 
 
 def parse_gain_uncertainty(text: str | None) -> list[float] | None:
-    """Read `7%`, `0.07` or one of these per joint, separated by commas; None where there is no text. Raises UsageError on anything else."""
+    """Read `7%`, `0.07` or one of these per joint, separated by commas.
+
+    None where there is no text. Raises UsageError on anything else.
+    """
     if text is None:
         return None
     try:
@@ -76,11 +91,15 @@ def parse_gain_uncertainty(text: str | None) -> list[float] | None:
 
 
 def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weights: Array) -> Array:
-    """Return the arm's base parameters as a sum of what the torque of each joint gave to them, (p, n).
+    """Return the arm's base parameters as a sum of what the torque of each joint gave to them, (p,
+    n).
 
-    `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction larger, beta changes by that fraction of column k. W and tau are those the result
-    was identified from, where it kept its evidence (all of it: what was put aside to judge by is part of it where no other recording was at hand); else those of `stand_in`, weighted rows `[W_k | ...]` of other motion of the arm, with the torque that the result predicts.
-    Parameters that the result dropped stay zero.
+    `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction
+    larger, beta changes by that fraction of column k. W and tau are those the result was identified
+    from, where it kept its evidence (all of it: what was put aside to judge by is part of it where
+    no other recording was at hand); else those of `stand_in`, weighted rows `[W_k | ...]` of other
+    motion of the arm, with the torque that the result predicts. Parameters that the result dropped
+    stay zero.
     """
     p, beta = result.n_base, result.estimates
     if result.evidence is not None:

@@ -31,12 +31,17 @@ if TYPE_CHECKING:
 
 
 SEARCHES = ((20e-3, 2e-3), (4e-3, 1e-4))
-"""First steps and last ones [rad] of the two searches, the second with joint weights settled by the first."""
+"""First steps and last ones [rad] of the two searches, the second with joint weights settled by the
+first.
+"""
 MOST_TRIES = 80
 DIFFERENCE = 4e-3
 """Tilt [rad] by which costs are differenced for the errors."""
 FARTHEST = 0.35
-"""A robot on a wall or a ceiling must be described so; this tilt [rad] is as far as the search goes."""
+"""A robot on a wall or a ceiling must be described so.
+
+This tilt [rad] is as far as the search goes.
+"""
 SIGNIFICANT = 4.0
 """A tilt counts where it exceeds so many standard errors,"""
 NOTICEABLE = 1e-3
@@ -45,10 +50,14 @@ NOTICEABLE = 1e-3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounting:
-    """Hold how a robot was found to stand: `tilt` (2,) [rad] turns gravity about `axes` (2, 3) of the root frame; `gravity` (3,) is the turned one.
+    """Hold how a robot was found to stand.
 
-    `covariance` (2, 2) allows for residuals that are alike within a time block. `rms_as_given` and `rms` (n,) are the torque residuals of the best real bodies, standing
-    as described and as found. `is_askew` says whether the tilt is more than its error and more than a floor's.
+    `tilt` (2,) [rad] turns gravity about `axes` (2, 3) of the root frame; `gravity` (3,) is the
+    turned one.
+
+    `covariance` (2, 2) allows for residuals that are alike within a time block. `rms_as_given` and
+    `rms` (n,) are the torque residuals of the best real bodies, standing as described and as found.
+    `is_askew` says whether the tilt is more than its error and more than a floor's.
     """
 
     as_given: RobotModel
@@ -81,7 +90,9 @@ class Mounting:
 
     @property
     def relief(self) -> float:
-        """Part of the torque residual of the best real bodies, joints together, that standing as found takes away."""
+        """Part of the torque residual of the best real bodies, joints together, that standing as
+        found takes away.
+        """
         before = float(np.linalg.norm(self.rms_as_given))
         return 1.0 - float(np.linalg.norm(self.rms)) / before if before > 0.0 else 0.0
 
@@ -120,12 +131,16 @@ def find_mounting(
     drive: DriveSet = NO_DRIVE,
     block_seconds: float | None = None,
 ) -> Mounting:
-    """Find the direction of gravity in the root frame, near that of the description, from the samples of a recording.
+    """Find the direction of gravity in the root frame, near that of the description, from the
+    samples of a recording.
 
-    Least torque error over direction and real bodies: `V(theta) = min_chi |w (tau - W_theta K chi)|^2 / 2` with bodies as in `fit_consistent`, which alone keeps a tilt and
-    impossible inertias apart. A simplex search on V (variable projection: Golub & Pereyra, Inverse Problems 19, 2003), whose second derivatives jump where bodies
-    reach their bounds; K is the same for all directions that are not special. Drive terms that depend on the load are left out. The covariance is `H^-1 (sum_b g_b g_b^T) H^-1` with the slopes g_b of the blocks' shares in V
-    along the fitted bodies and the Hessian H of V, by differences.
+    Least torque error over direction and real bodies: `V(theta) = min_chi |w (tau - W_theta K
+    chi)|^2 / 2` with bodies as in `fit_consistent`, which alone keeps a tilt and impossible
+    inertias apart. A simplex search on V (variable projection: Golub & Pereyra, Inverse Problems
+    19, 2003), whose second derivatives jump where bodies reach their bounds; K is the same for all
+    directions that are not special. Drive terms that depend on the load are left out. The
+    covariance is `H^-1 (sum_b g_b g_b^T) H^-1` with the slopes g_b of the blocks' shares in V along
+    the fitted bodies and the Hessian H of V, by differences.
 
     Raises
     ------
@@ -228,7 +243,9 @@ def _shares(
 
 
 def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> tuple[Array, Array]:
-    """Return the slopes of the blocks' shares (n_blocks, 2) and the Hessian (2, 2) of their sum, by central differences."""
+    """Return the slopes of the blocks' shares (n_blocks, 2) and the Hessian (2, 2) of their sum, by
+    central differences.
+    """
     h = DIFFERENCE
     one, two = np.array([h, 0.0]), np.array([0.0, h])
     ahead, behind = (

@@ -1,4 +1,7 @@
-"""What the flange carries: the ten inertial parameters of a payload, from a loaded recording and a model of the bare arm."""
+"""What the flange carries.
+
+The ten inertial parameters of a payload, from a loaded recording and a model of the bare arm.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +48,9 @@ FLANGES = ("flange", "tool0", "tool", "ee", "tcp")
 SHORT_WORD = 3
 """Words of so few letters must stand by themselves: there is no hand in a sleeve."""
 WELL_TOLD = 0.25
-"""Standard error, as a fraction of what the parameter is measured by (its own size, or the payload's), up to which a motion is said to tell it."""
+"""Standard error, as a fraction of what the parameter is measured by (its own size, or the
+payload's), up to which a motion is said to tell it.
+"""
 COM_SCALE = 0.04
 """Least size by which a centre of mass is judged [m]: 1 cm of standard error counts as told."""
 VAGUE_ARM = 0.5
@@ -54,21 +59,30 @@ FEWEST_BLOCKS = 4
 LOAD_ITERATIONS = 4
 """Times that the load, of which friction may depend, is renewed with the payload."""
 OPEN = 1e-12
-"""Singular value, relative to the largest, below which what is known of the arm leaves a direction open."""
+"""Singular value, relative to the largest, below which what is known of the arm leaves a direction
+open.
+"""
 INTERIOR = 1e-6
 """Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """Hold the payload as found: `parameters` (10,) about the origin of `frame`, in its axes, in the order of `LinkInertia`, with `covariance` (10, 10).
+    """Hold the payload as found.
 
-    They are always those of a possible body; `projected` says that the least-squares estimate was not and the nearest body stands in. `values` and
-    `std_errors` (10,) are those of `names`; `determined` are the names that they tell. `arm` (p,) are the base parameters of the arm that were used.
-    `noise_errors` (10,) are the part of the standard errors that the recordings show, `gain_errors` (10,) that of gains known no better than `gain_uncertainty` (n,), as
-    fractions; `gain_slopes` (10, n) is how much each value changes per fraction by which the torque of a joint changes, in all recordings of the arm: exact where the result kept its
-    evidence (`gains_by_evidence`), else as if the arm had been identified along the motion at hand, which may leave the centre too sure.
-    `metrics` has the torque errors with payload on each recording, `metrics_bare` those of the arm alone.
+    `parameters` (10,) about the origin of `frame`, in its axes, in the order of `LinkInertia`, with
+    `covariance` (10, 10).
+
+    They are always those of a possible body; `projected` says that the least-squares estimate was
+    not and the nearest body stands in. `values` and `std_errors` (10,) are those of `names`;
+    `determined` are the names that they tell. `arm` (p,) are the base parameters of the arm that
+    were used. `noise_errors` (10,) are the part of the standard errors that the recordings show,
+    `gain_errors` (10,) that of gains known no better than `gain_uncertainty` (n,), as fractions;
+    `gain_slopes` (10, n) is how much each value changes per fraction by which the torque of a joint
+    changes, in all recordings of the arm: exact where the result kept its evidence
+    (`gains_by_evidence`), else as if the arm had been identified along the motion at hand, which
+    may leave the centre too sure. `metrics` has the torque errors with payload on each recording,
+    `metrics_bare` those of the arm alone.
     """
 
     robot: str
@@ -101,7 +115,9 @@ class Payload:
 
 
 def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int, Array]:
-    """Return name, link and placement of the frame that carries the payload: the one named, else the flange, else the last link's.
+    """Return name, link and placement of the frame that carries the payload.
+
+    The one named, else the flange, else the last link's.
 
     Raises UsageError where no moving link or frame has that name.
     """
@@ -141,13 +157,17 @@ def identify_payload(
 ) -> Payload:
     """Identify what the flange carries from recordings under load.
 
-    The loaded torque is `tau = Y_b beta + Y_l S pi`: the arm's base parameters, and the ten of the payload seen as part of the last link. `arm` "frozen" takes
-    beta from the result; "refined" estimates beta and pi together, the result (with its covariance) and recordings of the bare arm (`unloaded`) holding beta.
-    Rows are weighted by the result's noise per joint. The covariance is the sum of a delete-one-block jackknife, which allows for correlated residuals
-    (Efron & Stein, Annals of Statistics 9, 1981), of what the result's own covariance carries over, and of what unknown gains leave open: torque from currents is as good
-    as the torque per ampere of each joint, which no recording without a known load tells, `gain_uncertainty` (one fraction, or one per joint; by default what is usual for the
-    torque source, none for sensors). Where the estimate is impossible for a body, the nearest possible one in the metric of the covariance is taken, by a
-    semidefinite program. Friction that depends on load feels the payload too.
+    The loaded torque is `tau = Y_b beta + Y_l S pi`: the arm's base parameters, and the ten of the
+    payload seen as part of the last link. `arm` "frozen" takes beta from the result; "refined"
+    estimates beta and pi together, the result (with its covariance) and recordings of the bare arm
+    (`unloaded`) holding beta. Rows are weighted by the result's noise per joint. The covariance is
+    the sum of a delete-one-block jackknife, which allows for correlated residuals (Efron & Stein,
+    Annals of Statistics 9, 1981), of what the result's own covariance carries over, and of what
+    unknown gains leave open: torque from currents is as good as the torque per ampere of each
+    joint, which no recording without a known load tells, `gain_uncertainty` (one fraction, or one
+    per joint; by default what is usual for the torque source, none for sensors). Where the estimate
+    is impossible for a body, the nearest possible one in the metric of the covariance is taken, by
+    a semidefinite program. Friction that depends on load feels the payload too.
 
     Raises
     ------
@@ -227,7 +247,8 @@ def identify_payload(
 def _gain_slopes(
     result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm
 ) -> Array:
-    """Return how pi changes per fraction by which the torque of each joint changes in all recordings, those behind the result too, (10, n).
+    """Return how pi changes per fraction by which the torque of each joint changes in all
+    recordings, those behind the result too, (10, n).
 
     pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
     """
@@ -259,7 +280,9 @@ def _lengths(gram: Array) -> Array:
 
 
 def _prior(result: IdentificationResult) -> Array:
-    """Return rows (m, p + 11) that hold beta at the result, in units of its standard errors, where the result knows it; what it dropped, whose columns are zero elsewhere, at zero."""
+    """Return rows (m, p + 11) that hold beta at the result, in units of its standard errors, where
+    the result knows it; what it dropped, whose columns are zero elsewhere, at zero.
+    """
     scale, variances, directions = told_directions(result)
     root = np.vstack(
         [(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]]
@@ -270,9 +293,12 @@ def _prior(result: IdentificationResult) -> Array:
 
 
 def _vague(model: RobotModel) -> Array:
-    """Return rows (10, 11) that say next to nothing of a payload: zero, give or take the whole arm's mass half a metre away.
+    """Return rows (10, 11) that say next to nothing of a payload.
 
-    They matter only in directions that the motion leaves open, whose errors then come out as large as this ignorance.
+    Zero, give or take the whole arm's mass half a metre away.
+
+    They matter only in directions that the motion leaves open, whose errors then come out as large
+    as this ignorance.
     """
     mass = float(np.abs(model.parameters[9::10]).sum()) or 1.0
     size = np.concatenate([np.full(6, mass * VAGUE_ARM**2), np.full(3, mass * VAGUE_ARM), [mass]])
@@ -288,9 +314,11 @@ def _arm_taken_out(factor: Array, beta: Array) -> Array:
 def _solved(
     blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
 ) -> tuple[Array, Array]:
-    """Return [beta, pi], and the covariance (10, 10) of pi that comes from the result and from ignorance of the payload.
+    """Return [beta, pi], and the covariance (10, 10) of pi that comes from the result and from
+    ignorance of the payload.
 
-    What of the arm neither the result nor the recordings tell stays at the result's `estimates` (p,).
+    What of the arm neither the result nor the recordings tell stays at the result's `estimates`
+    (p,).
     """
     p = len(estimates)
     data = triangular_factor(np.vstack(blocks))
@@ -332,7 +360,9 @@ def _demand(rank: int) -> None:
 
 
 def _demand_known_arm(rows: Array, prior: Array) -> None:
-    """Raise `IdentifiabilityError` where rows (m, p) of the arm feel what the rows (k, p) of the prior leave open."""
+    """Raise `IdentifiabilityError` where rows (m, p) of the arm feel what the rows (k, p) of the
+    prior leave open.
+    """
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
     _, s, vt = np.linalg.svd(prior / scaled)
@@ -379,7 +409,9 @@ def _jackknife(
 
 
 def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
-    """Return the parameters of a possible body nearest to the estimate in the metric of its covariance, and whether it is another."""
+    """Return the parameters of a possible body nearest to the estimate in the metric of its
+    covariance, and whether it is another.
+    """
     if LinkInertia(estimate).is_consistent:
         return estimate, False
     scale = np.sqrt(np.diag(covariance))
@@ -401,7 +433,9 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
 
 
 def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return mass, centre of mass and inertia about it (10,), and their slopes (10, 10) in the parameters; differences are small against the errors."""
+    """Return mass, centre of mass and inertia about it (10,), and their slopes (10, 10) in the
+    parameters; differences are small against the errors.
+    """
 
     def report(pi: Array) -> Array:
         body = LinkInertia(pi)

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PayloadRows:
-    """Hold weighted rows `[W | P | tau]` (m, p + 11) of arm, payload and torque, reduced: of each time block, all joints together, and of each joint, all blocks together.
+    """Hold weighted rows `[W | P | tau]` (m, p + 11) of arm, payload and torque, reduced.
+
+    Of each time block, all joints together, and of each joint, all blocks together.
 
     Of the bare arm P is zero.
     """
@@ -43,7 +45,8 @@ class PayloadRows:
         x: Array,
         block_seconds: float | None,
     ) -> PayloadRows:
-        """Reduce samples; `x` is arm and payload as known so far, whose load friction that depends on load is taken to feel.
+        """Reduce samples; `x` is arm and payload as known so far, whose load friction that depends
+        on load is taken to feel.
 
         The columns of parameters that the result dropped are zero: zero they stay.
         """
@@ -96,7 +99,9 @@ def _whole(information: SquareRootInformation) -> list[Array]:
 
 
 def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:
-    """Return a factor of the bare arm with ten zero columns for the payload, columns of parameters that are not `kept` zero too."""
+    """Return a factor of the bare arm with ten zero columns for the payload, columns of parameters
+    that are not `kept` zero too.
+    """
     return np.concatenate(
         [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1
     )

@@ -1,4 +1,6 @@
-"""Torque per logged unit of every drive - newton metres per ampere - from recordings without and with a payload that is known."""
+"""Torque per logged unit of every drive - newton metres per ampere - from recordings without and
+with a payload that is known.
+"""
 
 from __future__ import annotations
 
@@ -39,13 +41,17 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueGains:
-    """Hold the torque (n,) that one logged unit of each joint stands for [N m per unit], with standard errors from one time block to another.
+    """Hold the torque (n,) that one logged unit of each joint stands for [N m per unit], with
+    standard errors from one time block to another.
 
-    `in_use` (n,) are the gains that the torques had been multiplied by when these were found, ones where they were left as logged; `factors` says by how much
-    they were off. `known` says what of the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and found parts together, in the order
-    of `LinkInertia`. `determined` (n,) is False where these recordings do not tell the gain, and the gain NaN where they leave it wholly open; `payload_share` (n,) is how much
-    of the torque under load the payload makes up, RMS: where it is small the gain hangs on parameters shared with other joints, and errors of the friction
-    model move it.
+    `in_use` (n,) are the gains that the torques had been multiplied by when these were found, ones
+    where they were left as logged; `factors` says by how much they were off. `known` says what of
+    the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and
+    found parts together, in the order of `LinkInertia`. `determined` (n,) is False where these
+    recordings do not tell the gain, and the gain NaN where they leave it wholly open;
+    `payload_share` (n,) is how much of the torque under load the payload makes up, RMS: where it is
+    small the gain hangs on parameters shared with other joints, and errors of the friction model
+    move it.
     """
 
     joint_names: tuple[str, ...]
@@ -61,7 +67,10 @@ class TorqueGains:
 
     @property
     def factors(self) -> Array:
-        """By how much the torques in use are to be multiplied, (n,); ones where the gains in use are right."""
+        """By how much the torques in use are to be multiplied, (n,).
+
+        Ones where the gains in use are right.
+        """
         return self.gains / self.in_use
 
     @property
@@ -71,7 +80,10 @@ class TorqueGains:
 
     @property
     def to_use(self) -> Array:
-        """Gains (n,) that stand in place of those in use: the ones found, and where these recordings do not tell one, the one in use."""
+        """Gains (n,) that stand in place of those in use.
+
+        The ones found, and where these recordings do not tell one, the one in use.
+        """
         return np.where(self.determined, self.gains, self.in_use)
 
     def sentences(self) -> tuple[str, ...]:
@@ -114,7 +126,9 @@ class TorqueGains:
 
 
 def gains_in_use(recordings: Sequence[Recording]) -> Array:
-    """Return the gains (n,) that all of these recordings were multiplied by when read, ones where they were left as logged; raises UsageError where they differ."""
+    """Return the gains (n,) that all of these recordings were multiplied by when read, ones where
+    they were left as logged; raises UsageError where they differ.
+    """
     each = [
         np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains)
         for recording in recordings
@@ -142,21 +156,28 @@ def identify_gains(
     frame: str | None = None,
     in_use: ArrayLike | None = None,
 ) -> TorqueGains:
-    """Find gains g with `g_k i_k = Y_k beta` without and `g_k i_k = Y_k beta + P_k phi` with a payload, i being the torque as logged.
+    """Find gains g with `g_k i_k = Y_k beta` without and `g_k i_k = Y_k beta + P_k phi` with a
+    payload, i being the torque as logged.
 
-    Where the samples' torques were multiplied by gains already, these are `in_use` (see `gains_in_use`): what is found stands in their place, not beside them.
+    Where the samples' torques were multiplied by gains already, these are `in_use` (see
+    `gains_in_use`): what is found stands in their place, not beside them.
 
-    beta, g and what is not known of phi are found together, with `i_k = (Y_k beta + P_k phi) / g_k` least wrong in the logged unit, where the noise is; solved for
-    columns `-i_k` instead, noise in i pulls every gain toward zero. The scale of everything comes from what is known of phi: the mass must be, and alone it is
-    enough where the payload's centre and inertia are told by their own torques. A gain is told as far as its joint carries the payload, or is tied by shared
-    parameters to joints that do: an axis through the payload's centre needs `com`, an axis that gravity never loads needs `inertia_about_com`.
+    beta, g and what is not known of phi are found together, with `i_k = (Y_k beta + P_k phi) / g_k`
+    least wrong in the logged unit, where the noise is; solved for columns `-i_k` instead, noise in
+    i pulls every gain toward zero. The scale of everything comes from what is known of phi: the
+    mass must be, and alone it is enough where the payload's centre and inertia are told by their
+    own torques. A gain is told as far as its joint carries the payload, or is tied by shared
+    parameters to joints that do: an axis through the payload's centre needs `com`, an axis that
+    gravity never loads needs `inertia_about_com`.
 
-    Source: Gautier and Briot, J. Dynamic Systems, Measurement and Control 136, 2014: gains and parameters together from a known payload.
+    Source: Gautier and Briot, J. Dynamic Systems, Measurement and Control 136, 2014: gains and
+    parameters together from a known payload.
 
     Raises
     ------
     UsageError
-        If the mass is not positive, the inertia is given without the centre of mass, recordings of either kind are missing, or gains in use are no gains.
+        If the mass is not positive, the inertia is given without the centre of mass, recordings of
+        either kind are missing, or gains in use are no gains.
     IdentifiabilityError
         If the recordings leave the scale open.
     """
@@ -278,7 +299,9 @@ class _Problem:
         start: Array | None = None,
         skip: int | None = None,
     ) -> tuple[Array, Array]:
-        """Return gains (n,) and payload (10,), by Gauss-Newton on 1 / gain and the parameters, weights renewed as the errors settle."""
+        """Return gains (n,) and payload (10,), by Gauss-Newton on 1 / gain and the parameters,
+        weights renewed as the errors settle.
+        """
         kept = [block for b, block in enumerate(self.blocks) if b != skip]
         rows = [triangular_factor(np.vstack([block[k] for block in kept])) for k in range(self._n)]
         p = self._p
@@ -317,7 +340,9 @@ class _Problem:
         return 1.0 / inverse, theta[p:]
 
     def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
-        """Return the sign of each gain (n,), from the fit linear in the gains, `-i_k g_k + Y_k beta + P_k phi = 0`, whose sizes noise pulls toward zero."""
+        """Return the sign of each gain (n,), from the fit linear in the gains, `-i_k g_k + Y_k beta
+        + P_k phi = 0`, whose sizes noise pulls toward zero.
+        """
         matrix, target = [], []
         for k, r in enumerate(rows):
             own = np.zeros((len(r), self._n))

@@ -1,4 +1,7 @@
-"""Joint torque sensors and motors recorded together: links seen by both, rotors and gears by the motors alone."""
+"""Joint torque sensors and motors recorded together.
+
+Links seen by both, rotors and gears by the motors alone.
+"""
 
 from __future__ import annotations
 
@@ -33,9 +36,12 @@ MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoChannelEstimate:
-    """Hold what sensors and motors say together of a robot with n joints: p base parameters of links and link-side drives, then those of the motor side.
+    """Hold what sensors and motors say together of a robot with n joints.
 
-    `names`, `units`, `values`, `std_errors` are theirs, `of_motor_side` says which are of the motor side; `rms_sensor` and `rms_motor` (n,) the torque errors of the two channels.
+    P base parameters of links and link-side drives, then those of the motor side.
+
+    `names`, `units`, `values`, `std_errors` are theirs, `of_motor_side` says which are of the motor
+    side; `rms_sensor` and `rms_motor` (n,) the torque errors of the two channels.
     """
 
     robot: str
@@ -66,12 +72,16 @@ def identify_two_channels(
     link_side: DriveSet = LINK_SIDE,
     motor_side: DriveSet | None = None,
 ) -> TwoChannelEstimate:
-    """Identify links, link-side friction and motor side from torques on both sides of the gears, each joint and channel with a weight of its own.
+    """Identify links, link-side friction and motor side from torques on both sides of the gears,
+    each joint and channel with a weight of its own.
 
-    `tau_sensor = Y beta + link side`, `tau_motor = tau_sensor + motor side`: bearings and links act on both, `armature`, gear friction and motor offset on
-    the motor's torque alone. Their difference tells the motor side apart whatever its terms, so it adds every parameter that acts, named with an m
-    (`Iam1`, `Fvm1`; those of motors that several joints turn, `Iam`, become `Iamm`). `motor_side` is by default armature, viscous and Coulomb friction and offset, and those of motors that several
-    joints turn where the robot has such. Samples come in pairs at the same instants.
+    `tau_sensor = Y beta + link side`, `tau_motor = tau_sensor + motor side`: bearings and links act
+    on both, `armature`, gear friction and motor offset on the motor's torque alone. Their
+    difference tells the motor side apart whatever its terms, so it adds every parameter that acts,
+    named with an m (`Iam1`, `Fvm1`; those of motors that several joints turn, `Iam`, become
+    `Iamm`). `motor_side` is by default armature, viscous and Coulomb friction and offset, and those
+    of motors that several joints turn where the robot has such. Samples come in pairs at the same
+    instants.
 
     Raises
     ------
@@ -136,7 +146,10 @@ def identify_two_channels(
 
 
 def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
-    """Return which drive parameters of the motor side act at all, counted joint by joint: a motor of its joint alone has no terms of coupled motors."""
+    """Return which drive parameters of the motor side act at all, counted joint by joint.
+
+    A motor of its joint alone has no terms of coupled motors.
+    """
     coupled = np.any(model.motor_shares != 0.0, axis=1)
     acts = [
         term.is_at(k) and (bool(coupled[k]) or not term.of_motor)
@@ -150,7 +163,9 @@ def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
 def _both_sides(
     model: RobotModel, base: BaseParameters, motor_side: DriveSet, acting: Indices
 ) -> BaseParameters:
-    """Return the base parameters with those of the motor side that act behind them, each independent of all others."""
+    """Return the base parameters with those of the motor side that act behind them, each
+    independent of all others.
+    """
     every = [
         f"{letter}m{number}"
         for number in range(1, model.n_joints + 1)

@@ -1,4 +1,6 @@
-"""Drive terms that might be added to a robot's, with every shape tried, as columns beside its regressor."""
+"""Drive terms that might be added to a robot's, with every shape tried, as columns beside its
+regressor.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,17 @@ Choice = tuple[Placed, ...]
 POINTS = 8
 """Values of a shape that are tried, ends of the credible range included."""
 RIDGE = 1e-9
-"""Added to the diagonal of normal equations in columns of unit length, so that columns which repeat others stay small."""
+"""Added to the diagonal of normal equations in columns of unit length, so that columns which repeat
+others stay small.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A term with its shape stated, one value per joint; `at_bound` where that value is an end of its credible range."""
+    """A term with its shape stated, one value per joint.
+
+    `at_bound` where that value is an end of its credible range.
+    """
 
     term: DriveTerm
     at_bound: bool
@@ -45,7 +52,9 @@ class Candidate:
 def candidates(
     model: RobotModel, start: DriveSet, source: str, samples: Sequence[Samples]
 ) -> tuple[Candidate, ...]:
-    """Return the terms that are tried beside `start` for torques of this source, a shape at values spread over its credible range."""
+    """Return the terms that are tried beside `start` for torques of this source, a shape at values
+    spread over its credible range.
+    """
     found = []
     speeds = [np.abs(each.qd) for each in samples]
     for term in available_terms().values():
@@ -71,19 +80,26 @@ def _spread(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """What a choice makes of blocks held out: squared error per sample of each fold and joint (folds, n), and the parameters (folds, P) learnt without each fold."""
+    """What a choice makes of blocks held out.
+
+    Squared error per sample of each fold and joint (folds, n), and the parameters (folds, P) learnt
+    without each fold.
+    """
 
     held_out: Array
     parameters: Array
 
 
 class CandidateColumns:
-    """The normal equations of each joint and time block in `[W_k | candidates of joint k | tau_k]`, in one pass over the samples.
+    """The normal equations of each joint and time block in `[W_k | candidates of joint k | tau_k]`,
+    in one pass over the samples.
 
-    They answer for any choice of candidates, joint by joint, what is left of the torque, learnt from some blocks and judged on others. The p base parameters of `base` come first
-    in the vector of parameters, then the candidates' joint by joint, P in all; `drive_places` says where the drive parameters of each joint are among the first. `weights` (n,)
-    multiply the rows of each joint. The load of load-dependent terms is that of
-    `model`. Normal equations square the condition of the problem, which must be small.
+    They answer for any choice of candidates, joint by joint, what is left of the torque, learnt
+    from some blocks and judged on others. The p base parameters of `base` come first in the vector
+    of parameters, then the candidates' joint by joint, P in all; `drive_places` says where the
+    drive parameters of each joint are among the first. `weights` (n,) multiply the rows of each
+    joint. The load of load-dependent terms is that of `model`. Normal equations square the
+    condition of the problem, which must be small.
     """
 
     def __init__(
@@ -149,7 +165,9 @@ class CandidateColumns:
         return self._places[placed]
 
     def learnt(self, choice: Choice, blocks: Indices) -> Array:
-        """Return the parameters (P,) that fit these blocks best, zero for those that the choice does not have."""
+        """Return the parameters (P,) that fit these blocks best, zero for those that the choice
+        does not have.
+        """
         return self.solved(self.normal_equations(self.summed(blocks)), self.indices(choice))
 
     def squared_error(self, parameters: Array, blocks: Indices) -> Array:
@@ -168,7 +186,10 @@ class CandidateColumns:
         return total
 
     def indices(self, choice: Choice) -> Indices:
-        """Return which parameters a choice has: a candidate that stands for a simpler term takes its place at that joint."""
+        """Return which parameters a choice has.
+
+        A candidate that stands for a simpler term takes its place at that joint.
+        """
         kept = np.ones(self.base.n_base, dtype=bool)
         for k, c in choice:
             for term, places in self.drive_places[k]:
@@ -177,7 +198,9 @@ class CandidateColumns:
         return np.concatenate([np.flatnonzero(kept), *(self._places[placed] for placed in choice)])
 
     def solved(self, total: Array, indices: Indices) -> Array:
-        """Return the parameters (P,) that solve normal equations, those outside `indices` being zero."""
+        """Return the parameters (P,) that solve normal equations, those outside `indices` being
+        zero.
+        """
         matrix = total[np.ix_(indices, indices)]
         sizes = np.sqrt(np.diag(matrix))
         sizes[sizes == 0.0] = 1.0
@@ -190,7 +213,10 @@ class CandidateColumns:
         return parameters
 
     def judged(self, grams: Sequence[Array], parameters: Array) -> Array:
-        """Return the squared error of each joint, (n,), no less than the rounding of its torque's: normal equations tell no smaller one, and may say below zero."""
+        """Return the squared error of each joint, (n,), no less than the rounding of its torque's.
+
+        Normal equations tell no smaller one, and may say below zero.
+        """
         left = np.append(-parameters, 1.0)
         errors = [
             left[positions] @ gram @ left[positions]
@@ -203,7 +229,9 @@ class CandidateColumns:
 
 
 def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Indices]]:
-    """Return the drive terms of a joint with the places of their parameters among the base parameters."""
+    """Return the drive terms of a joint with the places of their parameters among the base
+    parameters.
+    """
     found = []
     for term in base.drive.terms:
         names = [f"{letter}{joint + 1}" for letter in term.letters]
@@ -219,7 +247,10 @@ def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Ind
 
 
 class Folds:
-    """Blocks cut into folds of neighbours, so that residuals which last do not leak; each is judged by what is learnt from the others."""
+    """Blocks cut into folds of neighbours, so that residuals which last do not leak.
+
+    Each is judged by what is learnt from the others.
+    """
 
     def __init__(self, columns: CandidateColumns, blocks: Indices, n_folds: int) -> None:
         self._columns = columns
@@ -252,7 +283,11 @@ class Folds:
 def chosen_drive(
     start: DriveSet, tried: Sequence[Candidate], choice: Choice, n_joints: int
 ) -> DriveSet:
-    """Return the drive set of a choice: each term at the joints that have it, with the shapes they have there, simpler terms at the other joints."""
+    """Return the drive set of a choice.
+
+    Each term at the joints that have it, with the shapes they have there, simpler terms at the
+    other joints.
+    """
     drive = start
     for key in dict.fromkeys(tried[c].key for _, c in choice):
         at = {k: tried[c].term for k, c in choice if tried[c].key == key}

@@ -1,4 +1,7 @@
-"""Which drive terms a recording supports: credible as physics, and worth it on time blocks held out."""
+"""Which drive terms a recording supports.
+
+Credible as physics, and worth it on time blocks held out.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +50,9 @@ WORTH = 0.005
 CERTAIN = 2.0
 """and by this many standard errors from fold to fold, at the joint and over all joints;"""
 CERTAIN_TOGETHER = 1.0
-"""all terms together are worth taking where the choice, repeated without blocks that then judge it, lowers the error by one standard error."""
+"""all terms together are worth taking where the choice, repeated without blocks that then judge it,
+lowers the error by one standard error.
+"""
 MOST_PER_JOINT = 4
 LOADS = 3
 """Times that the load, of which friction may depend, is taken from the arm as fitted so far."""
@@ -55,7 +60,11 @@ LOADS = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gain:
-    """By how much something lowers the torque error on blocks held out: the fall of the logarithm of the RMS error, its mean over folds (and joints) and the standard error from fold to fold."""
+    """By how much something lowers the torque error on blocks held out.
+
+    The fall of the logarithm of the RMS error, its mean over folds (and joints) and the standard
+    error from fold to fold.
+    """
 
     log: float
     std_error: float
@@ -81,7 +90,9 @@ class Gain:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Addition:
-    """A term at a joint (from 0) that was looked at, what it gains the joint there, and why it is not credible, if so; `taken` says whether it was."""
+    """A term at a joint (from 0) that was looked at, what it gains the joint there, and why it is
+    not credible, if so; `taken` says whether it was.
+    """
 
     joint: int
     term: str
@@ -92,10 +103,13 @@ class Addition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveChoice:
-    """The drive terms chosen, with shapes stated; `sentences` say why, `warnings` what speaks against them.
+    """The drive terms chosen, with shapes stated.
 
-    `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing was chosen among; `additions` are the terms that
-    were looked at beside the defaults and seemed to help; `fitted` are the shapes whose values the data told.
+    `sentences` say why, `warnings` what speaks against them.
+
+    `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing
+    was chosen among; `additions` are the terms that were looked at beside the defaults and seemed
+    to help; `fitted` are the shapes whose values the data told.
     """
 
     drive: DriveSet
@@ -109,10 +123,14 @@ class DriveChoice:
 def settle_drive(
     model: RobotModel, samples: Sequence[Samples], drive: DriveSet | str | None = None
 ) -> DriveChoice:
-    """Return the drive terms to identify with: the usual ones of robot and torque source where `drive` is None, as given with its shapes fitted, or chosen where it is text such as "auto".
+    """Return the drive terms to identify with.
 
-    "auto,spring:joints=2" has the terms beside auto in any case. Fitted shapes are judged on held-out blocks against the set without them, and stay whatever comes of it; a warning
-    says where they are worse.
+    The usual ones of robot and torque source where `drive` is None, as given with its shapes
+    fitted, or chosen where it is text such as "auto".
+
+    "auto,spring:joints=2" has the terms beside auto in any case. Fitted shapes are judged on
+    held-out blocks against the set without them, and stay whatever comes of it; a warning says
+    where they are worse.
     """
     default = usual_drive(model, samples[0].torque_source)
     if drive is None:
@@ -128,7 +146,10 @@ def is_auto(text: str) -> bool:
 
 
 def default_with(default: DriveSet, text: str) -> DriveSet:
-    """Return the default set with the terms that stand beside auto in a list; raises UsageError where the list is not one of auto."""
+    """Return the default set with the terms that stand beside auto in a list.
+
+    Raises UsageError where the list is not one of auto.
+    """
     parts = [part.strip() for part in text.split(",")]
     if not is_auto(text):
         raise UsageError(
@@ -142,16 +163,24 @@ def default_with(default: DriveSet, text: str) -> DriveSet:
 def choose_drive(
     model: RobotModel, samples: Sequence[Samples], *, default: DriveSet | None = None
 ) -> DriveChoice:
-    """Choose drive terms joint by joint: those that are credible there and lower the error on held-out time blocks, beside those the torque source calls for.
+    """Choose drive terms joint by joint.
 
-    Credible are the terms that declare themselves so for the torque source (springs and balancers never do: a robot has them or not), with shapes inside their credible range
-    (where the best value lies at its end, the term is not what its name says) and friction that brakes: every parameter of the term positive by two standard errors, and none of the
-    others turned negative by two. The term must lower the joint's error and that of all joints by two standard errors from fold to fold. Then the whole choice is repeated
-    without some blocks, which judge it: unless the error falls by more than one standard error there, the defaults stay (the one-standard-error rule: of models that cannot
-    be told apart, the simplest). Where the motion hardly tells the defaults apart (scaled condition number above 200), or the recording is too short, they stay too.
+    Those that are credible there and lower the error on held-out time blocks, beside those the
+    torque source calls for.
 
-    Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section 3.4 (one standard error); Varma and Simon, BMC
-    Bioinformatics 7, 2006 (nested choice).
+    Credible are the terms that declare themselves so for the torque source (springs and balancers
+    never do: a robot has them or not), with shapes inside their credible range (where the best
+    value lies at its end, the term is not what its name says) and friction that brakes: every
+    parameter of the term positive by two standard errors, and none of the others turned negative by
+    two. The term must lower the joint's error and that of all joints by two standard errors from
+    fold to fold. Then the whole choice is repeated without some blocks, which judge it: unless the
+    error falls by more than one standard error there, the defaults stay (the one-standard-error
+    rule: of models that cannot be told apart, the simplest). Where the motion hardly tells the
+    defaults apart (scaled condition number above 200), or the recording is too short, they stay
+    too.
+
+    Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section
+    3.4 (one standard error); Varma and Simon, BMC Bioinformatics 7, 2006 (nested choice).
     """
     start = default if default is not None else usual_drive(model, samples[0].torque_source)
     fit = None if start.is_shaped else fit_shapes(model, start, samples)
@@ -226,7 +255,9 @@ def _best_at(
     joint: int,
     looked: dict[tuple[int, str], Addition],
 ) -> Placed | None:
-    """Return the credible term that lowers the held-out error most at a joint, None where none is worth it; what was looked at is noted."""
+    """Return the credible term that lowers the held-out error most at a joint, None where none is
+    worth it; what was looked at is noted.
+    """
     before = folds.fit(choice)
     there = [columns.tried[c].term for k, c in choice if k == joint]
     taken = {term.key for term in there} | {term.stands_for for term in there if term.stands_for}
@@ -263,7 +294,10 @@ def _best_at(
 def _objection(
     columns: CandidateColumns, before: Array, after: Array, placed: Placed
 ) -> str | None:
-    """Say why a term at a joint is not credible: `before` and `after` (folds, P) are the parameters learnt without and with it."""
+    """Say why a term at a joint is not credible.
+
+    `before` and `after` (folds, P) are the parameters learnt without and with it.
+    """
     candidate = columns.tried[placed[1]]
     if candidate.at_bound:
         shape = candidate.term.free_shapes or candidate.term.shapes
@@ -279,14 +313,18 @@ def _objection(
 
 
 def surely_positive(parameters: Array) -> NDArray[np.bool_]:
-    """Return which parameters (folds, m), each learnt without one fold, are positive by two standard errors of a jackknife over the folds."""
+    """Return which parameters (folds, m), each learnt without one fold, are positive by two
+    standard errors of a jackknife over the folds.
+    """
     folds, mean = len(parameters), parameters.mean(axis=0)
     errors = np.sqrt((folds - 1) / folds * np.sum((parameters - mean) ** 2, axis=0))
     return np.asarray(mean > CERTAIN * errors)
 
 
 def _nested_gain(columns: CandidateColumns) -> Gain:
-    """Return what the choice gains on blocks that have no part in it, the choice repeated on the others."""
+    """Return what the choice gains on blocks that have no part in it, the choice repeated on the
+    others.
+    """
     before: list[Array] = []
     after: list[Array] = []
     for fold in np.array_split(columns.blocks, OUTER_FOLDS):
@@ -363,7 +401,9 @@ def _refined(
     columns: CandidateColumns,
     choice: Choice,
 ) -> tuple[DriveSet, set[tuple[int, str]], tuple[ShapePlace, ...]]:
-    """Return the set of a choice with its shapes refined between the values tried, less the terms, by joint and key, whose shape all blocks together do not tell; and the shapes told."""
+    """Return the set of a choice with its shapes refined between the values tried, less the terms,
+    by joint and key, whose shape all blocks together do not tell; and the shapes told.
+    """
     n = loaded.n_joints
     rough = chosen_drive(start, columns.tried, choice, n)
     free = DriveSet(
@@ -404,7 +444,9 @@ def _refined(
 
 
 def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:
-    """Return a set with its shapes fitted, and what held-out blocks say of that against the set without these terms."""
+    """Return a set with its shapes fitted, and what held-out blocks say of that against the set
+    without these terms.
+    """
     shaped = [term for term in drive.terms if term.free_shapes]
     plain = drive.without(*(term.key for term in shaped))
     for term in shaped:
@@ -437,7 +479,9 @@ def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> D
 
 
 def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:
-    """Return squared errors per sample on held-out folds, (folds, n), None where there are too few blocks."""
+    """Return squared errors per sample on held-out folds, (folds, n), None where there are too few
+    blocks.
+    """
     information = accumulate_stream(model, find_base_parameters(model, drive), samples)
     if information.n_blocks < FEWEST_BLOCKS:
         return None

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MotorSideParameter:
-    """One drive parameter at the joint and, through the gear ratio, at the motor's shaft; `std_error` and `unit` are those at the motor."""
+    """One drive parameter at the joint and, through the gear ratio, at the motor's shaft.
+
+    `std_error` and `unit` are those at the motor.
+    """
 
     name: str
     gear_ratio: float
@@ -27,11 +30,13 @@ class MotorSideParameter:
 
 
 def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParameter, ...]:
-    """Return the identified drive parameters of all joints whose gear ratio N the description gives, as the motor feels them.
+    """Return the identified drive parameters of all joints whose gear ratio N the description
+    gives, as the motor feels them.
 
-    With `theta_motor = N q` and `tau_joint = N tau_motor`: inertia, viscous friction and stiffness shrink by N^2, torques by N, `qd |qd|` by N^3, `qd^3` by N^4;
-    for a power of speed with exponent a by N^(1 + a). A parameter that is regrouped with links is left out: its value is not the drive's alone. Raises
-    DescriptionError where no gear ratio is known.
+    With `theta_motor = N q` and `tau_joint = N tau_motor`: inertia, viscous friction and stiffness
+    shrink by N^2, torques by N, `qd |qd|` by N^3, `qd^3` by N^4; for a power of speed with exponent
+    a by N^(1 + a). A parameter that is regrouped with links is left out: its value is not the
+    drive's alone. Raises DescriptionError where no gear ratio is known.
     """
     ratios = gear_ratios(result.model)
     if not ratios:

@@ -1,4 +1,6 @@
-"""Shapes of drive terms - a Stribeck velocity, an exponent, the width of a sign - by variable projection over everything linear."""
+"""Shapes of drive terms - a Stribeck velocity, an exponent, the width of a sign - by variable
+projection over everything linear.
+"""
 
 from __future__ import annotations
 
@@ -31,8 +33,10 @@ GRID = 24
 REFINEMENTS = 10
 """then so many golden sections about the best of each joint."""
 TOLD = 30.0
-"""A shape is told where it lowers the squared error of its joint by this fraction, divided by the number of filtered samples (an F of 30 for white residuals, of a
-few for correlated ones), and where the least error lies within the credible range; elsewhere it keeps its default."""
+"""A shape is told where it lowers the squared error of its joint by this fraction, divided by the
+number of filtered samples (an F of 30 for white residuals, of a few for correlated ones), and where
+the least error lies within the credible range; elsewhere it keeps its default.
+"""
 AT_BOUND = 0.02
 """A value this share of the range from one of its ends is said to sit there."""
 SLOWEST_SHARE = 0.03
@@ -42,15 +46,19 @@ CYCLES = 10
 SETTLED = 0.01
 """which end when no shape moves by more than this fraction."""
 SAME_COLUMN = 1e-8
-"""What is left of a column beside all others, relative to its size, below which it is one of their sums."""
+"""What is left of a column beside all others, relative to its size, below which it is one of their
+sums.
+"""
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedShape:
-    """The values of a shape, one per joint, the fraction of the squared error that the term takes away there, and where the data told the value.
+    """The values of a shape, one per joint, the fraction of the squared error that the term takes
+    away there, and where the data told the value.
 
-    `at_bound` says where the data would like a value at an end of the credible range, or beyond it, `lowest` to `highest` (n,): there the term is not what its name says.
+    `at_bound` says where the data would like a value at an end of the credible range, or beyond it,
+    `lowest` to `highest` (n,): there the term is not what its name says.
     """
 
     term: str
@@ -118,14 +126,18 @@ class ShapeFit:
 
 
 def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> ShapeFit:
-    """Fit the shapes that are not stated, joint by joint, each to the least squared error that remains after all linear parameters of its joint.
+    """Fit the shapes that are not stated, joint by joint, each to the least squared error that
+    remains after all linear parameters of its joint.
 
-    For joint k and shape s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint k, links free for each joint (a little freer than
-    the robot is, so that no joint waits for another). The parameter of the term is held positive, friction that brakes, unless the simpler term that it stands for is beside
-    it, of which it may take away. The credible range of the shape is searched whole, then refined, because the error has several minima. The load
-    of load-dependent terms is that of `model`.
+    For joint k and shape s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint
+    k, links free for each joint (a little freer than the robot is, so that no joint waits for
+    another). The parameter of the term is held positive, friction that brakes, unless the simpler
+    term that it stands for is beside it, of which it may take away. The credible range of the shape
+    is searched whole, then refined, because the error has several minima. The load of
+    load-dependent terms is that of `model`.
 
-    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection. Raises `IdentifiabilityError` where filtering leaves no samples.
+    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection. Raises
+    `IdentifiabilityError` where filtering leaves no samples.
     """
     found: dict[tuple[str, str], FittedShape] = {}
     current = drive
@@ -155,7 +167,10 @@ def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -
 
 
 def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
-    """Return the time blocks of samples that fits of drive terms look at: all, or of long recordings every so many."""
+    """Return the time blocks of samples that fits of drive terms look at.
+
+    All, or of long recordings every so many.
+    """
     every = list(stretches(model, samples))
     step = max(1, -(-sum(each.n_outputs for each in every) // MOST_SAMPLES))
     return every[::step]
@@ -218,10 +233,13 @@ def _fit_one(
 
 
 def credible_range(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the range in which a shape of each joint is looked for, two (n,): that of its physics, and for a speed what the recording has.
+    """Return the range in which a shape of each joint is looked for, two (n,).
 
-    `speeds` are |qd| (N, n) of each stretch. The top speed of a joint is its limit, the highest of the recording where none is described. A speed below the slowest
-    few samples cannot be told from none.
+    That of its physics, and for a speed what the recording has.
+
+    `speeds` are |qd| (N, n) of each stretch. The top speed of a joint is its limit, the highest of
+    the recording where none is described. A speed below the slowest few samples cannot be told from
+    none.
     """
     n = model.n_joints
     low, high = shape.credible
@@ -241,7 +259,9 @@ def credible_range(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> 
 
 
 class _Remaining:
-    """What the torque of each joint has left after all columns but one term's, ready to be asked what that term leaves of it."""
+    """What the torque of each joint has left after all columns but one term's, ready to be asked
+    what that term leaves of it.
+    """
 
     def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[Stretch]) -> None:
         self._model, self._chosen = model, chosen
@@ -260,7 +280,9 @@ class _Remaining:
         self.energy = np.array([float(torque @ torque) for torque in self._torques])
 
     def with_term(self, term: DriveTerm, *, positive: bool) -> Array:
-        """Return the squared error of each joint that is left beside the columns of this term, shape (n,); with `positive` only if their parameters are."""
+        """Return the squared error of each joint that is left beside the columns of this term,
+        shape (n,); with `positive` only if their parameters are.
+        """
         n, per = self._model.n_joints, len(term.letters)
         plan = RegressorPlan.of(
             self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1

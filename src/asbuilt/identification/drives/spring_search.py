@@ -1,4 +1,7 @@
-"""Springs that nobody described, where real bodies cannot follow the torque: cables and hoses that wind up about an axis, counterbalances."""
+"""Springs that nobody described, where real bodies cannot follow the torque.
+
+Cables and hoses that wind up about an axis, counterbalances.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +41,11 @@ WORTH = 0.2
 
 @dataclass(frozen=True, slots=True)
 class SuspectedSpring:
-    """A spring at a joint (from 0) that no file describes: its stiffness [N m/rad or N/m], and the joint's RMS torque error on time blocks held out without and with it."""
+    """A spring at a joint (from 0) that no file describes.
+
+    Its stiffness [N m/rad or N/m], and the joint's RMS torque error on time blocks held out without
+    and with it.
+    """
 
     joint: int
     joint_name: str
@@ -61,11 +68,14 @@ def suspected_springs(
     *,
     block_seconds: float | None = None,
 ) -> tuple[SuspectedSpring, ...]:
-    """Return the joints, the most helped first, at which a spring beside real bodies lowers the torque error on time blocks held out.
+    """Return the joints, the most helped first, at which a spring beside real bodies lowers the
+    torque error on time blocks held out.
 
-    `drive` are the terms of the robot, springs that are described among them. Each other joint is tried alone: the error must fall by a fifth at the joint, by two standard errors from fold to fold there, by one over all joints, and the stiffness be
-    positive by two in a jackknife over the folds. Real bodies are imposed because free ones imitate a spring along one motion, by an inertia below zero. Nothing is found where time
-    blocks are too few.
+    `drive` are the terms of the robot, springs that are described among them. Each other joint is
+    tried alone: the error must fall by a fifth at the joint, by two standard errors from fold to
+    fold there, by one over all joints, and the stiffness be positive by two in a jackknife over the
+    folds. Real bodies are imposed because free ones imitate a spring along one motion, by an
+    inertia below zero. Nothing is found where time blocks are too few.
     """
     plain = _HeldOut.of(model, samples, drive, None, block_seconds)
     if len(plain.errors) < FEWEST_BLOCKS:
@@ -109,7 +119,9 @@ def suspected_springs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HeldOut:
-    """Mean squared errors (folds, n) of real bodies on time blocks held out in turn, the parameters learnt from the others (folds, p), their names, and the joint weights (n,)."""
+    """Mean squared errors (folds, n) of real bodies on time blocks held out in turn, the parameters
+    learnt from the others (folds, p), their names, and the joint weights (n,).
+    """
 
     errors: Array
     parameters: Array

@@ -23,7 +23,10 @@ FEWEST_BLOCKS = 8
 LINEAR_DRAWS = 1000
 REFITTED_DRAWS = 200
 LEAST_TOLD = 1e-6
-"""Part of the information on some direction that a draw must have at least; with less, the draw does not count."""
+"""Part of the information on some direction that a draw must have at least.
+
+With less, the draw does not count.
+"""
 CHOSEN = {
     "ml": "the noise that joints share",
     "iv": "the simulated motion",
@@ -35,14 +38,19 @@ CHOSEN = {
 }
 """What estimators choose from the data and every draw takes over."""
 OWN_ROWS = ("ml", "iv")
-"""Estimators that make rows without weighting them; other rows than those of the samples are weighted ones."""
+"""Estimators that make rows without weighting them.
+
+Other rows than those of the samples are weighted ones.
+"""
 MOST_FAILURES = 0.1
 """Share of draws for which an estimator may refuse before the whole is refused."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bootstrap:
-    """Hold the estimates (n_draws, p) of as many recordings put together from blocks of one, drawn with replacement."""
+    """Hold the estimates (n_draws, p) of as many recordings put together from blocks of one, drawn
+    with replacement.
+    """
 
     estimates: Array
 
@@ -72,17 +80,21 @@ def redraw(
     n_draws: int | None = None,
     rng: Seed = 0,
 ) -> Bootstrap:
-    """Fit recordings made of time blocks drawn with replacement as `estimate` was fitted, all that it chose held fixed.
+    """Fit recordings made of time blocks drawn with replacement as `estimate` was fitted, all that
+    it chose held fixed.
 
-    Each draw has as many blocks as the recording; residuals may be correlated within a block (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap).
-    Held fixed are the weights of joints and rows, the pull to CAD, the parameters that were dropped. An estimate that is linear in the torque takes, with
-    `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b and c_b the times that it is drawn, the step
-    `S (1 + sum (c_b - 1) M_b)^-1 sum (c_b - 1) g_b`: no rows are touched again. One that is not is refitted to the triangle of the blocks drawn.
+    Each draw has as many blocks as the recording; residuals may be correlated within a block
+    (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap). Held fixed are the weights
+    of joints and rows, the pull to CAD, the parameters that were dropped. An estimate that is
+    linear in the torque takes, with `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b
+    and c_b the times that it is drawn, the step `S (1 + sum (c_b - 1) M_b)^-1 sum (c_b - 1) g_b`:
+    no rows are touched again. One that is not is refitted to the triangle of the blocks drawn.
 
     Raises
     ------
     IdentifiabilityError
-        If there are fewer than 8 blocks, or more than a tenth of the draws leave a direction open that the whole recording tells.
+        If there are fewer than 8 blocks, or more than a tenth of the draws leave a direction open
+        that the whole recording tells.
     """
     n = information.n_blocks
     if n < FEWEST_BLOCKS:
@@ -149,11 +161,14 @@ def _refitted(
 def bootstrap_uncertainty(
     information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap
 ) -> Uncertainty:
-    """Return the scatter of the draws as the errors of an estimate, no variance smaller than the textbook one.
+    """Return the scatter of the draws as the errors of an estimate, no variance smaller than the
+    textbook one.
 
-    Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement makes too small, and those of fits that are not linear by the ratio of
-    Student's quantile with B - 1 degrees of freedom to the normal one besides: so few blocks know a scatter only roughly. Linear fits have no need of that, since draws
-    that miss influential blocks scatter the more; bounds hold such draws back. With it, 95 % intervals cover 95 to 97 % (benchmarks/coverage.py).
+    Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement
+    makes too small, and those of fits that are not linear by the ratio of Student's quantile with B
+    - 1 degrees of freedom to the normal one besides: so few blocks know a scatter only roughly.
+    Linear fits have no need of that, since draws that miss influential blocks scatter the more;
+    bounds hold such draws back. With it, 95 % intervals cover 95 to 97 % (benchmarks/coverage.py).
     """
     n = information.n_blocks
     few = (

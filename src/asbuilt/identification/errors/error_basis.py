@@ -1,4 +1,7 @@
-"""How standard errors were judged, in words and for programs: a number without that is half a number."""
+"""How standard errors were judged, in words and for programs.
+
+A number without that is half a number.
+"""
 
 from __future__ import annotations
 
@@ -11,17 +14,21 @@ ERROR_KINDS: tuple[ErrorKind, ...] = ("blocks", "bootstrap", "textbook")
 UNSTATED = "unstated"
 """Kind of the errors in results that do not say."""
 TELLING_GROWTH = 1.1
-"""Errors judged from block to block, in textbook errors, from which the textbook's are called too small."""
+"""Errors judged from block to block, in textbook errors, from which the textbook's are called too
+small.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorBasis:
     """Say how standard errors were judged.
 
-    `kind` is `"blocks"` (by formula, from one time block to another), `"bootstrap"` (from fits to time blocks drawn with replacement), `"textbook"` (residuals taken as
-    independent) or `"unstated"`; `asked` is what was asked for, other than `kind` where there were too few blocks. `n_blocks` time blocks of about `block_seconds` [s]
-    were at hand, `n_draws` fits made, holding fixed what `held_fixed` names. `growth` is the median over parameters of the error from blocks in textbook errors; None where
-    there are too few blocks to say.
+    `kind` is `"blocks"` (by formula, from one time block to another), `"bootstrap"` (from fits to
+    time blocks drawn with replacement), `"textbook"` (residuals taken as independent) or
+    `"unstated"`; `asked` is what was asked for, other than `kind` where there were too few blocks.
+    `n_blocks` time blocks of about `block_seconds` [s] were at hand, `n_draws` fits made, holding
+    fixed what `held_fixed` names. `growth` is the median over parameters of the error from blocks
+    in textbook errors; None where there are too few blocks to say.
     """
 
     kind: str = UNSTATED

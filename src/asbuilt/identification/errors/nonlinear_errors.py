@@ -1,4 +1,8 @@
-"""What fitted shapes leave open: how well a recording tells a Stribeck velocity or an exponent, and what that adds to the errors of everything linear."""
+"""What fitted shapes leave open.
+
+How well a recording tells a Stribeck velocity or an exponent, and what that adds to the errors of
+everything linear.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +31,9 @@ if TYPE_CHECKING:
 STEP = 1e-3
 """Part of a shape's value by which it is moved to see what that does to the torque."""
 ALONE = 1e-9
-"""What is left of that beside all linear columns, relative to its size (squared), below which the shape is not told."""
+"""What is left of that beside all linear columns, relative to its size (squared), below which the
+shape is not told.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +47,9 @@ class ShapePlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapeErrors:
-    """Hold the values and standard errors (m,) of fitted shapes, and what these add to the covariance (p, p) of the linear parameters; NaN where a shape is not told."""
+    """Hold the values and standard errors (m,) of fitted shapes, and what these add to the
+    covariance (p, p) of the linear parameters; NaN where a shape is not told.
+    """
 
     places: tuple[ShapePlace, ...]
     values: Array
@@ -76,9 +84,11 @@ def shape_errors(
 ) -> ShapeErrors:
     """Judge shapes that were fitted along with an estimate, to first order.
 
-    With `C` the change of the weighted torque per shape, `W` the weighted columns and `C' = C - W (W^T W)^-1 W^T C`, shapes have the covariance
-    `V = (C'^T C')^-1`, each error grown to what time blocks say (`sum_b (C'^T e)_b^2`), unless those of a `textbook` are asked for. The estimate follows a shape by
-    `G = -(W^T W)^-1 W^T C`, so its covariance grows by `G V G^T`: that of the fit with columns `[W C]` (Frisch and Waugh, Econometrica 1, 1933).
+    With `C` the change of the weighted torque per shape, `W` the weighted columns and `C' = C - W
+    (W^T W)^-1 W^T C`, shapes have the covariance `V = (C'^T C')^-1`, each error grown to what time
+    blocks say (`sum_b (C'^T e)_b^2`), unless those of a `textbook` are asked for. The estimate
+    follows a shape by `G = -(W^T W)^-1 W^T C`, so its covariance grows by `G V G^T`: that of the
+    fit with columns `[W C]` (Frisch and Waugh, Econometrica 1, 1933).
     """
     shaped = {(place.term, place.shape): None for place in places}
     changes, first = (

@@ -1,4 +1,7 @@
-"""Standard errors that hold although neighbouring residuals are alike: judged from one time block to another, not from sample to sample."""
+"""Standard errors that hold although neighbouring residuals are alike.
+
+Judged from one time block to another, not from sample to sample.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +23,17 @@ FEWEST_DEGREES = 3.0
 COVERED = 0.975
 """Upper quantile of the 95 % interval that standard errors are widened for."""
 MOST_LEVERAGE = 0.999
-"""Share of what is known of a direction that may come from one block; a larger share is taken as this one."""
+"""Share of what is known of a direction that may come from one block.
+
+A larger share is taken as this one.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Hold the covariance (p, p) of an estimate, how many independent samples the recording is worth, and how that was judged."""
+    """Hold the covariance (p, p) of an estimate, how many independent samples the recording is
+    worth, and how that was judged.
+    """
 
     covariance: Array
     effective_samples: float
@@ -45,15 +53,20 @@ class Uncertainty:
 def block_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
     """Judge the errors of an estimate by how much each time block pulls at it.
 
-    With `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b, in coordinates where all blocks together have unit information (S the inverse
-    root), the variance of a parameter is `sum_b (S (1 - M_b)^(-1/2) g_b)^2`: the cluster-robust covariance CR2, unbiased where residuals are independent
-    after all (Bell & McCaffrey, Survey Methodology 28, 2002; Pustejovsky & Tipton, J. Business & Economic Statistics 36, 2018). It allows for any correlation
-    within a block, across joints too. So few blocks know a variance only roughly; by how many degrees of freedom nu, Satterthwaite's rule says (the
-    variance of the quadratic form were residuals independent). Standard errors are widened by the ratio of Student's quantile with nu to the normal one, so
-    that `estimate +- 1.96 std_error` is a 95 % interval. No variance is taken smaller than the textbook one, and correlations between parameters are the
-    textbook ones, since B blocks cannot tell p (p - 1) / 2 of them.
+    With `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b, in coordinates where all
+    blocks together have unit information (S the inverse root), the variance of a parameter is
+    `sum_b (S (1 - M_b)^(-1/2) g_b)^2`: the cluster-robust covariance CR2, unbiased where residuals
+    are independent after all (Bell & McCaffrey, Survey Methodology 28, 2002; Pustejovsky & Tipton,
+    J. Business & Economic Statistics 36, 2018). It allows for any correlation within a block,
+    across joints too. So few blocks know a variance only roughly; by how many degrees of freedom
+    nu, Satterthwaite's rule says (the variance of the quadratic form were residuals independent).
+    Standard errors are widened by the ratio of Student's quantile with nu to the normal one, so
+    that `estimate +- 1.96 std_error` is a 95 % interval. No variance is taken smaller than the
+    textbook one, and correlations between parameters are the textbook ones, since B blocks cannot
+    tell p (p - 1) / 2 of them.
 
-    `effective_samples` = N times the geometric mean over parameters of textbook variance / variance.
+    `effective_samples` = N times the geometric mean over parameters of textbook variance /
+    variance.
     """
     n_blocks, n_samples = information.n_blocks, information.n_samples
     root = estimate.solution.inverse_root
@@ -92,7 +105,9 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
 
 
 def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
-    """Return the covariance of the textbook, `s^2 (W^T W)^-1`, right where residuals are independent; the basis says how much larger errors from time blocks are."""
+    """Return the covariance of the textbook, `s^2 (W^T W)^-1`, right where residuals are
+    independent; the basis says how much larger errors from time blocks are.
+    """
     growth = block_uncertainty(information, estimate).basis.growth
     return Uncertainty(
         estimate.covariance,
@@ -118,7 +133,9 @@ def basis_of(
 
 
 def block_pulls(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
-    """Return `M_b = S^T W_b^T W_b S` (n_blocks, rank, rank) and `g_b = S^T W_b^T e_b` (n_blocks, rank) of every time block, e the weighted residual."""
+    """Return `M_b = S^T W_b^T W_b S` (n_blocks, rank, rank) and `g_b = S^T W_b^T e_b` (n_blocks,
+    rank) of every time block, e the weighted residual.
+    """
     root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
     grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
     pulls = np.empty((information.n_blocks, root.shape[1]))
@@ -130,9 +147,11 @@ def block_pulls(information: SquareRootInformation, estimate: Estimate) -> tuple
 
 
 def _degrees_of_freedom(pulls: Array, weight: Array) -> Array:
-    """Return Satterthwaite's `tr(G)^2 / tr(G^2)` of each parameter's variance, `G_bc = weight_b [b = c] - pulls_b . pulls_c`, shape (p,).
+    """Return Satterthwaite's `tr(G)^2 / tr(G^2)` of each parameter's variance, `G_bc = weight_b [b
+    = c] - pulls_b . pulls_c`, shape (p,).
 
-    `pulls` (n_blocks, rank, p) is `M_b (1 - M_b)^(-1/2) S^T`, `weight` (n_blocks, p) the diagonal of `S (1 - M_b)^(-1/2) M_b (1 - M_b)^(-1/2) S^T`.
+    `pulls` (n_blocks, rank, p) is `M_b (1 - M_b)^(-1/2) S^T`, `weight` (n_blocks, p) the diagonal
+    of `S (1 - M_b)^(-1/2) M_b (1 - M_b)^(-1/2) S^T`.
     """
     own = np.einsum("brp,brp->bp", pulls, pulls)
     trace = np.sum(weight - own, axis=0)
@@ -146,9 +165,11 @@ def _degrees_of_freedom(pulls: Array, weight: Array) -> Array:
 
 
 def _neighbours(information: SquareRootInformation, moves: Array) -> float:
-    """Return how much the pulls of blocks that follow each other correlate, zero or more, over all directions together.
+    """Return how much the pulls of blocks that follow each other correlate, zero or more, over all
+    directions together.
 
-    The residuals of a fit add up to nothing, which alone makes the pulls of B blocks correlate by -1 / (B - 1); that is put back.
+    The residuals of a fit add up to nothing, which alone makes the pulls of B blocks correlate by
+    -1 / (B - 1); that is put back.
     """
     blocks = information.blocks
     adjacent = [

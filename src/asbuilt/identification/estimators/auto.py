@@ -32,7 +32,9 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 OUTLYING_SHARE = 0.07
 """Share of torques beyond 4 robust standard deviations from which the robust estimate is taken."""
 OUTLYING_ENERGY = 30.0
-"""Or: variance of the residuals of a joint in robust variances, from which it is (1 for normal noise, up to 12 where only friction is left)."""
+"""Or: variance of the residuals of a joint in robust variances, from which it is (1 for normal
+noise, up to 12 where only friction is left).
+"""
 SCREENED = 20_000
 """Samples of a long recording, in evenly spread time blocks, that are looked through for outliers."""
 ILL_CONDITIONED = 200.0
@@ -40,7 +42,10 @@ ILL_CONDITIONED = 200.0
 FEWEST_FOLDS = 3
 """Groups of time blocks below which held-out errors say nothing of their own spread."""
 STRAINED = 0.05
-"""Rise of the torque error on the data used from which real bodies are said to fit with strain: more than the parameters they give up account for."""
+"""Rise of the torque error on the data used from which real bodies are said to fit with strain.
+
+More than the parameters they give up account for.
+"""
 CURE = (
     "Something acts that links and drives as described cannot be: find how the robot stands"
     " (--mounting estimate), choose richer friction (--drive auto), or describe the tool that the"
@@ -51,15 +56,20 @@ CURE = (
 def estimate_auto(evidence: Evidence) -> Estimate:
     """Estimate by the method that rules pick, each on what the one before has left.
 
-    1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust standard deviations, or a joint's residual variance is more than
+    1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust
+    standard deviations, or a joint's residual variance is more than
        30 times the robust one;
-    2. `ridge` where directions are not excited or the scaled condition number is above 200;
-    3. where no real bodies and passive drives have the values found so far, `consistent`, or `entropic` where that predicts better (after `ridge` the other way round, for the
-       design must be leant on there), if it predicts as well as the values found; else these stay, with a warning. Judged on time blocks of this recording held out in turn: as well is within one standard error of the difference,
-       group by group, better is beyond it (the rule by which the weight of CAD is chosen). That bodies are real is certain, that they are near CAD is not,
+    2. `ridge` where directions are not excited or the scaled condition number is above 200; 3.
+    where no real bodies and passive drives have the values found so far, `consistent`, or
+    `entropic` where that predicts better (after `ridge` the other way round, for the
+       design must be leant on there), if it predicts as well as the values found; else these stay,
+       with a warning. Judged on time blocks of this recording held out in turn: as well is within
+       one standard error of the difference, group by group, better is beyond it (the rule by which
+       the weight of CAD is chosen). That bodies are real is certain, that they are near CAD is not,
        so the one is asked not to do harm, the other to do good.
 
-    Where real bodies have the values found, they stay. With `unexcited="refuse"` steps 2 and 3 are left out.
+    Where real bodies have the values found, they stay. With `unexcited="refuse"` steps 2 and 3 are
+    left out.
     """
     estimate = estimate_wls(evidence)
     reasons = []
@@ -98,7 +108,9 @@ def estimate_auto(evidence: Evidence) -> Estimate:
 
 
 def _joined(later: Estimate, earlier: Estimate) -> Estimate:
-    """Return the later estimate, judged on the information of the earlier one, both telling what they decided."""
+    """Return the later estimate, judged on the information of the earlier one, both telling what
+    they decided.
+    """
     return replace(
         later,
         information=earlier.information,
@@ -109,7 +121,10 @@ def _joined(later: Estimate, earlier: Estimate) -> Estimate:
 
 
 def _possible(evidence: Evidence, estimate: Estimate) -> bool:
-    """Return whether real bodies and passive drives can have the estimate; True where that cannot be decided."""
+    """Return whether real bodies and passive drives can have the estimate.
+
+    True where that cannot be decided.
+    """
     if pushing_drives(evidence.base, estimate.beta):
         return False
     try:
@@ -119,7 +134,9 @@ def _possible(evidence: Evidence, estimate: Estimate) -> bool:
 
 
 def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
-    """Return the fit of real bodies, or the free one where that predicts held-out blocks better by more than one standard error, and why."""
+    """Return the fit of real bodies, or the free one where that predicts held-out blocks better by
+    more than one standard error, and why.
+    """
     information, prior = seen.information, cad_prior(seen.model, seen.base.drive)
     pushing = pushing_drives(seen.base, free.beta)
     who = f"{', '.join(pushing)} would push with" if pushing else "no real bodies have"
@@ -183,7 +200,9 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
 
 
 def _better(errors: Array, others: Array) -> bool:
-    """Return whether errors (n_folds,) are smaller than others by more than one standard error of the mean difference."""
+    """Return whether errors (n_folds,) are smaller than others by more than one standard error of
+    the mean difference.
+    """
     excess = errors - others
     return bool(excess.mean() < -excess.std(ddof=1) / np.sqrt(len(excess)))
 
@@ -200,7 +219,9 @@ def _compared(method: str, errors: Array, other: str, others: Array) -> str:
 def _strained(
     information: SquareRootInformation, real: Estimate, free: Estimate, sigma: Array
 ) -> Estimate:
-    """Return the fit of real bodies, warning where it follows the data used much worse than the free one."""
+    """Return the fit of real bodies, warning where it follows the data used much worse than the
+    free one.
+    """
     strain = (
         float(
             np.sqrt(
@@ -223,7 +244,9 @@ def _held_out(
     again: Callable[[SquareRootInformation], Estimate],
     sigma: Array,
 ) -> Array:
-    """Return the mean squared torque error, in variances `sigma**2` of the joints, on each group of blocks held out in turn; empty for one block."""
+    """Return the mean squared torque error, in variances `sigma**2` of the joints, on each group of
+    blocks held out in turn; empty for one block.
+    """
     found = []
     with one_blas_thread():
         for learnt, judged in folds(information):

@@ -40,23 +40,34 @@ if TYPE_CHECKING:
 Metric = Literal["entropic", "euclidean"]
 
 QUIETEST = 1e-5
-"""Noise of a joint, as a fraction of its torque RMS, below which its weight grows no further: simulations have none, and programs round."""
+"""Noise of a joint, as a fraction of its torque RMS, below which its weight grows no further.
+
+Simulations have none, and programs round.
+"""
 REWEIGHTINGS = 2
 ROUGH = 1e-3
-"""Squared distance from the minimum, in squared standard errors or so, at which fits that only choose the weight of CAD end."""
+"""Squared distance from the minimum, in squared standard errors or so, at which fits that only
+choose the weight of CAD end.
+"""
 START_SLACK = 0.1
 """Where bounded drive parameters start, in units of their scale."""
 WEAKEST_BELIEF = 1.0
-"""Weight of CAD in the errors of an estimate that does not lean on it: every body is known to lie within a factor of e or so of its CAD."""
+"""Weight of CAD in the errors of an estimate that does not lean on it.
+
+Every body is known to lie within a factor of e or so of its CAD.
+"""
 STRONGEST_BELIEF = 25.0
 """In the errors, no CAD is believed to better than a fifth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConsistentEstimate(Estimate):
-    """Hold an estimate with bodies behind it: `standard` (n_standard,) gives `beta`, with `P_i >= part P0_i > 0` for every link.
+    """Hold an estimate with bodies behind it.
 
-    `prior_weight` is what a divergence of 1 from CAD costs in units of the squared weighted residual, `belief` the weight that the errors were judged with.
+    `standard` (n_standard,) gives `beta`, with `P_i >= part P0_i > 0` for every link.
+
+    `prior_weight` is what a divergence of 1 from CAD costs in units of the squared weighted
+    residual, `belief` the weight that the errors were judged with.
     """
 
     standard: Array = field(default_factory=lambda: np.zeros(0))
@@ -66,7 +77,10 @@ class ConsistentEstimate(Estimate):
 
 
 def estimate_consistent(evidence: Evidence) -> ConsistentEstimate:
-    """Estimate the real bodies and passive drives that fit best: the conic program, with the tiniest pull to CAD."""
+    """Estimate the real bodies and passive drives that fit best.
+
+    The conic program, with the tiniest pull to CAD.
+    """
     return fit_consistent(evidence.information, _prior(evidence))
 
 
@@ -93,9 +107,12 @@ def fit_consistent(
     bounds: BodyBounds | None = None,
     weights: Array | None = None,
 ) -> ConsistentEstimate:
-    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2` over real bodies: `P_i >= SMALLEST_PART P0_i`, within `bounds` (`generous_bounds` by default).
+    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2` over real bodies.
 
-    Without `weights` they are 1 / sigma_k of a consistent fit, settled in two rounds. What the torques leave open lies next to CAD.
+    `P_i >= SMALLEST_PART P0_i`, within `bounds` (`generous_bounds` by default).
+
+    Without `weights` they are 1 / sigma_k of a consistent fit, settled in two rounds. What the
+    torques leave open lies next to CAD.
     """
     limits = generous_bounds(prior) if bounds is None else bounds
     with one_blas_thread():
@@ -132,11 +149,14 @@ def fit_toward_cad(
     bounds: BodyBounds | None = None,
     weights: Array | None = None,
 ) -> ConsistentEstimate:
-    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2 / 2 + weight * distance(chi, CAD)` over real bodies and passive drives.
+    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2 / 2 + weight * distance(chi, CAD)` over
+    real bodies and passive drives.
 
-    The distance is the divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its quadratic form at CAD (`"euclidean"`:
-    a conic program). The entropic minimum is reached through those of stronger pulls, each from the last, for bodies may lie far from CAD. `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to nothing, are not pulled.
-    Raises `UsageError` for another metric.
+    The distance is the divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method)
+    or half its quadratic form at CAD (`"euclidean"`: a conic program). The entropic minimum is
+    reached through those of stronger pulls, each from the last, for bodies may lie far from CAD.
+    `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to
+    nothing, are not pulled. Raises `UsageError` for another metric.
     """
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")
@@ -192,14 +212,18 @@ class _EntropicPath:
         self._reached: dict[float, EntropicFits] = {}
 
     def roughly(self, factors: Array, weight: float) -> Array:
-        """Return the fits of many factors, to a small part of a standard error, from those of the same factors with the last weight."""
+        """Return the fits of many factors, to a small part of a standard error, from those of the
+        same factors with the last weight.
+        """
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
         self._reached[weight] = self._problem.fit(factors, weight, start, close=ROUGH)
         return self._reached[weight].chi
 
     def exactly(self, factor: Array, weight: float) -> Array:
-        """Return the fit of one factor, from that of the last of the factors fitted with this weight, or through stronger weights."""
+        """Return the fit of one factor, from that of the last of the factors fitted with this
+        weight, or through stronger weights.
+        """
         if weight not in self._reached:
             self._reached.clear()
             for each in (*(stronger for stronger in WEIGHTS if stronger > weight), weight):
@@ -210,7 +234,10 @@ class _EntropicPath:
 
 
 def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
-    """Return parameters strictly inside: CAD, its bounded drives off zero; nearest to it with room to spare where bounds exclude it."""
+    """Return parameters strictly inside: CAD, its bounded drives off zero.
+
+    Nearest to it with room to spare where bounds exclude it.
+    """
     chi = prior.parameters.copy()
     lifted = prior.non_negative
     chi[lifted] = np.maximum(
@@ -228,7 +255,10 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
-    """Return the noise (n,) below which that of no joint is taken: `QUIETEST` of its torque RMS, `noise_floor` where it has no torque."""
+    """Return the noise (n,) below which that of no joint is taken.
+
+    `QUIETEST` of its torque RMS, `noise_floor` where it has no torque.
+    """
     rms = np.sqrt(information.torque_energy / information.n_samples)
     return np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
 
@@ -276,9 +306,11 @@ def _estimate(
 ) -> ConsistentEstimate:
     """Return the estimate with its errors.
 
-    The errors are those of the normal approximation to the posterior, `K H^-1 K^T` with H the information of the data plus `belief` times the metric
-    of the bodies halfway between CAD and estimate. The belief is the smallest of the weight used, of 25, of the weight that the distance of the found bodies from CAD bears
-    out (as many determined parameters as twice the divergence times the weight: MacKay, Neural Computation 4, 1992), and, where the fit does not lean on CAD,
+    The errors are those of the normal approximation to the posterior, `K H^-1 K^T` with H the
+    information of the data plus `belief` times the metric of the bodies halfway between CAD and
+    estimate. The belief is the smallest of the weight used, of 25, of the weight that the distance
+    of the found bodies from CAD bears out (as many determined parameters as twice the divergence
+    times the weight: MacKay, Neural Computation 4, 1992), and, where the fit does not lean on CAD,
     of 1. Active bounds are not taken as known, so these errors are rather too large than too small.
     """
     base = information.base

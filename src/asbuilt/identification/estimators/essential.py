@@ -19,11 +19,14 @@ MOST_LISTED = 12
 
 
 def estimate_essential(evidence: Evidence) -> Estimate:
-    """Estimate by weighted least squares, then set parameters to zero one by one, that of least effect first, while an F-test allows it.
+    """Estimate by weighted least squares, then set parameters to zero one by one, that of least
+    effect first, while an F-test allows it.
 
-    Dropping d of the r determined parameters is allowed while `F = (SSE_reduced - SSE) / (d s^2)`, times effective samples per sample since residuals are
-    correlated, stays below the quantile of F(d, n N_eff - r). Source: Pham & Gautier, CDC 1991; Gautier & Khalil, IEEE Trans. Robotics and
-    Automation 6, 1990; Hocking, Biometrics 32, 1976 (backward elimination). Weights are those of the full fit.
+    Dropping d of the r determined parameters is allowed while `F = (SSE_reduced - SSE) / (d s^2)`,
+    times effective samples per sample since residuals are correlated, stays below the quantile of
+    F(d, n N_eff - r). Source: Pham & Gautier, CDC 1991; Gautier & Khalil, IEEE Trans. Robotics and
+    Automation 6, 1990; Hocking, Biometrics 32, 1976 (backward elimination). Weights are those of
+    the full fit.
     """
     information, base = evidence.information, evidence.base
     start = estimate_wls(evidence)

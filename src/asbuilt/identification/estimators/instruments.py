@@ -42,7 +42,9 @@ STEP = 0.05
 LED_IN = 1.0
 """Time [s] that each stretch is simulated before it counts."""
 LEAST_INERTIA = 0.01
-"""Smallest inertia of a combination of joints, in mean inertias, of a mass matrix that is taken for positive definite."""
+"""Smallest inertia of a combination of joints, in mean inertias, of a mass matrix that is taken for
+positive definite.
+"""
 STRETCHES = 64
 """Stretches of a recording that are simulated side by side."""
 MOST_ITERATIONS = 4
@@ -51,14 +53,18 @@ CONVERGENCE = 1e-2
 
 
 def estimate_iv(evidence: Evidence) -> Estimate:
-    """Estimate beta with `Z^T (tau - W beta) = 0`, Z the regressor along a simulated motion, rows weighted joint by joint.
+    """Estimate beta with `Z^T (tau - W beta) = 0`, Z the regressor along a simulated motion, rows
+    weighted joint by joint.
 
-    Noise in the recorded motion makes W err and biases least squares toward zero; Z errs independently of it, so that the estimate is consistent
-    (IDIM-IV: Janot, Vandanjon & Gautier, IEEE Trans. Control Systems Technology 22, 2014). There the simulation follows the commanded motion under the
-    robot's own controller. Recordings hold neither, so here the identified model follows the recorded positions q under a joint controller with
-    compensated gravity, Coriolis torques and drives, `M(q_s) qdd_s = J (w^2 (q - q_s) + 2 w (qd - qd_s))`, J the mean inertia of each joint, which passes
-    the motion but little of the noise beyond w, three bandwidths of the motion. Noise below it stays in Z: of the bias that part remains. Simulated and
-    estimated in turn until the estimate rests.
+    Noise in the recorded motion makes W err and biases least squares toward zero; Z errs
+    independently of it, so that the estimate is consistent (IDIM-IV: Janot, Vandanjon & Gautier,
+    IEEE Trans. Control Systems Technology 22, 2014). There the simulation follows the commanded
+    motion under the robot's own controller. Recordings hold neither, so here the identified model
+    follows the recorded positions q under a joint controller with compensated gravity, Coriolis
+    torques and drives, `M(q_s) qdd_s = J (w^2 (q - q_s) + 2 w (qd - qd_s))`, J the mean inertia of
+    each joint, which passes the motion but little of the noise beyond w, three bandwidths of the
+    motion. Noise below it stays in Z: of the bias that part remains. Simulated and estimated in
+    turn until the estimate rests.
     """
     information, base = evidence.information, evidence.base
     start = estimate_wls(evidence)
@@ -96,10 +102,12 @@ def estimate_iv(evidence: Evidence) -> Estimate:
 def follow(
     model: RobotModel, base: BaseParameters, beta: Array, samples: Samples, bandwidth: float
 ) -> Samples:
-    """Return the samples with the motion of a simulated robot with these base parameters that follows their positions; torques stay.
+    """Return the samples with the motion of a simulated robot with these base parameters that
+    follows their positions; torques stay.
 
-    Linearly implicit Euler steps, many stretches side by side, each led in by a second. Where the mass matrix of beta is not positive
-    definite that of the design is taken, and unit inertias where that is not either.
+    Linearly implicit Euler steps, many stretches side by side, each led in by a second. Where the
+    mass matrix of beta is not positive definite that of the design is taken, and unit inertias
+    where that is not either.
     """
     links, armature, inertia = _inertia(
         model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
@@ -176,7 +184,9 @@ def _stretches(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], 
 
 
 def _bandwidth(samples: Samples) -> float:
-    """Return the frequency [Hz] below which 95 % of the velocity's power lies, from the longest segment."""
+    """Return the frequency [Hz] below which 95 % of the velocity's power lies, from the longest
+    segment.
+    """
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
     power = np.sum(

@@ -1,4 +1,7 @@
-"""Least squares on square-root information: ordinary, or with a weight per joint, and honest about what the data leave open."""
+"""Least squares on square-root information.
+
+Ordinary, or with a weight per joint, and honest about what the data leave open.
+"""
 
 from __future__ import annotations
 
@@ -25,19 +28,25 @@ Refit = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 WEIGHT_CONVERGENCE = 1e-8
 MOST_ITERATIONS = 50
 WELL_CONDITIONED = 1e7
-"""Condition number, in the Frobenius norm and with scaled columns, up to which substitution is as good as singular values."""
+"""Condition number, in the Frobenius norm and with scaled columns, up to which substitution is as
+good as singular values.
+"""
 SMALLEST_NOISE = 1e-9
-"""Noise of a joint as a fraction of the largest torque RMS below which its weight grows no further: simulations have none."""
+"""Noise of a joint as a fraction of the largest torque RMS below which its weight grows no further:
+simulations have none.
+"""
 NEGLIGIBLE_COEFFICIENT = 1e-6
 MOST_TERMS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FactorSolution:
-    """Solve `min |[W | tau] (-x, 1)|` from the triangular factor of [W | tau], W with m rows and p columns, its columns scaled to unit length.
+    """Solve `min |[W | tau] (-x, 1)|` from the triangular factor of [W | tau], W with m rows and p
+    columns, its columns scaled to unit length.
 
-    `x = toward + D^-1 V S^-1 U^T (z - R toward)` over the `rank` singular values above `rank_tolerance`; `inverse_root` (p, rank) is D^-1 V S^-1, so
-    that (W^T W)^+ = inverse_root inverse_root^T. `open_directions` (p - rank, p) span what does not change `W x`, in units of x.
+    `x = toward + D^-1 V S^-1 U^T (z - R toward)` over the `rank` singular values above
+    `rank_tolerance`; `inverse_root` (p, rank) is D^-1 V S^-1, so that (W^T W)^+ = inverse_root
+    inverse_root^T. `open_directions` (p - rank, p) span what does not change `W x`, in units of x.
     """
 
     x: Array
@@ -51,16 +60,21 @@ class FactorSolution:
 
 
 def rank_tolerance(n_rows: int, n_columns: int) -> float:
-    """Return the fraction of the largest singular value below which a singular value is rounding: 4 eps max(m, p)."""
+    """Return the fraction of the largest singular value below which a singular value is rounding.
+
+    4 eps max(m, p).
+    """
     return 4.0 * float(np.finfo(np.float64).eps) * max(n_rows, n_columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighted:
-    """Hold the singular value decomposition `R D^-1 = U S V^T` of the triangular factor [R | z] of `n_rows` weighted rows, columns scaled to length 1.
+    """Hold the singular value decomposition `R D^-1 = U S V^T` of the triangular factor [R | z] of
+    `n_rows` weighted rows, columns scaled to length 1.
 
-    Only the `rank` singular values above `rank_tolerance` are in `u`, `s`, `vt`; `null` (p - rank, p) are the other right vectors. What the rows
-    leave open is resolved toward `toward`. Source: Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5 (rank).
+    Only the `rank` singular values above `rank_tolerance` are in `u`, `s`, `vt`; `null` (p - rank,
+    p) are the other right vectors. What the rows leave open is resolved toward `toward`. Source:
+    Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5 (rank).
     """
 
     factor: Array
@@ -74,7 +88,10 @@ class Weighted:
 
     @classmethod
     def factored(cls, factor: Array, n_rows: int, toward: Array | None = None) -> Weighted:
-        """Decompose a triangular factor (p + 1, p + 1); without `toward` open directions go to zero."""
+        """Decompose a triangular factor (p + 1, p + 1).
+
+        Without `toward` open directions go to zero.
+        """
         p = len(factor) - 1
         r = factor[:p, :p]
         length = np.linalg.norm(r, axis=0)
@@ -117,7 +134,8 @@ class Weighted:
 
 
 def solve_factor(factor: Array, n_rows: int, toward: Array | None = None) -> FactorSolution:
-    """Solve least squares from the triangular factor (p + 1, p + 1) of `n_rows` rows, by singular values of its column-scaled form.
+    """Solve least squares from the triangular factor (p + 1, p + 1) of `n_rows` rows, by singular
+    values of its column-scaled form.
 
     What the rows leave open is resolved toward `toward` (p,), zero where none is given.
     """
@@ -128,12 +146,16 @@ def solve_factor(factor: Array, n_rows: int, toward: Array | None = None) -> Fac
 class Estimate:
     """Hold a least-squares estimate of p base parameters from n joints.
 
-    `weights` (n,) multiplied each joint's rows; `sigma` (n,) is the residual standard deviation of each joint; `covariance` (p, p) is the textbook one,
-    `inverse_root inverse_root^T` times the variance of a weighted residual; `solution` says the rest. `undetermined` names the directions this
-    recording leaves open, `determined` (p,) is False for the parameters they contain; those lean on the prior. `information` is what the solution
-    solves, where that is not the information of the samples themselves (rows weighted one by one, say); `notes` say in sentences what was decided, `warnings` (code, message) what is wrong with it.
-    `dropped` (p,) says which parameters were set to zero as needless; None where none can be. `refit` makes beta of the triangular factor of other rows, weighted alike, all that
-    was chosen held fixed; None where beta is linear in the torque.
+    `weights` (n,) multiplied each joint's rows; `sigma` (n,) is the residual standard deviation of
+    each joint; `covariance` (p, p) is the textbook one, `inverse_root inverse_root^T` times the
+    variance of a weighted residual; `solution` says the rest. `undetermined` names the directions
+    this recording leaves open, `determined` (p,) is False for the parameters they contain; those
+    lean on the prior. `information` is what the solution solves, where that is not the information
+    of the samples themselves (rows weighted one by one, say); `notes` say in sentences what was
+    decided, `warnings` (code, message) what is wrong with it. `dropped` (p,) says which parameters
+    were set to zero as needless; None where none can be. `refit` makes beta of the triangular
+    factor of other rows, weighted alike, all that was chosen held fixed; None where beta is linear
+    in the torque.
     """
 
     method: str
@@ -177,7 +199,10 @@ class Estimate:
         notes: tuple[str, ...] = (),
         dropped: NDArray[np.bool_] | None = None,
     ) -> Estimate:
-        """Return the estimate that another method makes of it: the same directions, other values; `information` is what its rows are judged on."""
+        """Return the estimate that another method makes of it: the same directions, other values.
+
+        `information` is what its rows are judged on.
+        """
         found = solution.x if beta is None else beta
         root = solution.inverse_root if inverse_root is None else inverse_root
         error = information.stacked(self.weights) @ np.append(-found, 1.0)
@@ -203,7 +228,10 @@ class Estimate:
 
 
 def noise_floor(information: SquareRootInformation) -> float:
-    """Return the least noise that a joint is taken to have: `SMALLEST_NOISE` of the largest torque RMS, 1 where there is no torque at all."""
+    """Return the least noise that a joint is taken to have.
+
+    `SMALLEST_NOISE` of the largest torque RMS, 1 where there is no torque at all.
+    """
     return (
         SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples))
         or 1.0
@@ -219,11 +247,14 @@ def fit_least_squares(
 ) -> Estimate:
     """Estimate beta with `min sum_k weights_k^2 |tau_k - W_k beta|^2`.
 
-    `weights` None is ordinary least squares; `"joint"` takes 1 / sigma_k, sigma_k^2 = |e_k|^2 / (N - t_k) with t_k the parameters that joint k spends,
-    and iterates until the weights rest (Gautier, IROS 1997); or n positive numbers are given.
+    `weights` None is ordinary least squares; `"joint"` takes 1 / sigma_k, sigma_k^2 = |e_k|^2 / (N
+    - t_k) with t_k the parameters that joint k spends, and iterates until the weights rest
+    (Gautier, IROS 1997); or n positive numbers are given.
 
-    Directions that the recording does not excite are resolved toward `prior` (p,), NaN counting as 0: the smallest change from it in parameters scaled to equal
-    torque. Raises `IdentifiabilityError`, naming them, where there is no prior or `unexcited` is `"refuse"`, and where rows are fewer than parameters.
+    Directions that the recording does not excite are resolved toward `prior` (p,), NaN counting as
+    0: the smallest change from it in parameters scaled to equal torque. Raises
+    `IdentifiabilityError`, naming them, where there is no prior or `unexcited` is `"refuse"`, and
+    where rows are fewer than parameters.
     """
     n, rows = information.n_joints, information.n_samples
     if rows * n <= information.base.n_base:
@@ -306,7 +337,9 @@ def combination(direction: Array, names: tuple[str, ...]) -> str:
 
 
 def _solved(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Array]:
-    """Return x and the inverse root of `solve_factor`, by substitution where the triangle is far from singular: a third of the time."""
+    """Return x and the inverse root of `solve_factor`, by substitution where the triangle is far
+    from singular: a third of the time.
+    """
     r = factor[:-1, :-1]
     scale = np.linalg.norm(r, axis=0)
     if np.all(scale > 0.0):
@@ -330,7 +363,10 @@ def _deviation(
 
 
 def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:
-    """Parameters that each joint spends, shape (n,): the trace of its part of the hat matrix; they add up to the rank."""
+    """Parameters that each joint spends, shape (n,): the trace of its part of the hat matrix.
+
+    They add up to the rank.
+    """
     parts = []
     for support, factor, weight in zip(
         information.support, information.joint_factors, weights, strict=True
@@ -353,7 +389,10 @@ def _refusal(information: SquareRootInformation, solution: FactorSolution) -> st
 
 
 def positive_weights(weights: ArrayLike, n: int) -> Array:
-    """Return weights of n joints as an array; raises `UsageError` where they are not n positive numbers."""
+    """Return weights of n joints as an array.
+
+    Raises `UsageError` where they are not n positive numbers.
+    """
     w = np.asarray(weights, dtype=np.float64)
     if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
         raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
@@ -361,7 +400,9 @@ def positive_weights(weights: ArrayLike, n: int) -> Array:
 
 
 def _echelon(null: Array, scale: Array) -> Array:
-    """Rows spanning those of `null` / `scale` with as few non-zeros as reduction gives, largest coefficient 1."""
+    """Rows spanning those of `null` / `scale` with as few non-zeros as reduction gives, largest
+    coefficient 1.
+    """
     if len(null) == 0:
         return np.zeros((0, len(scale)))
     _, _, pivots = qr(null, mode="economic", pivoting=True)

@@ -29,11 +29,15 @@ MOST_ITERATIONS = 100
 
 
 def estimate_ml(evidence: Evidence) -> Estimate:
-    """Estimate beta and the covariance Omega (n, n) of the joints' noise together: `min N log det Omega + sum_t e_t^T Omega^-1 e_t`.
+    """Estimate beta and the covariance Omega (n, n) of the joints' noise together.
 
-    Noise is independent from sample to sample but not from joint to joint: generalised least squares with `Omega = E^T E / N` of the residuals E,
-    iterated until Omega rests. One pass reduces `[W_1 .. W_n | tau_1 .. tau_n]` to its triangle, from which every iteration is solved.
-    Source: Zellner, JASA 57, 1962 (seemingly unrelated regressions); Oberhofer & Kmenta, Econometrica 42, 1974 (iterated: maximum likelihood).
+    `min N log det Omega + sum_t e_t^T Omega^-1 e_t`.
+
+    Noise is independent from sample to sample but not from joint to joint: generalised least
+    squares with `Omega = E^T E / N` of the residuals E, iterated until Omega rests. One pass
+    reduces `[W_1 .. W_n | tau_1 .. tau_n]` to its triangle, from which every iteration is solved.
+    Source: Zellner, JASA 57, 1962 (seemingly unrelated regressions); Oberhofer & Kmenta,
+    Econometrica 42, 1974 (iterated: maximum likelihood).
     """
     information, rows, base = evidence.information, evidence.rows, evidence.base
     start = estimate_wls(evidence)

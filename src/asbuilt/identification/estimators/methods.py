@@ -17,10 +17,12 @@ Needs = Literal["information", "samples", "simulation"]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """Name an estimator: `title` in a heading, `description` in one line, and what it `needs` beside the square-root information.
+    """Name an estimator: `title` in a heading, `description` in one line, and what it `needs`
+    beside the square-root information.
 
-    `"information"` is the square-root information alone, milliseconds; `"samples"` are further passes over the rows; `"simulation"` simulates the robot too.
-    `home` is the module and the function of this room, imported on first use.
+    `"information"` is the square-root information alone, milliseconds; `"samples"` are further
+    passes over the rows; `"simulation"` simulates the robot too. `home` is the module and the
+    function of this room, imported on first use.
     """
 
     name: str
@@ -30,7 +32,10 @@ class Method:
     home: str
 
     def estimate(self, evidence: Evidence) -> Estimate:
-        """Return the estimate from the evidence; raises `IdentifiabilityError` where that does not suffice."""
+        """Return the estimate from the evidence.
+
+        Raises `IdentifiabilityError` where that does not suffice.
+        """
         module, function = self.home.split(":")
         estimate: Estimate = getattr(
             import_module(f"asbuilt.identification.estimators.{module}"), function
@@ -145,5 +150,7 @@ def find_method(name: str) -> Method:
 
 
 def method_title(name: str) -> str:
-    """Return the title of an estimator, its name where it is unknown (as in results of other versions)."""
+    """Return the title of an estimator, its name where it is unknown (as in results of other
+    versions).
+    """
     return methods[name].title if name in methods else name

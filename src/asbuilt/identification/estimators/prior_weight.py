@@ -1,4 +1,7 @@
-"""How much to trust CAD: chosen by predicting time blocks that were held out, without a second look at the samples."""
+"""How much to trust CAD.
+
+Chosen by predicting time blocks that were held out, without a second look at the samples.
+"""
 
 from __future__ import annotations
 
@@ -13,10 +16,15 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 from asbuilt.identification.information.triangular import triangular_factor
 
 Fits = Callable[[Array, float], Array]
-"""Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, called for every weight in turn."""
+"""Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, called for every weight in
+turn.
+"""
 
 WEIGHTS: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
-"""Weights to choose from, strongest first: what a divergence of 1 from CAD costs, in units of the squared weighted residual."""
+"""Weights to choose from, strongest first.
+
+What a divergence of 1 from CAD costs, in units of the squared weighted residual.
+"""
 MOST_GROUPS = 8
 """The blocks are held out in so many groups of neighbours,"""
 FEWEST_GROUPS = 3
@@ -26,7 +34,9 @@ DEFAULT_WEIGHT = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightChoice:
-    """Hold the weight chosen, and the mean squared weighted error on held-out groups, (n_weights, n_groups), by which it was."""
+    """Hold the weight chosen, and the mean squared weighted error on held-out groups, (n_weights,
+    n_groups), by which it was.
+    """
 
     weight: float
     weights: tuple[float, ...]
@@ -41,11 +51,14 @@ def choose_weight(
     fits: Fits,
     weights: tuple[float, ...] = WEIGHTS,
 ) -> WeightChoice:
-    """Return the strongest trust in CAD that predicts held-out time blocks as well as the best, within one standard error of the difference.
+    """Return the strongest trust in CAD that predicts held-out time blocks as well as the best,
+    within one standard error of the difference.
 
-    The blocks form up to 8 groups of neighbours; each is predicted from the others with every weight. The error of a group is `|w (tau - W beta)|^2 / (N n)`;
-    the standard error is that of the mean difference from the best weight, group by group (the one-standard-error rule of Breiman, Friedman, Olshen & Stone,
-    1984, section 3.4.3, on paired errors; Hastie, Tibshirani & Friedman, 2009, section 7.10).
+    The blocks form up to 8 groups of neighbours; each is predicted from the others with every
+    weight. The error of a group is `|w (tau - W beta)|^2 / (N n)`; the standard error is that of
+    the mean difference from the best weight, group by group (the one-standard-error rule of
+    Breiman, Friedman, Olshen & Stone, 1984, section 3.4.3, on paired errors; Hastie, Tibshirani &
+    Friedman, 2009, section 7.10).
     """
     n_groups = min(MOST_GROUPS, information.n_blocks)
     if n_groups < FEWEST_GROUPS:
@@ -88,7 +101,10 @@ def choose_weight(
 
 
 def _without_each(factors: Array) -> Array:
-    """Return the triangular factors of all but each, (m, p + 1, p + 1): those before it joined with those after it."""
+    """Return the triangular factors of all but each, (m, p + 1, p + 1).
+
+    Those before it joined with those after it.
+    """
 
     def joined(one: Array, other: Array) -> Array:
         return triangular_factor(np.vstack([one, other]))

@@ -22,9 +22,12 @@ from asbuilt.identification.estimators.least_squares import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecursiveEstimate:
-    """Hold the estimate after a sample: `beta` and `std_errors` (p,), `sigma` of a weighted residual and the samples that still count.
+    """Hold the estimate after a sample.
 
-    Standard errors take residuals as independent; those of directions without excitation are zero, and `rank` says how many have some.
+    `beta` and `std_errors` (p,), `sigma` of a weighted residual and the samples that still count.
+
+    Standard errors take residuals as independent; those of directions without excitation are zero,
+    and `rank` says how many have some.
     """
 
     beta: Array
@@ -35,13 +38,18 @@ class RecursiveEstimate:
 
 
 class RecursiveIdentification:
-    """Keep the triangular factor R of [W | tau] and renew it sample by sample: `R <- triangle of [sqrt(f) R; weights [Y | tau]]`.
+    """Keep the triangular factor R of [W | tau] and renew it sample by sample.
 
-    With `forgetting` f = 1 the estimate is that of all samples at once; with f < 1 a sample counts f^age, a memory of 1 / (1 - f) samples, so that a
-    change of load is followed. `weights` (n,) are one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds what no sample tells and, with
-    `prior_strength` > 0 (how many samples of unit weighted torque it is worth), is never forgotten, so that standing still loses nothing. Friction that depends on load feels that of `model`.
+    `R <- triangle of [sqrt(f) R; weights [Y | tau]]`.
 
-    Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 5; square-root form of recursive least squares with forgetting.
+    With `forgetting` f = 1 the estimate is that of all samples at once; with f < 1 a sample counts
+    f^age, a memory of 1 / (1 - f) samples, so that a change of load is followed. `weights` (n,) are
+    one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds what no sample tells and, with
+    `prior_strength` > 0 (how many samples of unit weighted torque it is worth), is never forgotten,
+    so that standing still loses nothing. Friction that depends on load feels that of `model`.
+
+    Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 5;
+    square-root form of recursive least squares with forgetting.
 
     Examples
     --------
@@ -99,7 +107,10 @@ class RecursiveIdentification:
     def update(
         self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike, tau: ArrayLike
     ) -> RecursiveEstimate:
-        """Add one sample, each (n,), or a few at once, (m, n), and return the estimate after it; raises `IdentifiabilityError` for NaN."""
+        """Add one sample, each (n,), or a few at once, (m, n), and return the estimate after it.
+
+        Raises `IdentifiabilityError` for NaN.
+        """
         arrays = [np.atleast_2d(np.asarray(x, dtype=np.float64)) for x in (q, qd, qdd, tau)]
         n, p = self.model.n_joints, self.base.n_base
         if any(x.shape != (len(arrays[0]), n) for x in arrays):

@@ -17,10 +17,12 @@ MOST_FOLDS = 8
 
 
 def estimate_ridge(evidence: Evidence) -> Estimate:
-    """Estimate beta with `min |(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`, D the lengths of the weighted columns.
+    """Estimate beta with `min |(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`, D the
+    lengths of the weighted columns.
 
-    lambda is the one with the least squared error on time blocks held out in turn, neighbouring blocks together; none where that predicts best. Parameters
-    on which the description is silent are drawn toward zero. Source: Hoerl & Kennard, Technometrics 12, 1970.
+    lambda is the one with the least squared error on time blocks held out in turn, neighbouring
+    blocks together; none where that predicts best. Parameters on which the description is silent
+    are drawn toward zero. Source: Hoerl & Kennard, Technometrics 12, 1970.
     """
     information = evidence.information
     start = estimate_wls(evidence)
@@ -54,7 +56,9 @@ def estimate_ridge(evidence: Evidence) -> Estimate:
 def folds(
     information: SquareRootInformation,
 ) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
-    """Yield the blocks to learn from and those held out, up to 8 times, runs of neighbouring blocks held out in turn; nothing for one block."""
+    """Yield the blocks to learn from and those held out, up to 8 times, runs of neighbouring blocks
+    held out in turn; nothing for one block.
+    """
     count = min(MOST_FOLDS, information.n_blocks)
     if count < 2:
         return

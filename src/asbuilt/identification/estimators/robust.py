@@ -22,7 +22,10 @@ from asbuilt.identification.information.square_root_information import reduce_ro
 MAD_TO_SIGMA = 1.4826022185056018
 """Standard deviation of a normal distribution in medians of the absolute deviation."""
 HUBER = 1.345
-"""Residual, in robust standard deviations, up to which Huber's loss is that of least squares: 95 % efficient where noise is normal (Holland & Welsch, 1977)."""
+"""Residual, in robust standard deviations, up to which Huber's loss is that of least squares.
+
+95 % efficient where noise is normal (Holland & Welsch, 1977).
+"""
 BISQUARE = 4.685
 """And from which Tukey's bisquare gives no weight at all: 95 % efficient, too."""
 MOST_ITERATIONS = 60
@@ -40,14 +43,19 @@ OUTLYING = 4.0
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A loss rho(r) of standardised residuals r: `weight(r)` = rho'(r) / r and `slope(r)` = rho''(r)."""
+    """A loss rho(r) of standardised residuals r.
+
+    `weight(r)` = rho'(r) / r and `slope(r)` = rho''(r).
+    """
 
     weight: Callable[[Array], Array]
     slope: Callable[[Array], Array]
 
 
 def huber_loss(threshold: float = HUBER) -> Loss:
-    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond (Huber, Ann. Math. Stat. 35, 1964)."""
+    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond (Huber, Ann. Math. Stat.
+    35, 1964).
+    """
     return Loss(
         lambda r: threshold / np.maximum(np.abs(r), threshold),
         lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
@@ -55,7 +63,9 @@ def huber_loss(threshold: float = HUBER) -> Loss:
 
 
 def bisquare_loss(threshold: float = BISQUARE) -> Loss:
-    """Return Tukey's bisquare, which gives residuals beyond the threshold no weight at all (Beaton & Tukey, Technometrics 16, 1974)."""
+    """Return Tukey's bisquare, which gives residuals beyond the threshold no weight at all (Beaton
+    & Tukey, Technometrics 16, 1974).
+    """
 
     def share(r: Array) -> Array:
         return np.asarray(np.maximum(1.0 - (r / threshold) ** 2, 0.0))
@@ -64,17 +74,22 @@ def bisquare_loss(threshold: float = BISQUARE) -> Loss:
 
 
 def estimate_huber(evidence: Evidence) -> Estimate:
-    """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss, by iteratively reweighted least squares.
+    """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss,
+    by iteratively reweighted least squares.
 
-    sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least squares on pseudo-values
-    `W beta + sigma rho'(r) / s` with weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981, chapter 7, with s = mean(rho''); here s is
-    less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints turn back.
+    sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least
+    squares on pseudo-values `W beta + sigma rho'(r) / s` with weights `sqrt(s) / sigma`, which has
+    the same solution. Source: Huber, Robust Statistics, 1981, chapter 7, with s = mean(rho''); here
+    s is less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints
+    turn back.
     """
     return _robust(evidence, "huber", huber_loss(), estimate_wls(evidence))
 
 
 def estimate_bisquare(evidence: Evidence) -> Estimate:
-    """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale: gross outliers count for nothing.
+    """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale.
+
+    Gross outliers count for nothing.
 
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
@@ -158,10 +173,13 @@ def _robust(
 def _slope_where_it_counts(
     rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array
 ) -> float:
-    """Return the part of the mean slopes (n,) that the information really has, 1 where outliers are strewn evenly over the motion.
+    """Return the part of the mean slopes (n,) that the information really has, 1 where outliers are
+    strewn evenly over the motion.
 
-    The covariance of an M-estimate is `A^-1 B A^-1` with `A = sum rho''(r) w w^T`. Pseudo-values take `A0 = sum mean(rho'') w w^T` instead: the variance is then too small by the mean of
-    `m^-2` over the eigenvalues m of A in coordinates where A0 is 1, and one factor for all rows makes up for it.
+    The covariance of an M-estimate is `A^-1 B A^-1` with `A = sum rho''(r) w w^T`. Pseudo-values
+    take `A0 = sum mean(rho'') w w^T` instead: the variance is then too small by the mean of `m^-2`
+    over the eigenvalues m of A in coordinates where A0 is 1, and one factor for all rows makes up
+    for it.
     """
     p = root.shape[1]
     assumed, found = np.zeros((p, p)), np.zeros((p, p))
@@ -180,7 +198,9 @@ def _slope_where_it_counts(
 
 
 def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
-    """Return the share of torques beyond 4 robust standard deviations, and the largest residual variance of a joint in robust variances."""
+    """Return the share of torques beyond 4 robust standard deviations, and the largest residual
+    variance of a joint in robust variances.
+    """
     standard = [
         np.concatenate(e) / s
         for e, s in zip(_residuals(evidence.rows, robust.beta), robust.sigma, strict=True)

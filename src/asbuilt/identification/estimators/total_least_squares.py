@@ -11,18 +11,25 @@ from asbuilt.identification.information.estimation_data import Evidence
 from asbuilt.identification.information.triangular import triangular_factor
 
 LARGEST_SHARE = 0.9
-"""Smallest singular value with the torque, in that without it, from which the solution is refused: 1 would be no solution at all."""
+"""Smallest singular value with the torque, in that without it, from which the solution is refused.
+
+1 would be no solution at all.
+"""
 EXACT_TERMS = ("Fo",)
 """Letters of the drive terms whose columns are constants, known without error."""
 
 
 def estimate_total(evidence: Evidence) -> Estimate:
-    """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows weighted joint by joint, D the column lengths.
+    """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows
+    weighted joint by joint, D the column lengths.
 
-    Errors of a column are taken as large relative to it as those of the torque relative to the torque; columns of offsets are exact. From the
-    triangular factor: exact columns first, the rest by its smallest singular value s, `(W^T W - s^2 D^2) beta = W^T tau`; what no sample tells is that of the prior.
-    Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns as in Van Huffel & Vandewalle, The Total Least Squares Problem, 1991,
-    section 3.5. Errors are first order. Raises `IdentifiabilityError` where torque errors are as large as what the weakest column combination adds.
+    Errors of a column are taken as large relative to it as those of the torque relative to the
+    torque; columns of offsets are exact. From the triangular factor: exact columns first, the rest
+    by its smallest singular value s, `(W^T W - s^2 D^2) beta = W^T tau`; what no sample tells is
+    that of the prior. Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns as in
+    Van Huffel & Vandewalle, The Total Least Squares Problem, 1991, section 3.5. Errors are first
+    order. Raises `IdentifiabilityError` where torque errors are as large as what the weakest column
+    combination adds.
     """
     information, base = evidence.information, evidence.base
     start = estimate_wls(evidence)

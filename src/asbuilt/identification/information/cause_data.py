@@ -1,4 +1,6 @@
-"""All that a recording says of what CAD may have left out, in one triangular matrix per joint, so that causes can be weighed later without the data."""
+"""All that a recording says of what CAD may have left out, in one triangular matrix per joint, so
+that causes can be weighed later without the data.
+"""
 
 from __future__ import annotations
 
@@ -38,12 +40,15 @@ HELD_BACK = 3
 
 @dataclass(frozen=True, eq=False)
 class CauseEvidence:
-    """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of the data fitted and of the data judged by.
+    """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of the data fitted and of
+    the data judged by.
 
-    The columns A are named: the base parameters of the links, every plain and some richer drive terms, and the two tilts of the mounting, rad about
-    `tilt_axes` (2, 3) of the root frame: the torque of the bodies by design under gravity `g x axis`. Joint k has the columns `support[k]`;
-    `fitted[k]` and `judged[k]` have shape (p_k + 1, p_k + 1). What a change x of the columns' parameters does to the torque is `A x`, so payload, gains, friction and
-    other values by design are all linear in what is held here.
+    The columns A are named: the base parameters of the links, every plain and some richer drive
+    terms, and the two tilts of the mounting, rad about `tilt_axes` (2, 3) of the root frame: the
+    torque of the bodies by design under gravity `g x axis`. Joint k has the columns `support[k]`;
+    `fitted[k]` and `judged[k]` have shape (p_k + 1, p_k + 1). What a change x of the columns'
+    parameters does to the torque is `A x`, so payload, gains, friction and other values by design
+    are all linear in what is held here.
     """
 
     drive: DriveSet
@@ -84,7 +89,9 @@ class CauseEvidence:
         return np.array([index[name] for name in names], dtype=np.int64)
 
     def whole(self, factors: tuple[Array, ...]) -> tuple[Array, ...]:
-        """Return factors with a column for every name and the torque last, zero where a joint has none: shape (p_k + 1, p + 1)."""
+        """Return factors with a column for every name and the torque last, zero where a joint has
+        none: shape (p_k + 1, p + 1).
+        """
         every = []
         for support, factor in zip(self.support, factors, strict=True):
             wide = np.zeros((len(factor), len(self.names) + 1))
@@ -93,7 +100,9 @@ class CauseEvidence:
         return tuple(every)
 
     def error_of(self, names: Iterable[str], values: Array) -> Array:
-        """Return the RMS error (n,) on the data judged by of the torque that named parameters of these values predict, all others zero."""
+        """Return the RMS error (n,) on the data judged by of the torque that named parameters of
+        these values predict, all others zero.
+        """
         places = self.places(names)
         errors = [factor[:, -1] - factor[:, places] @ values for factor in self.whole(self.judged)]
         return np.asarray(
@@ -101,7 +110,10 @@ class CauseEvidence:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return texts, numbers and lists, ready for JSON; factors are upper triangles, row by row, as base64 of little-endian doubles."""
+        """Return texts, numbers and lists, ready for JSON.
+
+        Factors are upper triangles, row by row, as base64 of little-endian doubles.
+        """
         return {
             "drive": list(self.drive.specifications),
             "joints": list(self.joint_names),
@@ -158,8 +170,9 @@ def gather_evidence(
 ) -> CauseEvidence:
     """Go through the samples once more and reduce them to the evidence of causes.
 
-    `base` are the base parameters of the result, whose drive terms are all among the columns. Without samples to judge by, every third
-    time block of the others is put aside for it. Raises `IdentifiabilityError` where that leaves no samples to fit, or none to judge by.
+    `base` are the base parameters of the result, whose drive terms are all among the columns.
+    Without samples to judge by, every third time block of the others is put aside for it. Raises
+    `IdentifiabilityError` where that leaves no samples to fit, or none to judge by.
     """
     drive = base.drive
     known = available_terms()

@@ -22,11 +22,15 @@ Unexcited = Literal["toward_prior", "refuse"]
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Hold all that an estimator may use: the robot, the square-root information, the samples behind it and the values by design.
+    """Hold all that an estimator may use.
 
-    `samples` can be gone through again and again; None where only the information is at hand. `prior` (p,) are the base parameters by design, NaN where
-    the description is silent; directions that nothing excites are resolved toward it, or refused (`unexcited`). `every` n gives the rows of each n-th time
-    block alone. `loading` is the robot whose rigid-body torque loads friction that depends on it, where that is not `model`.
+    The robot, the square-root information, the samples behind it and the values by design.
+
+    `samples` can be gone through again and again; None where only the information is at hand.
+    `prior` (p,) are the base parameters by design, NaN where the description is silent; directions
+    that nothing excites are resolved toward it, or refused (`unexcited`). `every` n gives the rows
+    of each n-th time block alone. `loading` is the robot whose rigid-body torque loads friction
+    that depends on it, where that is not `model`.
     """
 
     model: RobotModel
@@ -45,7 +49,10 @@ class Evidence:
 
     @cached_property
     def rows(self) -> Rows:
-        """The rows behind the information, time block by time block; raises `UsageError` where the samples are not at hand."""
+        """The rows behind the information, time block by time block.
+
+        Raises `UsageError` where the samples are not at hand.
+        """
         return self.rows_of(self.batches)
 
     def rows_of(self, samples: Iterable[Samples]) -> Rows:

@@ -1,4 +1,7 @@
-"""What an identification knows already, as information about the base parameters: what a further motion need not tell again."""
+"""What an identification knows already, as information about the base parameters.
+
+What a further motion need not tell again.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +16,21 @@ if TYPE_CHECKING:
 
 
 SINGULAR = 1e-10
-"""Variance of a direction, relative to the largest, that only rounding has left: the covariance holds nothing there."""
+"""Variance of a direction, relative to the largest, that only rounding has left.
+
+The covariance holds nothing there.
+"""
 
 
 def told_directions(result: IdentificationResult) -> tuple[Array, Array, Array]:
-    """Return scale (p,), variances (r,) and directions V (p, r) of what a result knows: `information = D V diag(1 / variances) V^T D`, D = diag(scale).
+    """Return scale (p,), variances (r,) and directions V (p, r) of what a result knows.
 
-    The scale is one over the standard errors, zero for parameters without any: dropped ones, and those that the recording does not tell. As many directions are
-    left out as the rank of the result falls short, where its covariance is singular there; that of estimates which lean on CAD is not.
+    `information = D V diag(1 / variances) V^T D`, D = diag(scale).
+
+    The scale is one over the standard errors, zero for parameters without any: dropped ones, and
+    those that the recording does not tell. As many directions are left out as the rank of the
+    result falls short, where its covariance is singular there; that of estimates which lean on CAD
+    is not.
     """
     covariance = np.array(result.covariance)
     size = np.sqrt(np.diag(covariance))
@@ -35,10 +45,13 @@ def told_directions(result: IdentificationResult) -> tuple[Array, Array, Array]:
 
 
 def known_information(result: IdentificationResult) -> Array:
-    """Return the information matrix (p, p) behind a result: the pseudo-inverse of its covariance in scaled columns.
+    """Return the information matrix (p, p) behind a result.
 
-    Directions that the recording does not tell carry no information, nor do dropped parameters, which were set and not measured: a further motion may tell
-    them. The standard errors allow for correlated residuals, so the information does, too.
+    The pseudo-inverse of its covariance in scaled columns.
+
+    Directions that the recording does not tell carry no information, nor do dropped parameters,
+    which were set and not measured: a further motion may tell them. The standard errors allow for
+    correlated residuals, so the information does, too.
     """
     scale, variances, directions = told_directions(result)
     inverse = (directions / variances) @ directions.T

@@ -1,4 +1,7 @@
-"""The rows that identification solves: regressor columns and torque of each joint, filtered alike, one time block after another."""
+"""The rows that identification solves.
+
+Regressor columns and torque of each joint, filtered alike, one time block after another.
+"""
 
 from __future__ import annotations
 
@@ -25,14 +28,19 @@ LONGEST_BLOCK = 5.0
 """Length of a time block [s] where nothing else is asked."""
 SHORTEST_BLOCK = 1.0
 USUAL_BLOCKS = 10
-"""A short recording is cut into about so many blocks, so that errors can be judged from block to block."""
+"""A short recording is cut into about so many blocks, so that errors can be judged from block to
+block.
+"""
 MOST_HELD = 200e6
 """Memory [bytes] that rows may take to be kept between passes; more are made again on every pass."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeBlock:
-    """A stretch of a recording: where it comes from, first and last instant [s] and number of samples."""
+    """A stretch of a recording.
+
+    Where it comes from, first and last instant [s] and number of samples.
+    """
 
     source: str
     start: float
@@ -42,7 +50,9 @@ class TimeBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`, a time block of about `seconds` [s]."""
+    """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`, a time
+    block of about `seconds` [s].
+    """
 
     samples: Samples
     start: int
@@ -68,9 +78,11 @@ class Stretch:
     def pieces(
         self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
     ) -> Iterator[tuple[Array, ...]]:
-        """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a time; good until the next.
+        """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a
+        time; good until the next.
 
-        `beside` returns further columns of a span of samples, each (L, n), that stand before the torque. `plan` has a spare row for each and one more.
+        `beside` returns further columns of a span of samples, each (L, n), that stand before the
+        torque. `plan` has a spare row for each and one more.
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
@@ -90,7 +102,10 @@ class Stretch:
 def stretches(
     model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None
 ) -> Iterator[Stretch]:
-    """Yield the time blocks of samples, each within one contiguous run; raises `IdentifiabilityError` where the joints are others."""
+    """Yield the time blocks of samples, each within one contiguous run.
+
+    Raises `IdentifiabilityError` where the joints are others.
+    """
     for samples in stream:
         if samples.joint_names != model.joint_names:
             raise IdentifiabilityError(
@@ -124,7 +139,10 @@ def stretches(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowBlock:
-    """The rows of a time block: for each joint regressor columns and, last, the torque, (p_k + 1, N_b), samples innermost."""
+    """The rows of a time block.
+
+    For each joint regressor columns and, last, the torque, (p_k + 1, N_b), samples innermost.
+    """
 
     rows: tuple[Array, ...]
     time: TimeBlock
@@ -134,8 +152,8 @@ class RowBlock:
 class Rows:
     """Give the rows of samples block by block, as often as they are asked for: `for block in rows`.
 
-    `support[k]` are the base parameters that joint k's columns stand for. Kept in memory between passes where they are not many. `every` n takes each
-    n-th block alone.
+    `support[k]` are the base parameters that joint k's columns stand for. Kept in memory between
+    passes where they are not many. `every` n takes each n-th block alone.
     """
 
     def __init__(

@@ -1,4 +1,7 @@
-"""All that a recording says about the parameters, in a few triangular matrices: one per joint and time block."""
+"""All that a recording says about the parameters, in a few triangular matrices.
+
+One per joint and time block.
+"""
 
 from __future__ import annotations
 
@@ -36,19 +39,27 @@ if TYPE_CHECKING:
 MOST_BLOCKS = 128
 """Beyond twice as many, neighbours are merged, so that memory does not grow with the recording."""
 ROUNDED_LENGTH = 1.2
-"""Neighbours that together are this much longer than a block still make one: runs are cut into equal parts, whose length is seldom that asked for."""
+"""Neighbours that together are this much longer than a block still make one.
+
+Runs are cut into equal parts, whose length is seldom that asked for.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class SquareRootInformation:
-    """Hold the triangular factors `R` of `[W_k | tau_k]` for every joint k and time block b: `R^T R = [W_k | tau_k]^T [W_k | tau_k]`.
+    """Hold the triangular factors `R` of `[W_k | tau_k]` for every joint k and time block b.
 
-    Joint k sees only the base parameters `support[k]` (p_k positions among the p of `base`): links it carries and its own drive.
-    `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper triangular; `torque_sum` (n_blocks, n) is the sum of tau. For any beta,
-    `|tau_k - W_k beta|^2 = sum_b |R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing else.
+    `R^T R = [W_k | tau_k]^T [W_k | tau_k]`.
 
-    Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is built block by block (Golub & Van Loan,
-    Matrix Computations, 2013, section 5.2; Demmel et al., SIAM J. Sci. Comput. 34, 2012).
+    Joint k sees only the base parameters `support[k]` (p_k positions among the p of `base`): links
+    it carries and its own drive. `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper
+    triangular; `torque_sum` (n_blocks, n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2 =
+    sum_b |R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing
+    else.
+
+    Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is
+    built block by block (Golub & Van Loan, Matrix Computations, 2013, section 5.2; Demmel et al.,
+    SIAM J. Sci. Comput. 34, 2012).
     """
 
     base: BaseParameters
@@ -112,7 +123,10 @@ class SquareRootInformation:
         return np.array([float(factor[:, -1] @ factor[:, -1]) for factor in self.joint_factors])
 
     def select(self, blocks: Sequence[int] | Array | Indices) -> SquareRootInformation:
-        """Return the information of these blocks only; an index that comes twice counts twice; raises `IdentifiabilityError` without any."""
+        """Return the information of these blocks only; an index that comes twice counts twice.
+
+        Raises `IdentifiabilityError` without any.
+        """
         chosen = np.arange(self.n_blocks)[np.asarray(blocks)]
         if chosen.size == 0:
             raise IdentifiabilityError(f"no block is selected; there are {self.n_blocks}")
@@ -126,7 +140,8 @@ class SquareRootInformation:
         )
 
     def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
-        """Return the information of this and other recordings of the same robot with the same base parameters, blocks one after another.
+        """Return the information of this and other recordings of the same robot with the same base
+        parameters, blocks one after another.
 
         Raises `IdentifiabilityError` where joints or base parameters are others.
         """
@@ -151,7 +166,9 @@ class SquareRootInformation:
         )
 
     def stacked(self, weights: ArrayLike | None = None) -> Array:
-        """Return the factor (p + 1, p + 1) of all joints' rows, joint k multiplied by `weights[k]` (1 where none are given)."""
+        """Return the factor (p + 1, p + 1) of all joints' rows, joint k multiplied by `weights[k]`
+        (1 where none are given).
+        """
         return self._stacked(self.joint_factors, weights)
 
     def block_stacked(self, block: int, weights: ArrayLike | None = None) -> Array:
@@ -169,7 +186,10 @@ class SquareRootInformation:
         return triangular_factor(rows)
 
     def residual_energy(self, beta: ArrayLike) -> Array:
-        """Return `|tau_k - W_k beta|^2` for every joint, shape (n,); raises `IdentifiabilityError` for a beta of another shape than (p,)."""
+        """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).
+
+        Raises `IdentifiabilityError` for a beta of another shape than (p,).
+        """
         values = np.asarray(beta, dtype=np.float64)
         if values.shape != (self.base.n_base,):
             raise IdentifiabilityError(
@@ -183,7 +203,9 @@ class SquareRootInformation:
         return np.array([float(error @ error) for error in errors])
 
     def to_bytes(self) -> bytes:
-        """Return the content of an NPZ file (upper triangles only, no pickle) that `from_bytes` reads."""
+        """Return the content of an NPZ file (upper triangles only, no pickle) that `from_bytes`
+        reads.
+        """
         header = {
             "robot": self.base.robot,
             "drive": str(self.base.drive),
@@ -205,7 +227,10 @@ class SquareRootInformation:
 
     @classmethod
     def from_bytes(cls, base: BaseParameters, content: bytes) -> SquareRootInformation:
-        """Rebuild what `to_bytes` wrote for a robot with these base parameters; raises `ResultError` where they are others or it is not readable."""
+        """Rebuild what `to_bytes` wrote for a robot with these base parameters.
+
+        Raises `ResultError` where they are others or it is not readable.
+        """
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 header = json.loads(str(arrays["header"]))
@@ -244,8 +269,10 @@ def accumulate(
 ) -> SquareRootInformation:
     """Reduce samples to their square-root information in one pass.
 
-    Where `samples.parallel` is set, every regressor column and the torque go through it alike, segment by segment. `block_seconds` is the length
-    of a time block, by default 5 s, less for short recordings. `threads` share the blocks, by default one per core; the result does not depend on it.
+    Where `samples.parallel` is set, every regressor column and the torque go through it alike,
+    segment by segment. `block_seconds` is the length of a time block, by default 5 s, less for
+    short recordings. `threads` share the blocks, by default one per core; the result does not
+    depend on it.
     """
     return accumulate_stream(model, base, (samples,), block_seconds=block_seconds, threads=threads)
 
@@ -258,10 +285,13 @@ def accumulate_stream(
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> SquareRootInformation:
-    """Reduce any number of samples, recordings or pieces of one, while they are being read; memory does not grow with their number.
+    """Reduce any number of samples, recordings or pieces of one, while they are being read.
 
-    A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each piece. Beyond 256 blocks, neighbours are merged.
-    Raises `IdentifiabilityError` where nothing is left after filtering, or the joints are others.
+    Memory does not grow with their number.
+
+    A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each
+    piece. Beyond 256 blocks, neighbours are merged. Raises `IdentifiabilityError` where nothing is
+    left after filtering, or the joints are others.
     """
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
     gathered = _Gathering()
@@ -289,7 +319,10 @@ def reduce_rows(
     support: Sequence[Indices],
     blocks: Iterable[RowBlock],
 ) -> SquareRootInformation:
-    """Reduce rows that an estimator has made of those of the samples, such as weighted ones; `support[k]` are the columns of joint k's rows."""
+    """Reduce rows that an estimator has made of those of the samples, such as weighted ones.
+
+    `support[k]` are the columns of joint k's rows.
+    """
     gathered = _Gathering()
     with one_blas_thread():
         for block in blocks:

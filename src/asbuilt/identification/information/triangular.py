@@ -14,7 +14,9 @@ ROWS_AT_ONCE = 1024
 
 
 def triangular_factor(rows: Array) -> Array:
-    """Return the upper triangular R (p, p) with `R^T R = rows^T rows` and a non-negative diagonal, of rows (m, p), by Householder QR."""
+    """Return the upper triangular R (p, p) with `R^T R = rows^T rows` and a non-negative diagonal,
+    of rows (m, p), by Householder QR.
+    """
     growing = GrowingFactor(rows.shape[1], len(rows))
     growing.append(np.ascontiguousarray(rows.T))
     return growing.factor()
@@ -28,14 +30,20 @@ def packed_triangle(matrix: Array) -> str:
 
 
 def unpacked_triangle(text: str, p: int) -> Array:
-    """Return the upper triangular matrix (p, p) of `packed_triangle`; raises ValueError where the text holds another number of entries."""
+    """Return the upper triangular matrix (p, p) of `packed_triangle`.
+
+    Raises ValueError where the text holds another number of entries.
+    """
     triangle = np.zeros((p, p))
     triangle[np.triu_indices(p)] = np.frombuffer(base64.b64decode(text), dtype="<f8")
     return triangle
 
 
 class GrowingFactor:
-    """Reduce ever more rows with p columns to their triangular factor: R of [R; new rows], `capacity` rows at a time."""
+    """Reduce ever more rows with p columns to their triangular factor: R of [R.
+
+    New rows], `capacity` rows at a time.
+    """
 
     def __init__(self, p: int, capacity: int = ROWS_AT_ONCE) -> None:
         self._p = p

@@ -1,4 +1,7 @@
-"""In plain words, what a recording determines: which parameters well, which hardly, which combinations trade off, and which motion would help."""
+"""In plain words, what a recording determines.
+
+Which parameters well, which hardly, which combinations trade off, and which motion would help.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +25,15 @@ if TYPE_CHECKING:
 
 
 WELL = 0.10
-"""Standard error, as a fraction of the larger of estimate and CAD value, up to which a parameter is determined well,"""
+"""Standard error, as a fraction of the larger of estimate and CAD value, up to which a parameter is
+determined well,
+"""
 HARDLY = 0.50
 """and from which hardly."""
 TRADES = 2.5
-"""How much larger the error of a combination must be than its parameters would have alone to be called a trade-off."""
+"""How much larger the error of a combination must be than its parameters would have alone to be
+called a trade-off.
+"""
 MOST_NAMED = 5
 TAKES_PART = 0.35
 """Coefficient, relative to the largest, from which a parameter is named in a combination."""
@@ -38,14 +45,20 @@ DRAWS = 160
 HELPS = 0.5
 """Ratio of errors after and before from which a motion helps a parameter."""
 UNTOLD = 1e-8
-"""Information, relative to a parameter's own, that every direction is taken to have, so that errors of what nothing tells are large but finite."""
+"""Information, relative to a parameter's own, that every direction is taken to have, so that errors
+of what nothing tells are large but finite.
+"""
 SLOW = 0.05
 """Fraction of the velocity limit of a slow motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """Parameters that this recording tells only together: `text` names them, `spread` is how much larger the error of the first is than if the others were known."""
+    """Parameters that this recording tells only together.
+
+    `text` names them, `spread` is how much larger the error of the first is than if the others were
+    known.
+    """
 
     names: tuple[str, ...]
     text: str
@@ -54,7 +67,9 @@ class Combination:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A further motion, the parameters that it would determine better, and the mean ratio of their errors after and before."""
+    """A further motion, the parameters that it would determine better, and the mean ratio of their
+    errors after and before.
+    """
 
     motion: str
     names: tuple[str, ...]
@@ -65,8 +80,10 @@ class Advice:
 class Determination:
     """Say what a recording determines.
 
-    `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that and `negligible` those of them whose error hardly changes the
-    torque of this motion, so that the result does not call them poorly determined; `not_at_all` those that nothing in the recording tells; `dropped` those that the estimator set to zero as needless, which have no error.
+    `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that
+    and `negligible` those of them whose error hardly changes the torque of this motion, so that the
+    result does not call them poorly determined; `not_at_all` those that nothing in the recording
+    tells; `dropped` those that the estimator set to zero as needless, which have no error.
     """
 
     well: tuple[str, ...]
@@ -160,11 +177,13 @@ class Determination:
 
 
 def determination(result: IdentificationResult, *, motions: bool = True) -> Determination:
-    """Say what the recording behind a result determines and, unless `motions` is False, which further motion would help.
+    """Say what the recording behind a result determines and, unless `motions` is False, which
+    further motion would help.
 
-    The combinations are the directions of the largest variance, in parameters scaled to unit error if all others were known (Belsley, Kuh & Welsch, Regression
-    Diagnostics, 1980). Help is judged by adding the information of 20 s of every kind of motion within the robot's limits: slow poses, steady fast travel
-    and hard acceleration of each joint, and of all at once.
+    The combinations are the directions of the largest variance, in parameters scaled to unit error
+    if all others were known (Belsley, Kuh & Welsch, Regression Diagnostics, 1980). Help is judged
+    by adding the information of 20 s of every kind of motion within the robot's limits: slow poses,
+    steady fast travel and hard acceleration of each joint, and of all at once.
     """
     names = np.array(result.base.names)
     dropped = result.dropped
@@ -195,7 +214,9 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
 def _combinations(
     result: IdentificationResult, information: Array, told: NDArray[np.bool_]
 ) -> tuple[Combination, ...]:
-    """Directions of large variance in parameters scaled to unit diagonal information, the largest first, each parameter named first once."""
+    """Directions of large variance in parameters scaled to unit diagonal information, the largest
+    first, each parameter named first once.
+    """
     seen = np.flatnonzero(told & (np.diag(information) > 0))
     scale = 1.0 / np.sqrt(np.diag(information)[seen])
     scaled = information[np.ix_(seen, seen)] * np.outer(scale, scale)
@@ -229,7 +250,10 @@ def _combinations(
 def _advice(
     result: IdentificationResult, information: Array, weak: NDArray[np.int64]
 ) -> tuple[Advice, ...]:
-    """Return the motions that would help the weak parameters, the gentlest first: slow poses, then one joint at a time, then all at once."""
+    """Return the motions that would help the weak parameters, the gentlest first.
+
+    Slow poses, then one joint at a time, then all at once.
+    """
     independent = result.effective_samples / max(result.duration, 1e-9) * EXTRA_SECONDS
     before, ceiling = _errors(information, weak)
     ratios, texts = [], []
@@ -258,7 +282,10 @@ def _advice(
 def _errors(
     information: Array, weak: NDArray[np.int64], scale: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return the standard errors of the weak parameters, and the scaling used; what nothing tells has an error as large as the scaling allows."""
+    """Return the standard errors of the weak parameters, and the scaling used.
+
+    What nothing tells has an error as large as the scaling allows.
+    """
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     whitened = information * np.outer(size, size) + UNTOLD * np.eye(len(size))
@@ -275,7 +302,10 @@ def _information_of(result: IdentificationResult, q: Array, qd: Array, qdd: Arra
 
 
 def _motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]]:
-    """Yield kinds of motion as states drawn within the limits: what it is called, q, qd and qdd, each (DRAWS, n)."""
+    """Yield kinds of motion as states drawn within the limits.
+
+    What it is called, q, qd and qdd, each (DRAWS, n).
+    """
     bounds = MotionBounds.assumed(model)
     rng = np.random.default_rng(0)
     n = model.n_joints

@@ -1,4 +1,8 @@
-"""What the recordings say by themselves: weighted least squares without bounds or pull to CAD, so that results of whatever estimators compare on equal terms."""
+"""What the recordings say by themselves.
+
+Weighted least squares without bounds or pull to CAD, so that results of whatever estimators compare
+on equal terms.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +25,8 @@ from asbuilt.identification.information.triangular import packed_triangle, unpac
 class FreeValues:
     """Hold the p base parameters by weighted least squares alone.
 
-    `estimates` (p,), their block-robust `covariance` (p, p), the `textbook_std_errors` (p,) that were widened for it, and which are `determined` (p,).
+    `estimates` (p,), their block-robust `covariance` (p, p), the `textbook_std_errors` (p,) that
+    were widened for it, and which are `determined` (p,).
     """
 
     estimates: Array
@@ -49,7 +54,10 @@ class FreeValues:
         return np.sqrt(np.diag(self.covariance))
 
     def as_dict(self) -> dict[str, Any]:
-        """Return numbers and lists, ready for JSON; the covariance is its upper triangle, row by row, as base64 of little-endian doubles."""
+        """Return numbers and lists, ready for JSON.
+
+        The covariance is its upper triangle, row by row, as base64 of little-endian doubles.
+        """
         return {
             "estimates": self.estimates.tolist(),
             "covariance": packed_triangle(self.covariance),
@@ -81,7 +89,9 @@ class FreeValues:
 def free_values(
     information: SquareRootInformation, toward: ArrayLike, beside: Array | None = None
 ) -> FreeValues:
-    """Fit by `wls` with errors from time blocks; what the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined.
+    """Fit by `wls` with errors from time blocks.
+
+    What the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined.
 
     `beside` (p, p) is the covariance that fitted shapes of drive terms add.
     """

@@ -15,11 +15,15 @@ from asbuilt.errors import ResultError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueMetrics:
-    """Measure a prediction against a recording of n joints; `e = measured - predicted`, N m for a joint that turns, N for one that slides.
+    """Measure a prediction against a recording of n joints.
 
-    `rms` (n,) = sqrt(mean(e^2)); `max_abs` (n,) = max |e|; `r_squared` (n,) = 1 - sum e^2 / sum (tau - mean tau)^2, NaN where the torque
-    is constant; `relative_error_per_joint` (n,) = |e_k| / |tau_k| and `relative_error` = |e| / |tau|, the norms over all samples and joints. All are
-    taken in the band that the samples' filter passes; `rms_recorded` (n,) is against the torque as logged, which no filter flatters; NaN where unknown.
+    `e = measured - predicted`, N m for a joint that turns, N for one that slides.
+
+    `rms` (n,) = sqrt(mean(e^2)); `max_abs` (n,) = max |e|; `r_squared` (n,) = 1 - sum e^2 / sum
+    (tau - mean tau)^2, NaN where the torque is constant; `relative_error_per_joint` (n,) = |e_k| /
+    |tau_k| and `relative_error` = |e| / |tau|, the norms over all samples and joints. All are taken
+    in the band that the samples' filter passes; `rms_recorded` (n,) is against the torque as
+    logged, which no filter flatters; NaN where unknown.
     """
 
     source: str
@@ -61,7 +65,10 @@ class TorqueMetrics:
 
     @classmethod
     def from_dict(cls, fields: Mapping[str, Any]) -> TorqueMetrics:
-        """Rebuild from `as_dict`; raises `ResultError` where a field is missing or of the wrong length."""
+        """Rebuild from `as_dict`.
+
+        Raises `ResultError` where a field is missing or of the wrong length.
+        """
         try:
             return cls(
                 source=str(fields["source"]),
@@ -84,7 +91,9 @@ class TorqueMetrics:
 
 
 class TorqueTally:
-    """Gather torque errors batch by batch, so that a recording larger than memory has metrics too (pairwise moments: Chan et al., 1983)."""
+    """Gather torque errors batch by batch, so that a recording larger than memory has metrics too
+    (pairwise moments: Chan et al., 1983).
+    """
 
     def __init__(self, joint_names: Iterable[str]) -> None:
         self.joint_names = tuple(joint_names)
@@ -96,7 +105,10 @@ class TorqueTally:
         self._spread = np.zeros(n)
 
     def add(self, measured: ArrayLike, predicted: ArrayLike) -> TorqueTally:
-        """Add a batch, both (n_samples, n_joints); returns itself. Raises `ResultError` for other shapes."""
+        """Add a batch, both (n_samples, n_joints); returns itself.
+
+        Raises `ResultError` for other shapes.
+        """
         tau = np.asarray(measured, dtype=np.float64)
         hat = np.asarray(predicted, dtype=np.float64)
         if tau.shape != hat.shape or tau.ndim != 2 or tau.shape[1] != len(self.joint_names):
@@ -118,7 +130,10 @@ class TorqueTally:
         return self
 
     def metrics(self, source: str) -> TorqueMetrics:
-        """Return the metrics of everything added so far; raises `ResultError` where that is nothing."""
+        """Return the metrics of everything added so far.
+
+        Raises `ResultError` where that is nothing.
+        """
         if self._n == 0:
             raise ResultError(
                 f"no samples to measure the prediction of {source!r} on; is the recording shorter"
@@ -145,7 +160,9 @@ class TorqueTally:
 def torque_metrics(
     measured: ArrayLike, predicted: ArrayLike, source: str, joint_names: Iterable[str] | None = None
 ) -> TorqueMetrics:
-    """Measure `predicted` against `measured`, both (n_samples, n_joints); joints are numbered from 1 where no names are given.
+    """Measure `predicted` against `measured`, both (n_samples, n_joints).
+
+    Joints are numbered from 1 where no names are given.
 
     >>> torque_metrics([[3.0], [-4.0]], [[3.0], [-3.0]], "bench").rms.round(4).tolist()
     [0.7071]

@@ -1,4 +1,7 @@
-"""The outcome of an identification: every number with its uncertainty, its verdict and where it came from."""
+"""The outcome of an identification.
+
+Every number with its uncertainty, its verdict and where it came from.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,10 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class IdentificationWarning:
-    """Something the user must know: a stable `code` for programs, a `message` with values and a way out for people."""
+    """Something the user must know.
+
+    A stable `code` for programs, a `message` with values and a way out for people.
+    """
 
     code: str
     message: str
@@ -41,12 +47,15 @@ class IdentificationWarning:
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedParameter:
-    """One base parameter: its value by design (`cad`, NaN where the description is silent) and as built, with standard errors.
+    """One base parameter: its value by design (`cad`, NaN where the description is silent) and as
+    built, with standard errors.
 
-    `std_error` is judged as the result's `errors` say, `textbook_std_error` takes residuals as white. `determined` is False where this recording does
-    not tell the parameter and `estimate` leans on CAD; both errors then cover only the part that the recording tells. `poorly_determined` is
-    True where the error is large beside the value and matters to the torque. `dropped` is True where the parameter was set to zero as needless (method
-    `essential`): that is a choice, not a measurement, and both errors are NaN.
+    `std_error` is judged as the result's `errors` say, `textbook_std_error` takes residuals as
+    white. `determined` is False where this recording does not tell the parameter and `estimate`
+    leans on CAD; both errors then cover only the part that the recording tells. `poorly_determined`
+    is True where the error is large beside the value and matters to the torque. `dropped` is True
+    where the parameter was set to zero as needless (method `essential`): that is a choice, not a
+    measurement, and both errors are NaN.
     """
 
     id: int
@@ -77,7 +86,8 @@ class IdentifiedParameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentificationResult:
-    """Hold what an identification found, of a robot with n joints and p base parameters (drive terms included).
+    """Hold what an identification found, of a robot with n joints and p base parameters (drive
+    terms included).
 
     | attribute | what |
     |---|---|
@@ -176,7 +186,10 @@ class IdentificationResult:
 
     @property
     def n_base(self) -> int:
-        """Number of base parameters, drive terms included: the rank that the robot's structure allows."""
+        """Number of base parameters, drive terms included.
+
+        The rank that the robot's structure allows.
+        """
         return self.base.n_base
 
     @property
@@ -186,7 +199,10 @@ class IdentificationResult:
 
     @property
     def weights(self) -> Array:
-        """One over the standard deviation of the torque residual of each joint, (n,); large but finite where there is none."""
+        """One over the standard deviation of the torque residual of each joint, (n,).
+
+        Large but finite where there is none.
+        """
         return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
 
     @property
@@ -210,11 +226,16 @@ class IdentificationResult:
         return self.errors.sentence(self.effective_samples, self.n_samples)
 
     def predict(self, samples: Samples) -> Prediction:
-        """Predict the torque of another recording from the values as built, on its filtered grid, beside what was measured there."""
+        """Predict the torque of another recording from the values as built, on its filtered grid,
+        beside what was measured there.
+        """
         return predict_torque(self.model, self.base, self.estimates, samples)
 
     def predict_cad(self, samples: Samples) -> Prediction:
-        """Predict the torque of a recording from the values by design; terms on which the description is silent add nothing."""
+        """Predict the torque of a recording from the values by design.
+
+        Terms on which the description is silent add nothing.
+        """
         return predict_torque(
             self.model, self.base, np.nan_to_num(self.cad_values, nan=0.0), samples
         )
@@ -224,7 +245,10 @@ class IdentificationResult:
         return summarise(self)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what programs rely on, without the robot and the covariances: plain numbers, texts and lists, None for what is undefined."""
+        """Return what programs rely on, without the robot and the covariances.
+
+        Plain numbers, texts and lists, None for what is undefined.
+        """
         return {
             "robot": self.robot,
             "method": self.method,
@@ -258,7 +282,9 @@ class IdentificationResult:
         }
 
     def to_json(self) -> str:
-        """Return the whole result, robot and covariances included, as JSON that `from_json` reads back to the last bit."""
+        """Return the whole result, robot and covariances included, as JSON that `from_json` reads
+        back to the last bit.
+        """
         whole = {"format": FORMAT, "version": FORMAT_VERSION} | self.as_dict()
         whole |= {
             name: getattr(self, name).tolist()
@@ -273,7 +299,9 @@ class IdentificationResult:
 
     @classmethod
     def from_json(cls, text: str) -> IdentificationResult:
-        """Read a result; raises `ResultError` where the text is not one, misses something, or was made with other base parameters than today's."""
+        """Read a result; raises `ResultError` where the text is not one, misses something, or was
+        made with other base parameters than today's.
+        """
         try:
             whole = json.loads(text)
         except ValueError as problem:
@@ -356,7 +384,10 @@ def _finite(value: Any) -> Any:
 
 
 def _parameter(item: Mapping[str, Any], method: str) -> IdentifiedParameter:
-    """Return a parameter as stored; files of versions that gave dropped parameters an error of zero are read as they are meant."""
+    """Return a parameter as stored.
+
+    Files of versions that gave dropped parameters an error of zero are read as they are meant.
+    """
     numbers = {
         name: np.nan if item[name] is None else float(item[name])
         for name in ("cad", "estimate", "std_error", "textbook_std_error")

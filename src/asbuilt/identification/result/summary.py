@@ -1,4 +1,7 @@
-"""An identification on one screen: verdict first, then every parameter beside its CAD value, then every joint."""
+"""An identification on one screen.
+
+Verdict first, then every parameter beside its CAD value, then every joint.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,8 @@ DROPPED = "dropped"
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Hold the heading (pairs of label and text), the table of parameters, the table of joints and the numbered notes.
+    """Hold the heading (pairs of label and text), the table of parameters, the table of joints and
+    the numbered notes.
 
     The text holds no date, no colour and no terminal width: the same result always reads the same.
     """

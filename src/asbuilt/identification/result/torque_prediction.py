@@ -1,4 +1,6 @@
-"""The torque that a set of base parameters predicts for a recording, beside the torque that was measured."""
+"""The torque that a set of base parameters predicts for a recording, beside the torque that was
+measured.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Hold measured and predicted torque, both (N, n), at the times `t` (N,) of the filtered and decimated grid."""
+    """Hold measured and predicted torque, both (N, n), at the times `t` (N,) of the filtered and
+    decimated grid.
+    """
 
     t: Array
     measured: Array
@@ -40,7 +44,9 @@ class Prediction:
 
 
 def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> RobotModel:
-    """Return the robot with link parameters that give the rigid-body torque of these base parameters, though no real bodies need have them."""
+    """Return the robot with link parameters that give the rigid-body torque of these base
+    parameters, though no real bodies need have them.
+    """
     chi = np.zeros(base.n_standard)
     chi[base.columns] = np.asarray(values, dtype=np.float64)
     return model.with_parameters(chi[: 10 * model.n_joints])
@@ -56,9 +62,10 @@ def predict_torque(
 ) -> Prediction:
     """Predict `F(Y_b beta)` beside `F(tau)`, F being the parallel filter of the samples, if any.
 
-    The kept columns of Y reproduce every torque alone, so Newton-Euler runs once with beta in their places and zero elsewhere. `added` (10 n,) are
-    link parameters that come on top, such as those of a payload.
-    Raises `ResultError` where the samples belong to other joints or `values` is not of shape (p,).
+    The kept columns of Y reproduce every torque alone, so Newton-Euler runs once with beta in their
+    places and zero elsewhere. `added` (10 n,) are link parameters that come on top, such as those
+    of a payload. Raises `ResultError` where the samples belong to other joints or `values` is not
+    of shape (p,).
     """
     beta = np.asarray(values, dtype=np.float64)
     if beta.shape != (base.n_base,):

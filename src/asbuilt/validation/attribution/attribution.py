@@ -1,4 +1,7 @@
-"""Which causes explain how much of what CAD predicts wrongly: every combination of causes fitted, shares that do not depend on their order."""
+"""Which causes explain how much of what CAD predicts wrongly.
+
+Every combination of causes fitted, shares that do not depend on their order.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +38,12 @@ SHORT: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CauseShare:
-    """What one cause explains of the squared CAD error of every joint, each (n,) as a fraction of it.
+    """What one cause explains of the squared CAD error of every joint, each (n,) as a fraction of
+    it.
 
-    `share` divides what the causes explain together, with the sizes found together; `refitted` is the Shapley value where every combination is
-    fitted anew, so that causes stand in for each other; `alone` is what the cause explains by itself, `last` what it adds to all others.
+    `share` divides what the causes explain together, with the sizes found together; `refitted` is
+    the Shapley value where every combination is fitted anew, so that causes stand in for each
+    other; `alone` is what the cause explains by itself, `last` what it adds to all others.
     """
 
     cause: str
@@ -52,10 +57,13 @@ class CauseShare:
 class Attribution:
     """Hold which causes the error of CAD has.
 
-    `steps` are the nested models in the order of `CAUSES`; `chosen` is the combination with the fewest causes among those about as likely as the best; `shares` of the causes weighed (those chosen, and a
-    payload where it could be part of what is put down to the links) add up, with `unexplained` (n,), to 1 for every joint. `alike` are pairs that this recording
-    does not tell apart. `rms_cad` (n,) and `rms_chosen` (n,) are errors on `judged_by`, beside the `torque` (n,) there, all RMS. `findings` say in sentences what the causes
-    amount to, `sentences` what each joint's error is made of, and `reasons` the same without the size of the error.
+    `steps` are the nested models in the order of `CAUSES`; `chosen` is the combination with the
+    fewest causes among those about as likely as the best; `shares` of the causes weighed (those
+    chosen, and a payload where it could be part of what is put down to the links) add up, with
+    `unexplained` (n,), to 1 for every joint. `alike` are pairs that this recording does not tell
+    apart. `rms_cad` (n,) and `rms_chosen` (n,) are errors on `judged_by`, beside the `torque` (n,)
+    there, all RMS. `findings` say in sentences what the causes amount to, `sentences` what each
+    joint's error is made of, and `reasons` the same without the size of the error.
     """
 
     robot: str
@@ -77,7 +85,9 @@ class Attribution:
     values: dict[str, float]
 
     def joint_table(self, as_built: Array) -> Table:
-        """Return, joint by joint, the RMS torque, how far CAD is off, how far the robot as built (n,) on the same data, and why CAD is."""
+        """Return, joint by joint, the RMS torque, how far CAD is off, how far the robot as built
+        (n,) on the same data, and why CAD is.
+        """
         heads = (
             Column("joint", width=20),
             Column("unit"),
@@ -109,7 +119,9 @@ class Attribution:
 
     @property
     def tilt(self) -> float:
-        """Angle [rad] by which the robot seems to stand askew, zero where that is not among the causes chosen."""
+        """Angle [rad] by which the robot seems to stand askew, zero where that is not among the
+        causes chosen.
+        """
         return (
             float(np.linalg.norm([self.values.get(name, 0.0) for name in TILTS]))
             if "mounting" in self.chosen
@@ -117,7 +129,9 @@ class Attribution:
         )
 
     def share_table(self) -> Table:
-        """Return, joint by joint, the RMS torque and error of CAD, the share of every cause in its square, what is left, and the error then."""
+        """Return, joint by joint, the RMS torque and error of CAD, the share of every cause in its
+        square, what is left, and the error then.
+        """
         heads = [
             Column("joint", width=20),
             Column("unit"),
@@ -156,7 +170,10 @@ class Attribution:
         )
 
     def step_table(self) -> Table:
-        """Return the nested models: parameters told, F-test of each step, BIC, RMS error of every joint on held-out data."""
+        """Return the nested models.
+
+        Parameters told, F-test of each step, BIC, RMS error of every joint on held-out data.
+        """
         heads = [
             Column("model"),
             Column("parameters", align="right"),
@@ -246,12 +263,16 @@ class Attribution:
 
 
 def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> Attribution:
-    """Attribute the torque error of CAD (or of `cad`, another description of the same geometry) to causes.
+    """Attribute the torque error of CAD (or of `cad`, another description of the same geometry) to
+    causes.
 
-    Every combination of causes present is fitted to `tau - tau_CAD` by least squares with each joint weighted by its noise, and judged on data held out. Of
-    those about as likely as the best the one with the fewest causes is chosen (`CauseFits.chosen`); within it the drop of each joint's squared error is divided by the Shapley value (Shapley, 1953) over
-    the orders that take a special cause before the general one that contains it (Faigle & Kern, Int. J. Game Theory 21, 1992). Tilt and gain are linearised
-    at CAD. Raises `ResultError` where the result carries no evidence.
+    Every combination of causes present is fitted to `tau - tau_CAD` by least squares with each
+    joint weighted by its noise, and judged on data held out. Of those about as likely as the best
+    the one with the fewest causes is chosen (`CauseFits.chosen`); within it the drop of each
+    joint's squared error is divided by the Shapley value (Shapley, 1953) over the orders that take
+    a special cause before the general one that contains it (Faigle & Kern, Int. J. Game Theory 21,
+    1992). Tilt and gain are linearised at CAD. Raises `ResultError` where the result carries no
+    evidence.
     """
     if result.evidence is None:
         raise ResultError(

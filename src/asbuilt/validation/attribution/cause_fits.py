@@ -24,17 +24,23 @@ if TYPE_CHECKING:
 
 
 WEAKEST = 1e-10
-"""Squared singular value of the fit, relative to the largest with columns scaled alike, below which a direction is left alone."""
+"""Squared singular value of the fit, relative to the largest with columns scaled alike, below which
+a direction is left alone.
+"""
 MOST_EXCHANGES = 30
 """Rounds in which parameters that cannot be negative are set to zero or freed again."""
 NEARLY = 6.0
-"""Difference in score, as of a deviance, within which two combinations are about as likely (Kass & Raftery, J. Am. Stat. Assoc. 90, 1995: not strong evidence)."""
+"""Difference in score, as of a deviance, within which two combinations are about as likely (Kass &
+Raftery, J. Am. Stat. Assoc. 90, 1995: not strong evidence).
+"""
 WORTH_TELLING = 0.05
 """Share of the error from which a cause is held against others."""
 MOSTLY_LEFT = 0.5
 """Share of the error below which a combination of causes has taken most of it away."""
 OWN = 0.5
-"""Two causes cannot be told apart where without either one the error grows by less than this part of that cause's share."""
+"""Two causes cannot be told apart where without either one the error grows by less than this part
+of that cause's share.
+"""
 NOISE_FLOOR = 1e-4
 """Smallest RMS of a joint, as a fraction of its torque, that is worth explaining."""
 USUAL_GAIN = 0.1
@@ -49,9 +55,11 @@ POSSIBLE_REACH = 1.0
 class CauseModel:
     """Hold the fit of one combination of causes.
 
-    `rms` (n,) is the error of each joint on the data judged by, `rms_fitted` on the data used; `values` are the parameters by name; `told` how many of them
-    the data tell, `rank` without those that would be negative and are zero; `bic` the Bayesian information criterion with as many samples as are independent, who also set the `std_errors`; `possible` is False where
-    the payload would be no body: without mass, or out of reach.
+    `rms` (n,) is the error of each joint on the data judged by, `rms_fitted` on the data used;
+    `values` are the parameters by name; `told` how many of them the data tell, `rank` without those
+    that would be negative and are zero; `bic` the Bayesian information criterion with as many
+    samples as are independent, who also set the `std_errors`; `possible` is False where the payload
+    would be no body: without mass, or out of reach.
     """
 
     causes: Subset
@@ -69,7 +77,10 @@ class CauseModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One step of the nested models: the cause taken up, the errors then, and the F-test of what it explains beyond the model before."""
+    """One step of the nested models.
+
+    The cause taken up, the errors then, and the F-test of what it explains beyond the model before.
+    """
 
     cause: str
     rms: Array
@@ -135,7 +146,10 @@ class CauseFits:
         self._known: dict[Subset, CauseModel] = {}
 
     def _widened(self, rows: Array, x: Array, K: Array, joint: int) -> Array:
-        """Columns of the evidence, a gain per joint, ten of a payload; last the torque less that of CAD."""
+        """Columns of the evidence, a gain per joint, ten of a payload.
+
+        Last the torque less that of CAD.
+        """
         A = rows[:, :-1]
         n = self.evidence.n_joints
         gains = np.zeros((len(rows), n))
@@ -234,7 +248,9 @@ class CauseFits:
         return bool(body[9] > 0 and np.linalg.norm(body[6:9]) <= POSSIBLE_REACH * body[9])
 
     def steps(self) -> tuple[Step, ...]:
-        """Return the nested models, each step tested against what the whole of them leaves, so that causes not yet taken up do not hide it."""
+        """Return the nested models, each step tested against what the whole of them leaves, so that
+        causes not yet taken up do not hide it.
+        """
         models = [self.fit(frozenset(self.causes[:place])) for place in range(len(self.causes) + 1)]
         n_rows = self.independent * self.evidence.n_joints
         whole = next((model for model in reversed(models) if model.told < n_rows), models[0])
@@ -257,7 +273,10 @@ class CauseFits:
 
     @cached_property
     def rivals(self) -> tuple[CauseModel, ...]:
-        """All combinations that could be, the best first: a payload is a body, and beside free links, to which it adds nothing, in none."""
+        """All combinations that could be, the best first.
+
+        A payload is a body, and beside free links, to which it adds nothing, in none.
+        """
         every = (
             frozenset(some)
             for size in range(len(self.causes) + 1)
@@ -279,7 +298,9 @@ class CauseFits:
 
     @cached_property
     def untold(self) -> CauseModel | None:
-        """The combination that takes most of the error away, more than half, where none is chosen for want of independent samples; None elsewhere."""
+        """The combination that takes most of the error away, more than half, where none is chosen
+        for want of independent samples; None elsewhere.
+        """
         if self.chosen.causes:
             return None
 
@@ -291,12 +312,17 @@ class CauseFits:
 
     @property
     def tells_payload(self) -> bool:
-        """Whether the torques of this robot feel the mass of a body at the flange at all; those of a single hinge do not."""
+        """Whether the torques of this robot feel the mass of a body at the flange at all.
+
+        Those of a single hinge do not.
+        """
         return bool(self.present[self.columns["payload"][9]])
 
     @cached_property
     def possible_payload(self) -> tuple[CauseModel, float, float, Array]:
-        """The fit with a payload in place of free links, its mass and error [kg] and its centre [m]."""
+        """The fit with a payload in place of free links, its mass and error [kg] and its centre
+        [m].
+        """
         fit = self.fit((self.chosen.causes - {"links"}) | {"payload"})
         body, mass_error = (
             fit.values[self.columns["payload"]],
@@ -311,7 +337,10 @@ class CauseFits:
 
     @cached_property
     def weighed(self) -> tuple[str, ...]:
-        """The causes chosen, and a payload where it could be part of what is put down to the links: where such a body can be."""
+        """The causes chosen, and a payload where it could be part of what is put down to the links.
+
+        Where such a body can be.
+        """
         causes = self.chosen.causes
         if "links" in causes and "payload" in self.causes:
             fit, *_ = self.possible_payload
@@ -321,9 +350,12 @@ class CauseFits:
         return tuple(cause for cause in CAUSES if cause in causes)
 
     def sizes(self, weighed: tuple[str, ...]) -> dict[str, Array]:
-        """Return the parameters of each cause weighed, (columns,); a general cause has what the special one that it contains leaves.
+        """Return the parameters of each cause weighed, (columns,).
 
-        Richer friction is what remains of it beside the plain friction nearest to the whole, joint by joint; links what remains beside the payload.
+        A general cause has what the special one that it contains leaves.
+
+        Richer friction is what remains of it beside the plain friction nearest to the whole, joint
+        by joint; links what remains beside the payload.
         """
         inside = {
             cause: np.isin(np.arange(len(self.names)), self.columns[cause]) for cause in weighed
@@ -347,9 +379,11 @@ class CauseFits:
         return found
 
     def parts(self, weighed: tuple[str, ...]) -> dict[str, Array]:
-        """Divide the drop of the mean squared error of every joint among causes of the sizes found together.
+        """Divide the drop of the mean squared error of every joint among causes of the sizes found
+        together.
 
-        With the torques y_i of the causes, e = tau - tau_CAD and r = e - sum y, the Shapley value of the drop |e|^2 - |e - sum_S y|^2 is y_i . (e + r).
+        With the torques y_i of the causes, e = tau - tau_CAD and r = e - sum y, the Shapley value
+        of the drop |e|^2 - |e - sum_S y|^2 is y_i . (e + r).
         """
         sizes = self.sizes(weighed)
         found = {cause: np.zeros(self.evidence.n_joints) for cause in weighed}
@@ -362,7 +396,9 @@ class CauseFits:
         return found
 
     def alike(self, shares: Mapping[str, Array]) -> tuple[tuple[str, str], ...]:
-        """Pairs of which one does what the other would, seen over all joints, each joint's error in units of its noise."""
+        """Pairs of which one does what the other would, seen over all joints, each joint's error in
+        units of its noise.
+        """
         size = self.weights**2 * self.fit(frozenset()).rms ** 2
         total = {cause: float(size @ share) for cause, share in shares.items()}
         causes = frozenset(total)

@@ -20,7 +20,9 @@ MOSTLY = 0.5
 
 
 def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
-    """Say what the causes weighed amount to, what was ruled out, and what this recording does not tell apart."""
+    """Say what the causes weighed amount to, what was ruled out, and what this recording does not
+    tell apart.
+    """
     weighed = fits.weighed
     found = []
     if "payload" in fits.causes and fits.tells_payload and {"payload", "links"} & set(weighed):
@@ -126,7 +128,10 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
 
 
 def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
-    """Say by how much CAD is off at joint k and of what that is made; `left` is the share that stays unexplained."""
+    """Say by how much CAD is off at joint k and of what that is made.
+
+    `left` is the share that stays unexplained.
+    """
     unit = torque_units(fits.result.model)[k]
     head = (
         f"{fits.evidence.joint_names[k]}: CAD is off by"
@@ -136,7 +141,10 @@ def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) 
 
 
 def reason(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
-    """Say of what the CAD error of joint k is made, the largest cause first; what works against it is said to."""
+    """Say of what the CAD error of joint k is made, the largest cause first.
+
+    What works against it is said to.
+    """
     with_it, against = (
         sorted(
             (cause for cause, share in shares.items() if sign * share[k] >= WORTH_SAYING),

@@ -21,7 +21,9 @@ CAUSES: dict[str, str] = {
     "gain": "torque gain",
     "links": "mass distribution of the links",
 }
-"""The causes, in the order in which the nested models take them up, and what they are called in sentences."""
+"""The causes, in the order in which the nested models take them up, and what they are called in
+sentences.
+"""
 BEFORE: dict[str, str] = {"richer friction": "friction", "links": "payload"}
 """A general cause that contains a special one comes after it in every order."""
 CAUSE_OF_TERM: dict[str, str] = {
@@ -36,7 +38,8 @@ CAUSE_OF_TERM |= {"motor_viscous": "friction", "motor_coulomb": "friction"}
 
 
 def shapley_values(causes: tuple[str, ...], worth: Callable[[Subset], Array]) -> dict[str, Array]:
-    """Divide worth(all) - worth(none), each (n,), over the orders that take `BEFORE[c]`, where present, before c: the mean of what a cause adds.
+    """Divide worth(all) - worth(none), each (n,), over the orders that take `BEFORE[c]`, where
+    present, before c: the mean of what a cause adds.
 
     >>> {cause: part.tolist() for cause, part in shapley_values(("payload", "links"), lambda some: np.array([float("links" in some) or 0.5 * len(some)])).items()}
     {'payload': [0.5], 'links': [0.5]}

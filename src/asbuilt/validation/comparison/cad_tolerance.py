@@ -25,15 +25,18 @@ from asbuilt.validation.comparison.significance import (
 WIDEST = 100.0
 """Factor on the tolerances up to which it is sought how wide they would have to be."""
 NODES = ((-np.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (np.sqrt(3.0), 1.0 / 6.0))
-"""Places and weights that give the mean of a polynomial of fifth degree in a standard normal variable (Gauss and Hermite)."""
+"""Places and weights that give the mean of a polynomial of fifth degree in a standard normal
+variable (Gauss and Hermite).
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class CadTolerance:
     """State how well CAD is believed to know every link, one standard deviation.
 
-    `mass` and `inertia` are fractions of the mass and of the mean moment about the centre; `centre` is how far the centre of mass may be off along each axis, as
-    a fraction of the radius of gyration about it.
+    `mass` and `inertia` are fractions of the mass and of the mean moment about the centre; `centre`
+    is how far the centre of mass may be off along each axis, as a fraction of the radius of
+    gyration about it.
     """
 
     mass: float = 0.05
@@ -72,7 +75,9 @@ class CadTolerance:
         return cls(*(values * 3 if len(values) == 1 else values))
 
     def covariance(self, model: RobotModel, base: BaseParameters) -> Array:
-        """Return the mean square (p, p) of what the tolerances of all links, independent and normal, do to the base parameters by design."""
+        """Return the mean square (p, p) of what the tolerances of all links, independent and
+        normal, do to the base parameters by design.
+        """
         spread = np.zeros((base.n_standard, base.n_standard))
         for i, link in enumerate(model.links):
             if link.inertia.mass > 0:
@@ -82,9 +87,12 @@ class CadTolerance:
         return np.asarray(K @ spread @ K.T)
 
     def _mean_square(self, inertia: LinkInertia) -> Array:
-        """Return the mean square (10, 10) of the change of a link's parameters, exact: a product of mass and two coordinates of the centre, squared, is of fourth degree in each.
+        """Return the mean square (10, 10) of the change of a link's parameters, exact.
 
-        Gauss and Hermite's rule with three nodes for mass and each coordinate of the centre; the inertia about the centre adds its own.
+        A product of mass and two coordinates of the centre, squared, is of fourth degree in each.
+
+        Gauss and Hermite's rule with three nodes for mass and each coordinate of the centre; the
+        inertia about the centre adds its own.
         """
         moment = float(np.trace(inertia.inertia_about_com))
         gyration = np.sqrt(max(moment, 0.0) / (2.0 * inertia.mass))
@@ -113,9 +121,13 @@ class CadTolerance:
 
 @dataclass(frozen=True, slots=True)
 class ToleranceTest:
-    """Hold what was found against tolerances of CAD: the test of all parameters at once, and `beyond`, the names of those that exceed theirs one by one.
+    """Hold what was found against tolerances of CAD.
 
-    `needed` is the factor by which all tolerances would have to be wider to hold what was found, None where they hold it, or where none up to `WIDEST` is enough.
+    The test of all parameters at once, and `beyond`, the names of those that exceed theirs one by
+    one.
+
+    `needed` is the factor by which all tolerances would have to be wider to hold what was found,
+    None where they hold it, or where none up to `WIDEST` is enough.
     """
 
     chi_square: ChiSquare
@@ -133,7 +145,10 @@ def check_tolerance(
     *,
     level: float,
 ) -> ToleranceTest:
-    """Test differences from CAD (p,), of that covariance (p, p), against what CAD claims to know; `tested` (p,) says which of the parameters take part."""
+    """Test differences from CAD (p,), of that covariance (p, p), against what CAD claims to know.
+
+    `tested` (p,) says which of the parameters take part.
+    """
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
 
@@ -158,5 +173,7 @@ def check_tolerance(
 
 
 def _widening(excess: Callable[[float], float]) -> float | None:
-    """Return the factor from 1 to `WIDEST` at which the probability in excess of the level is zero, None where none is enough."""
+    """Return the factor from 1 to `WIDEST` at which the probability in excess of the level is zero,
+    None where none is enough.
+    """
     return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None

@@ -1,4 +1,7 @@
-"""One base parameter by design and as built: whether it differs, what that costs in torque, and the table of all."""
+"""One base parameter by design and as built.
+
+Whether it differs, what that costs in torque, and the table of all.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +32,18 @@ Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "droppe
 
 @dataclass(frozen=True, slots=True)
 class ComparedParameter:
-    """One base parameter by design and as built; `sigmas` is their difference in standard errors, None where it has no meaning.
+    """One base parameter by design and as built.
 
-    `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery` (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque`
-    is what the difference costs every joint on the motion judged by, RMS, `torque_total` all joints together, `torque_own` the part that no other parameter could make up
-    for; None without evidence. `matters` says whether some joint would notice that part; where it would notice only the whole, `shared_with` names the parameters that could
-    make up for the rest, which the recording hardly tells apart. `"dropped"` is one that the estimator set to zero as needless: it has no error and is not tested.
+    `sigmas` is their difference in standard errors, None where it has no meaning.
+
+    `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery`
+    (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque` is what the
+    difference costs every joint on the motion judged by, RMS, `torque_total` all joints together,
+    `torque_own` the part that no other parameter could make up for; None without evidence.
+    `matters` says whether some joint would notice that part; where it would notice only the whole,
+    `shared_with` names the parameters that could make up for the rest, which the recording hardly
+    tells apart. `"dropped"` is one that the estimator set to zero as needless: it has no error and
+    is not tested.
     """
 
     id: int
@@ -83,7 +92,10 @@ def parameter_table(
     units: Sequence[str] = (),
     width: int | None = 28,
 ) -> Table:
-    """Return the table of compared parameters, with how their `errors` were judged below; text cuts expressions at `width` characters, HTML and CSV have them whole."""
+    """Return the table of compared parameters, with how their `errors` were judged below.
+
+    Text cuts expressions at `width` characters, HTML and CSV have them whole.
+    """
     with_torque = any(parameter.torque_total is not None for parameter in parameters)
     heads = [
         Column("id", align="right"),
@@ -168,7 +180,10 @@ def _outcome(parameter: ComparedParameter) -> str:
 
 
 def matters_text(matters: bool | None, shared_with: Sequence[str]) -> str:
-    """Return what a table says of whether a difference matters: yes, no, shared with others, or nothing where that is unknown."""
+    """Return what a table says of whether a difference matters.
+
+    Yes, no, shared with others, or nothing where that is unknown.
+    """
     if matters is None:
         return ""
     return "yes" if matters else f"shared with {', '.join(shared_with)}" if shared_with else "no"

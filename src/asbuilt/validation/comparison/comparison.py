@@ -37,11 +37,16 @@ FALSE_DISCOVERY_RATE = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """Hold CAD against as built: parameters as in Table 2 of the 2015 paper, torque errors as in its Table 3.
+    """Hold CAD against as built.
 
-    `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by. `chi_square` tests all parameters with a CAD value at
-    once, `chi_square_tolerance` the same with the `tolerance` that CAD claims, which would have to be `tolerance_needed` times as wide to hold what was found (None where it is
-    wide enough), and which the parameters named in `beyond_tolerance` exceed. `errors` says how standard errors were judged. `level` is the false discovery rate at which a parameter differs.
+    Parameters as in Table 2 of the 2015 paper, torque errors as in its Table 3.
+
+    `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by.
+    `chi_square` tests all parameters with a CAD value at once, `chi_square_tolerance` the same with
+    the `tolerance` that CAD claims, which would have to be `tolerance_needed` times as wide to hold
+    what was found (None where it is wide enough), and which the parameters named in
+    `beyond_tolerance` exceed. `errors` says how standard errors were judged. `level` is the false
+    discovery rate at which a parameter differs.
     """
 
     robot: str
@@ -151,7 +156,10 @@ class Comparison:
         return tuple(found)
 
     def parameter_table(self) -> Table:
-        """Return Table 2, what matters first: id, expression, CAD, as built, standard error, difference in standard errors, torque."""
+        """Return Table 2, what matters first.
+
+        Id, expression, CAD, as built, standard error, difference in standard errors, torque.
+        """
         return parameter_table(self.ranked, level=self.level, errors=self.errors, units=self.units)
 
     def torque_table(self) -> Table:
@@ -234,11 +242,13 @@ def compare(
     level: float = FALSE_DISCOVERY_RATE,
     tolerance: CadTolerance | None = None,
 ) -> Comparison:
-    """Compare a result with the description it started from, or with `cad`, another description of the same geometry.
+    """Compare a result with the description it started from, or with `cad`, another description of
+    the same geometry.
 
-    `validation` gives the torque errors to put side by side (made with the same `cad`); without it the result's own metrics serve, or for another
-    `cad` those of the evidence that the result carries. A parameter differs where its false discovery rate is at most `level`. `tolerance` is what CAD is
-    believed to know.
+    `validation` gives the torque errors to put side by side (made with the same `cad`); without it
+    the result's own metrics serve, or for another `cad` those of the evidence that the result
+    carries. A parameter differs where its false discovery rate is at most `level`. `tolerance` is
+    what CAD is believed to know.
     """
     values = result.cad_values if cad is None else design_values(result, cad)
     determined = np.array(
@@ -387,7 +397,9 @@ def _paired(
 def _evident_metrics(
     result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics
 ) -> TorqueMetrics:
-    """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell them."""
+    """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell
+    them.
+    """
     rms = evidence.error_of(result.base.names, beta)
     torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(
         evidence.n_judged

@@ -1,4 +1,7 @@
-"""Two results of one robot held against each other: two dates, two tools, the maker's model and the robot."""
+"""Two results of one robot held against each other.
+
+Two dates, two tools, the maker's model and the robot.
+"""
 
 from __future__ import annotations
 
@@ -48,15 +51,23 @@ if TYPE_CHECKING:
 
 
 TELLING_GROWTH = 3.0
-"""Relative change beyond which it is said in numbers alone: what was next to nothing has grown beyond measure."""
+"""Relative change beyond which it is said in numbers alone.
+
+What was next to nothing has grown beyond measure.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
-    """One base parameter in two results: values, errors, their difference in its standard errors, tests, and the RMS torque it makes (None without evidence).
+    """One base parameter in two results.
 
-    `changed` says that it did beyond doubt, `matters` that some joint notices what of its change no other parameter could make up for; where a joint notices only the whole,
-    `shared_with` names the parameters that could. `dropped` says that one of the results set it to zero as needless, without an error: it is not tested.
+    Values, errors, their difference in its standard errors, tests, and the RMS torque it makes
+    (None without evidence).
+
+    `changed` says that it did beyond doubt, `matters` that some joint notices what of its change no
+    other parameter could make up for; where a joint notices only the whole, `shared_with` names the
+    parameters that could. `dropped` says that one of the results set it to zero as needless,
+    without an error: it is not tested.
     """
 
     id: int
@@ -82,9 +93,12 @@ class ParameterChange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drift:
-    """Hold what changed from one result to another of the same robot; `sentences` say it joint by joint, `joints` what it does to the torque (empty without evidence).
+    """Hold what changed from one result to another of the same robot.
 
-    `of_models` says that the two are models of one robot at one time, which differ where those of two dates have changed.
+    `sentences` say it joint by joint, `joints` what it does to the torque (empty without evidence).
+
+    `of_models` says that the two are models of one robot at one time, which differ where those of
+    two dates have changed.
     """
 
     robot: str
@@ -129,7 +143,10 @@ class Drift:
         return "differ" if self.of_models else "changed"
 
     def table(self, *, changed: bool | None = None) -> Table:
-        """Return the parameters of both, what changed most in torque first: all, or only those that `changed` beyond doubt or did not."""
+        """Return the parameters of both, what changed most in torque first.
+
+        All, or only those that `changed` beyond doubt or did not.
+        """
         heads = (
             Column("id", align="right"),
             Column("parameter", width=28),
@@ -241,11 +258,15 @@ def compare_results(
     level: float = FALSE_DISCOVERY_RATE,
     of_models: bool = False,
 ) -> Drift:
-    """Compare two results of one robot parameter by parameter, each with its own covariance, taken as independent.
+    """Compare two results of one robot parameter by parameter, each with its own covariance, taken
+    as independent.
 
-    Two dates are compared on equal terms, by the `free` values of both, whatever estimators the results are by: bounds and pulls shift values by what no covariance counts,
-    the same way in both or not. `of_models` takes the values as they were identified, and words it as of two models of one robot. Drive terms that only one of them has
-    are left out, and the first sentence says that what is found may be the choice of terms alone. Raises ResultError where the robots differ in joints or geometry.
+    Two dates are compared on equal terms, by the `free` values of both, whatever estimators the
+    results are by: bounds and pulls shift values by what no covariance counts, the same way in both
+    or not. `of_models` takes the values as they were identified, and words it as of two models of
+    one robot. Drive terms that only one of them has are left out, and the first sentence says that
+    what is found may be the choice of terms alone. Raises ResultError where the robots differ in
+    joints or geometry.
     """
     design_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
@@ -345,7 +366,9 @@ def compare_results(
 def _other_drives(
     before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Say first of all where the two have other drive terms, or the same with other shapes or at other joints: each makes up for what it lacks with what it has."""
+    """Say first of all where the two have other drive terms, or the same with other shapes or at
+    other joints: each makes up for what it lacks with what it has.
+    """
     one, two = (
         {term.key: str(term) for term in result.base.drive.terms} for result in (before, after)
     )
@@ -395,7 +418,9 @@ def _friction(
     changes: tuple[ParameterChange, ...],
     models: tuple[str, ...] | None,
 ) -> tuple[str, ...]:
-    """Say of every joint how its drive terms changed, or in which of two named models they are what."""
+    """Say of every joint how its drive terms changed, or in which of two named models they are
+    what.
+    """
     by_name = {change.name: change for change in changes}
     words = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
     found = []

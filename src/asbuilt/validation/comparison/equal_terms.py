@@ -1,4 +1,7 @@
-"""Which values of two results are compared: those of one estimator for both, lest the estimators differ where the robot does not."""
+"""Which values of two results are compared.
+
+Those of one estimator for both, lest the estimators differ where the robot does not.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,11 @@ FREE_METHOD = "wls"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedValues:
-    """Hold p parameters of a result as they are compared: `estimates`, `covariance` (p, p), `std_errors` and the textbook's, and which are `determined` and `dropped`."""
+    """Hold p parameters of a result as they are compared.
+
+    `estimates`, `covariance` (p, p), `std_errors` and the textbook's, and which are `determined`
+    and `dropped`.
+    """
 
     estimates: Array
     covariance: Array
@@ -45,7 +52,9 @@ class ComparedValues:
 
     @classmethod
     def free(cls, result: IdentificationResult) -> ComparedValues:
-        """Return the values by weighted least squares alone, where the result carries them apart from its own."""
+        """Return the values by weighted least squares alone, where the result carries them apart
+        from its own.
+        """
         found = result.free
         if found is None:
             return cls.own(result)
@@ -61,10 +70,12 @@ class ComparedValues:
 
     @property
     def even_covariance(self) -> Array:
-        """The textbook's covariance, all variances grown by the mean of how much each did, shape (p, p): for tests of many parameters at once.
+        """The textbook's covariance, all variances grown by the mean of how much each did, shape
+        (p, p): for tests of many parameters at once.
 
-        Time blocks tell how each variance grew beyond the textbook's, but no correlation; sums of parameters that only together are known well would, each grown by its own, seem
-        known where they are not, and not where they are.
+        Time blocks tell how each variance grew beyond the textbook's, but no correlation; sums of
+        parameters that only together are known well would, each grown by its own, seem known where
+        they are not, and not where they are.
         """
         told = (self.std_errors > 0) & (self.textbook_std_errors > 0)
         growth = np.divide(
@@ -78,7 +89,9 @@ class ComparedValues:
 def on_equal_terms(
     before: IdentificationResult, after: IdentificationResult
 ) -> tuple[ComparedValues, ComparedValues, tuple[str, ...]]:
-    """Return the free values of both results where both have them, else their own, and which these are in a sentence, unless they are the same."""
+    """Return the free values of both results where both have them, else their own, and which these
+    are in a sentence, unless they are the same.
+    """
     methods = " and ".join(dict.fromkeys((before.method, after.method)))
     if before.method == after.method == FREE_METHOD:
         return ComparedValues.own(before), ComparedValues.own(after), ()

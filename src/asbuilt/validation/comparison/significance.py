@@ -24,9 +24,12 @@ def two_sided_probability(sigmas: ArrayLike) -> Array:
 
 
 def benjamini_hochberg(probabilities: ArrayLike) -> Array:
-    """Return the false discovery rate at which each hypothesis would be the last to be rejected: `min_{j >= i} m p_(j) / j`.
+    """Return the false discovery rate at which each hypothesis would be the last to be rejected.
 
-    Among hypotheses with a value of at most 0.05, 5 % are expected to be rejected wrongly (Benjamini & Hochberg, J. Royal Stat. Soc. B 57, 1995).
+    `min_{j >= i} m p_(j) / j`.
+
+    Among hypotheses with a value of at most 0.05, 5 % are expected to be rejected wrongly
+    (Benjamini & Hochberg, J. Royal Stat. Soc. B 57, 1995).
 
     >>> benjamini_hochberg([0.01, 0.04, 0.03]).round(3).tolist()
     [0.03, 0.04, 0.04]
@@ -40,7 +43,8 @@ def benjamini_hochberg(probabilities: ArrayLike) -> Array:
 
 
 def holm(probabilities: ArrayLike) -> Array:
-    """Return probabilities adjusted so that a single wrong rejection among all is as likely as stated: `max_{j <= i} (m - j + 1) p_(j)`.
+    """Return probabilities adjusted so that a single wrong rejection among all is as likely as
+    stated: `max_{j <= i} (m - j + 1) p_(j)`.
 
     Source: Holm, Scandinavian J. Statistics 6, 1979.
 
@@ -57,7 +61,9 @@ def holm(probabilities: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ChiSquare:
-    """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (the rank of C) and the probability of as much if nothing differed."""
+    """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (the rank of C) and the probability
+    of as much if nothing differed.
+    """
 
     statistic: float
     degrees: int
@@ -65,7 +71,8 @@ class ChiSquare:
 
 
 def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
-    """Test whether a whole vector of differences (p,) is zero, given its covariance (p, p), singular or not (Wald, 1943).
+    """Test whether a whole vector of differences (p,) is zero, given its covariance (p, p),
+    singular or not (Wald, 1943).
 
     >>> test = chi_square([2.0, 0.0], np.eye(2))
     >>> test.statistic, test.degrees, round(test.probability, 3)
@@ -85,10 +92,12 @@ def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
 
 
 def size_probability(vector: ArrayLike, covariance: ArrayLike) -> float:
-    """Return the probability that a normal vector of mean zero and this covariance (m, m) is as long as `vector` (m,), or longer.
+    """Return the probability that a normal vector of mean zero and this covariance (m, m) is as
+    long as `vector` (m,), or longer.
 
-    The squared length is a sum of chi-square variables with the eigenvalues as weights; one scaled chi-square variable of the same mean and variance stands in for it
-    (Satterthwaite, Biometrics Bulletin 2, 1946).
+    The squared length is a sum of chi-square variables with the eigenvalues as weights; one scaled
+    chi-square variable of the same mean and variance stands in for it (Satterthwaite, Biometrics
+    Bulletin 2, 1946).
 
     >>> round(size_probability([1.96], [[1.0]]), 3)
     0.05

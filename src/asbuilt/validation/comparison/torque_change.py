@@ -1,4 +1,6 @@
-"""What a change of all parameters together does to the torque of each joint, and whether errors alone would do as much."""
+"""What a change of all parameters together does to the torque of each joint, and whether errors
+alone would do as much.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class JointChange:
-    """What all changes together do to the torque of one joint, on the motion that the later result was judged by, RMS [N m or N].
+    """What all changes together do to the torque of one joint, on the motion that the later result
+    was judged by, RMS [N m or N].
 
-    `torque` is the change, `by_chance` what the errors of both results alone would make, `torque_of_motion` the torque itself, `p_value` the probability of a change of the
-    torque's size by chance, and `holm` the same allowing for the number of joints. It does not matter here which parameters trade off with each other.
+    `torque` is the change, `by_chance` what the errors of both results alone would make,
+    `torque_of_motion` the torque itself, `p_value` the probability of a change of the torque's size
+    by chance, and `holm` the same allowing for the number of joints. It does not matter here which
+    parameters trade off with each other.
     """
 
     joint: str
@@ -40,7 +45,8 @@ class JointChange:
 def joint_changes(
     result: IdentificationResult, names: Sequence[str], difference: Array, covariance: Array
 ) -> tuple[JointChange, ...]:
-    """Return what differences of named parameters, of that covariance, do to the torque of every joint on the motion that a result was judged by.
+    """Return what differences of named parameters, of that covariance, do to the torque of every
+    joint on the motion that a result was judged by.
 
     Raises ResultError where the result carries no evidence.
     """
@@ -104,7 +110,10 @@ def torque_sentence(
 
 
 def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool = False) -> Table:
-    """Return what all changes together do to the torque of each joint; those at most as likely as `level` by chance have changed."""
+    """Return what all changes together do to the torque of each joint.
+
+    Those at most as likely as `level` by chance have changed.
+    """
     change = "difference" if of_models else "change"
     heads = (
         Column("joint", width=20),

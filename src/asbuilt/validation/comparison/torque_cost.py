@@ -18,11 +18,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 TOLD = 1e-10
-"""Squared singular value, relative to the largest with columns scaled alike, below which a direction makes no torque."""
+"""Squared singular value, relative to the largest with columns scaled alike, below which a
+direction makes no torque.
+"""
 MATTERS = 0.5
-"""Torque that a difference costs a joint, in multiples of the error left there as built, from which it matters: the error would grow by an eighth."""
+"""Torque that a difference costs a joint, in multiples of the error left there as built, from which
+it matters: the error would grow by an eighth.
+"""
 ABLE = 0.25
-"""Part of the squared torque of a parameter, or of what another partner leaves of it, that a partner makes up for, from which it is named,"""
+"""Part of the squared torque of a parameter, or of what another partner leaves of it, that a
+partner makes up for, from which it is named,
+"""
 MOST_PARTNERS = 2
 """and how many are."""
 SEVERAL = "several others"
@@ -32,10 +38,12 @@ SEVERAL = "several others"
 class TorqueCost:
     """Hold, for each of p differences, RMS torques on the motion judged by.
 
-    `torque` (p, n) = |W_kj d_j| / sqrt(N) of every joint k: what the difference alone does to the torque. `own` (p,) is the part, over all joints, that no change of the
-    other parameters could make up for, and `total` (p,) = |W_j d_j| / sqrt(N) over all joints; where `own` is far below `total` the
-    parameter trades off with others, and `partners` (p,) are the places of those that would do most of its work, the most able first. `together` (n,) = |W_k d| / sqrt(N) is
-    what all differences do together.
+    `torque` (p, n) = |W_kj d_j| / sqrt(N) of every joint k: what the difference alone does to the
+    torque. `own` (p,) is the part, over all joints, that no change of the other parameters could
+    make up for, and `total` (p,) = |W_j d_j| / sqrt(N) over all joints; where `own` is far below
+    `total` the parameter trades off with others, and `partners` (p,) are the places of those that
+    would do most of its work, the most able first. `together` (n,) = |W_k d| / sqrt(N) is what all
+    differences do together.
     """
 
     torque: Array
@@ -46,16 +54,24 @@ class TorqueCost:
 
     @property
     def own_part(self) -> Array:
-        """The part of the torque of each difference that is its own, (p,): 1 where no other parameter could make up for any of it."""
+        """The part of the torque of each difference that is its own, (p,).
+
+        1 where no other parameter could make up for any of it.
+        """
         return np.divide(self.own, self.total, out=np.zeros_like(self.own), where=self.total > 0)
 
     def noticed(self, left: Array, *, alone: bool = False) -> NDArray[np.bool_]:
-        """Whether a difference matters to some joint, (p,), beside the errors `left` (n,) there; `alone` counts only what is the parameter's own."""
+        """Whether a difference matters to some joint, (p,), beside the errors `left` (n,) there.
+
+        `alone` counts only what is the parameter's own.
+        """
         torque = self.torque * self.own_part[:, None] if alone else self.torque
         return np.asarray(np.any(torque >= MATTERS * left, axis=1))
 
     def shared_with(self, j: int, left: Array, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of the partners of a parameter whose difference matters, but not alone, `SEVERAL` where it takes more than a few; none of another."""
+        """Return the names of the partners of a parameter whose difference matters, but not alone,
+        `SEVERAL` where it takes more than a few; none of another.
+        """
         shared = self.noticed(left)[j] and not self.noticed(left, alone=True)[j]
         return (tuple(names[k] for k in self.partners[j]) or (SEVERAL,)) if shared else ()
 
@@ -91,9 +107,11 @@ def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array
 
 
 def _partners(present: NDArray[np.int64], gram: Array, p: int) -> tuple[tuple[int, ...], ...]:
-    """Return for each of p columns those that together imitate it best, one after the other, from the Gram matrix of the columns present, each of length 1.
+    """Return for each of p columns those that together imitate it best, one after the other, from
+    the Gram matrix of the columns present, each of length 1.
 
-    Orthogonal matching pursuit: each next column is the one most like what the others leave (Pati, Rezaiifar & Krishnaprasad, Asilomar 1993).
+    Orthogonal matching pursuit: each next column is the one most like what the others leave (Pati,
+    Rezaiifar & Krishnaprasad, Asilomar 1993).
     """
     found: list[tuple[int, ...]] = [()] * p
     for j, place in enumerate(present):

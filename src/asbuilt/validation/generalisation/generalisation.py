@@ -1,4 +1,7 @@
-"""Whether a result carries over: what the checks found, what was held out, and joints that stood still."""
+"""Whether a result carries over.
+
+What the checks found, what was held out, and joints that stood still.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,19 @@ from asbuilt.validation.prediction import Validation
 STANDING_ERROR = 0.5
 """Share of a joint's squared error at standstill from which it is said so."""
 OVERFIT = 2.0
-"""Held-out error of a joint, in multiples of its error on the data used, from which the fit is said not to generalise."""
+"""Held-out error of a joint, in multiples of its error on the data used, from which the fit is said
+not to generalise.
+"""
 NOTICEABLE = 0.1
 """Held-out error of a joint, as a fraction of its own torque, below which that is not said."""
 REPEATED = 0.6
-"""Share of held-out states that the motion fitted came near to from which it is said to be the same motion; 0 to .2 for others, .5 for blocks of 2 s of a slow one."""
+"""Share of held-out states that the motion fitted came near to from which it is said to be the same
+motion; 0 to .2 for others, .5 for blocks of 2 s of a slow one.
+"""
 BEHIND_CAD = 1.05
-"""Held-out error of a joint as built, in multiples of that of CAD, from which CAD is said to predict better."""
+"""Held-out error of a joint as built, in multiples of that of CAD, from which CAD is said to
+predict better.
+"""
 
 
 def with_findings(
@@ -34,7 +43,9 @@ def with_findings(
     checks: Sequence[RecordingCheck],
     validations: Sequence[Validation],
 ) -> IdentificationResult:
-    """Return the result with its held-out metrics, the findings of the checks and the verdict on generalisation among its warnings."""
+    """Return the result with its held-out metrics, the findings of the checks and the verdict on
+    generalisation among its warnings.
+    """
     found = [
         IdentificationWarning(
             finding.code, f"{recording_name(check.source)}: {finding.message}. {finding.cure}."
@@ -101,7 +112,9 @@ def _standstill(validation: Validation) -> list[IdentificationWarning]:
 
 
 def _held(errors: StandingErrors) -> NDArray[np.bool_]:
-    """Tell the joints (n,) most of whose error is that of static friction at standstill, which says nothing of how the fit carries over."""
+    """Tell the joints (n,) most of whose error is that of static friction at standstill, which says
+    nothing of how the fit carries over.
+    """
     return np.asarray(
         (errors.energy > STANDING_ERROR)
         & (errors.standing > 2.0 * errors.moving)

@@ -1,4 +1,7 @@
-"""What acts on a robot that its description lacks and real bodies cannot imitate: a mounting that is askew, springs."""
+"""What acts on a robot that its description lacks and real bodies cannot imitate.
+
+A mounting that is askew, springs.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +41,9 @@ def with_hidden_causes(
 ) -> IdentificationResult:
     """Return the result with warnings of what seems to act unseen.
 
-    `tilt` [rad] is by how much nested models would turn gravity, None where that was not asked; `stands` how the robot was found to stand, where it was.
-    Where real bodies fit badly, mounting and springs are looked for in the samples it was learnt from, unless these are long.
+    `tilt` [rad] is by how much nested models would turn gravity, None where that was not asked;
+    `stands` how the robot was found to stand, where it was. Where real bodies fit badly, mounting
+    and springs are looked for in the samples it was learnt from, unless these are long.
     """
     searched = (
         any(warning.code in BADLY_FITTING for warning in result.warnings)
@@ -59,7 +63,10 @@ def _mounting(
     drive: DriveSet,
     block_seconds: float | None,
 ) -> Mounting | None:
-    """Find how the robot stands; None where the samples do not tell, or there is no gravity to point anywhere."""
+    """Find how the robot stands.
+
+    None where the samples do not tell, or there is no gravity to point anywhere.
+    """
     try:
         return find_mounting(result.model, learning, drive=drive, block_seconds=block_seconds)
     except (IdentifiabilityError, UsageError):
@@ -95,7 +102,9 @@ def _springs_suspected(
     drive: DriveSet,
     block_seconds: float | None,
 ) -> IdentificationResult:
-    """Say where springs that no file describes would explain what real bodies cannot follow, on a robot that stands as it was found to."""
+    """Say where springs that no file describes would explain what real bodies cannot follow, on a
+    robot that stands as it was found to.
+    """
     askew = stands is not None and stands.is_askew
     model = stands.model if stands is not None and askew else result.model
     springs = suspected_springs(model, learning, drive, block_seconds=block_seconds)
@@ -118,7 +127,9 @@ def _springs_suspected(
 
 
 def _in_step(model: RobotModel, learning: Sequence[Samples], suspects: Sequence[int]) -> str:
-    """Say which joints move in step with those of springs, so that what looks like a spring may go with any of them; empty where none does."""
+    """Say which joints move in step with those of springs, so that what looks like a spring may go
+    with any of them; empty where none does.
+    """
     likeness = Likeness.none(model.n_joints)
     for samples in learning:
         likeness = likeness.with_more(samples.q)

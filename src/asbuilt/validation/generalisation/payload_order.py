@@ -1,4 +1,7 @@
-"""Whether the torques under load belong to the joints they are logged for: with the arm known, any body at the flange explains the right order best."""
+"""Whether the torques under load belong to the joints they are logged for.
+
+With the arm known, any body at the flange explains the right order best.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,9 @@ from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.tables import significant
 
 DECISIVE = 0.25
-"""Part of the squared error, in noise of the joints, that an exchange of two torques or a turned sign must leave at most to be believed."""
+"""Part of the squared error, in noise of the joints, that an exchange of two torques or a turned
+sign must leave at most to be believed.
+"""
 AUDIBLE = 4.0
 """Squared error per torque, in noise variances of the result, below which all is well as it is."""
 
@@ -25,9 +30,11 @@ AUDIBLE = 4.0
 def refuse_exchanged(
     result: IdentificationResult, loaded: Sequence[Samples], link: int, placement: Array
 ) -> None:
-    """Raise RecordingError where the arm of the result and some body at `placement` (4, 4) on `link` explain torques under load far better once two are exchanged or one is turned.
+    """Raise RecordingError where the arm of the result and some body at `placement` (4, 4) on
+    `link` explain torques under load far better once two are exchanged or one is turned.
 
-    CAD tells the order of joints that gravity loads; this tells that of wrists, whose friction the result knows. Each recording is judged alone.
+    CAD tells the order of joints that gravity loads; this tells that of wrists, whose friction the
+    result knows. Each recording is judged alone.
     """
     shift, weights = shift_matrix(placement), result.weights
     n = result.model.n_joints
@@ -83,6 +90,8 @@ def refuse_exchanged(
 
 
 def _left(error: Array, basis: Array) -> float:
-    """Return the mean square of a weighted torque error (N, n) beside what orthonormal columns (N n, r) of a body explain."""
+    """Return the mean square of a weighted torque error (N, n) beside what orthonormal columns (N
+    n, r) of a body explain.
+    """
     y = error.ravel()
     return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size

@@ -1,4 +1,7 @@
-"""Whether data held out repeat the motion that was fitted: then their errors tell how well the robot repeats itself, not how well the model predicts."""
+"""Whether data held out repeat the motion that was fitted.
+
+Then their errors tell how well the robot repeats itself, not how well the model predicts.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,9 @@ from scipy.spatial import KDTree
 from asbuilt.experiment.signal.samples import Samples
 
 NEAR_POSITION, NEAR_VELOCITY = 0.03, 0.1
-"""A state was there before where each joint came so near to it at once, in parts of the range and of the top speed of the joint in the motion fitted."""
+"""A state was there before where each joint came so near to it at once, in parts of the range and
+of the top speed of the joint in the motion fitted.
+"""
 MOST_STATES = 20_000
 """States of either motion that are looked at, evenly spread."""
 FEWEST_JOINTS = 3
@@ -19,7 +24,9 @@ FEWEST_JOINTS = 3
 
 
 def repeated_share(fitted: Sequence[Samples], held_out: Samples) -> float:
-    """Return the share of held-out states (q, qd) that the motion fitted came near to, each joint at the same time; 0 for robots of one or two joints."""
+    """Return the share of held-out states (q, qd) that the motion fitted came near to, each joint
+    at the same time; 0 for robots of one or two joints.
+    """
     if held_out.q.shape[1] < FEWEST_JOINTS:
         return 0.0
     before, after = np.concatenate([_states(samples) for samples in fitted]), _states(held_out)

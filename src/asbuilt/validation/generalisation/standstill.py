@@ -1,4 +1,7 @@
-"""Joints that stand still while others move: their friction then takes any value up to break-away, and no model of it by velocity can tell which."""
+"""Joints that stand still while others move.
+
+Their friction then takes any value up to break-away, and no model of it by velocity can tell which.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandingErrors:
-    """Divide the torque error of each joint, all (n,), into where it stands still and where it moves.
+    """Divide the torque error of each joint, all (n,), into where it stands still and where it
+    moves.
 
-    `time` is the share of samples at which it stands, `energy` the share of its squared error that falls on them; `standing` and `moving` are RMS errors,
-    `relative_moving` the error while moving over the torque while moving. NaN where there are no such samples.
+    `time` is the share of samples at which it stands, `energy` the share of its squared error that
+    falls on them; `standing` and `moving` are RMS errors, `relative_moving` the error while moving
+    over the torque while moving. NaN where there are no such samples.
     """
 
     joint_names: tuple[str, ...]
@@ -30,7 +35,10 @@ class StandingErrors:
 
 
 def standing_errors(validation: Validation) -> StandingErrors:
-    """Divide the errors of a prediction; a joint stands where its filtered velocity is exactly zero, which the signal chain makes it."""
+    """Divide the errors of a prediction.
+
+    A joint stands where its filtered velocity is exactly zero, which the signal chain makes it.
+    """
     still, error = validation.velocity == 0.0, validation.error
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = error**2

@@ -40,7 +40,10 @@ LABELLED = 0.09
 
 
 def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
-    """Draw, joint by joint, what the squared error of CAD is made of: stacked shares, negative ones below zero, what is left in grey."""
+    """Draw, joint by joint, what the squared error of CAD is made of.
+
+    Stacked shares, negative ones below zero, what is left in grey.
+    """
     n = len(attribution.joint_names)
     with styled():
         figure = blank_figure(1.05 * n + 3.2, 4.2)
@@ -128,7 +131,9 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
 
 
 def difference_figure(comparison: Comparison, *, most: int = 20, title: str = "") -> Figure:
-    """Draw the parameters whose difference costs the most torque: the torque, the part that is each one's own, and whether they differ.
+    """Draw the parameters whose difference costs the most torque.
+
+    The torque, the part that is each one's own, and whether they differ.
 
     Those below a fiftieth of the largest are left out.
     """

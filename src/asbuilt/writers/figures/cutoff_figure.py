@@ -23,7 +23,9 @@ WIDE = 4.0
 
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
-    """Draw held-out error against the cutoff, as recorded and in the band, and the whiteness of the residual below."""
+    """Draw held-out error against the cutoff, as recorded and in the band, and the whiteness of the
+    residual below.
+    """
     cutoffs = np.array([trial.cutoff for trial in sweep.trials])
     with styled():
         figure = blank_figure(7.0, 4.6)

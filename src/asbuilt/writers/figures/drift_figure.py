@@ -22,7 +22,11 @@ CHANCE = "#D5D9DE"
 
 
 def drift_figure(drift: Drift, *, title: str = "") -> Figure:
-    """Draw two bars per joint: the torque that all changes make together, and below it what the errors of both results alone would make, RMS."""
+    """Draw two bars per joint.
+
+    The torque that all changes make together, and below it what the errors of both results alone
+    would make, RMS.
+    """
     change = "difference" if drift.of_models else "change"
     joints = drift.joints
     place = np.arange(len(joints))

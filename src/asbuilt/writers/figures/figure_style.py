@@ -1,4 +1,6 @@
-"""How figures look and are kept: colours, the house style, empty figures with a headline, files and addresses.
+"""How figures look and are kept.
+
+Colours, the house style, empty figures with a headline, files and addresses.
 
 Colours are those of Okabe and Ito (2008), told apart by the colour-blind and in grey.
 """
@@ -69,7 +71,8 @@ _STYLE: dict[Any, Any] = {
 
 
 def broken(name: str, width: int) -> str:
-    r"""Return a name on as few lines as its underscores and spaces allow within `width` characters, three at most, what is longer cut.
+    r"""Return a name on as few lines as its underscores and spaces allow within `width` characters,
+    three at most, what is longer cut.
 
     >>> broken("shoulder_lift_joint", 14)
     'shoulder_lift_\njoint'
@@ -122,7 +125,10 @@ def headline(figure: Figure, title: str) -> None:
 
 
 def figure_address(figure: Figure) -> str:
-    """Return a figure as a `data:` address that a page carries in itself; equal figures give equal texts."""
+    """Return a figure as a `data:` address that a page carries in itself.
+
+    Equal figures give equal texts.
+    """
     stream = io.BytesIO()
     with styled():
         figure.savefig(stream, format="svg", metadata={"Date": None})

@@ -48,10 +48,12 @@ def torque_figure(
     units: Sequence[str] = (),
     title: str = "",
 ) -> Figure:
-    """Draw measured and predicted torque and their difference, a row per joint, in the manner of the paper's Figures 3 and 4.
+    """Draw measured and predicted torque and their difference, a row per joint, in the manner of
+    the paper's Figures 3 and 4.
 
-    `t` (N,) [s], torques (N, n); `label` says which parameters predicted; `cad` adds the error of the CAD prediction. Gaps in `t` stay gaps; long recordings are thinned by
-    minimum and maximum, so peaks stay. Source: Hayat, Abhishek and Saha (2015), Figures 3 and 4.
+    `t` (N,) [s], torques (N, n); `label` says which parameters predicted; `cad` adds the error of
+    the CAD prediction. Gaps in `t` stay gaps; long recordings are thinned by minimum and maximum,
+    so peaks stay. Source: Hayat, Abhishek and Saha (2015), Figures 3 and 4.
     """
     n = measured.shape[1]
     names, kinds = _joint_labels(joint_names, n), list(units) or ["N m"] * n
@@ -122,9 +124,11 @@ def parameter_figure(
     ids: Sequence[int] = (),
     title: str = "",
 ) -> Figure:
-    """Draw every parameter's CAD value and as-built value with its 95 % interval, each row scaled to its own largest magnitude.
+    """Draw every parameter's CAD value and as-built value with its 95 % interval, each row scaled
+    to its own largest magnitude.
 
-    Arrays have shape (p,); `cad` is NaN where the description is silent. The value stands at the right of its row.
+    Arrays have shape (p,); `cad` is NaN where the description is silent. The value stands at the
+    right of its row.
     """
     p = len(names)
     half = 1.96 * np.where(np.isfinite(std_error), std_error, 0.0)
@@ -199,7 +203,10 @@ def parameter_figure(
 def singular_value_figure(
     singular_values: Array, *, rank: int | None = None, title: str = ""
 ) -> Figure:
-    """Draw singular values (p,), largest first, on a logarithmic axis; those beyond `rank` are marked as lost."""
+    """Draw singular values (p,), largest first, on a logarithmic axis.
+
+    Those beyond `rank` are marked as lost.
+    """
     s = np.asarray(singular_values, dtype=np.float64)
     kept = len(s) if rank is None else rank
     floor = np.max(s, initial=1.0) * 1e-17
@@ -245,7 +252,10 @@ def singular_value_figure(
 def residual_figure(
     residual: Array, analysis: ResidualAnalysis, *, units: Sequence[str] = (), title: str = ""
 ) -> Figure:
-    """Draw each joint's torque error (N, n): histogram beside the normal curve of equal mean and RMS, autocorrelation, spectrum."""
+    """Draw each joint's torque error (N, n).
+
+    Histogram beside the normal curve of equal mean and RMS, autocorrelation, spectrum.
+    """
     n = residual.shape[1]
     kinds = list(units) or ["N m"] * n
     names = _joint_labels(analysis.joint_names, n)
@@ -322,9 +332,12 @@ def friction_figure(
     velocity_units: Sequence[str] = (),
     title: str = "",
 ) -> Figure:
-    """Draw what the drive takes against joint velocity: samples, median and quartiles per velocity bin, the identified law.
+    """Draw what the drive takes against joint velocity.
 
-    `qd`, `torque` and `model` have shape (N, n): velocity, measured torque less rigid-body torque, and the identified drive torque.
+    Samples, median and quartiles per velocity bin, the identified law.
+
+    `qd`, `torque` and `model` have shape (N, n): velocity, measured torque less rigid-body torque,
+    and the identified drive torque.
     """
     n = torque.shape[1]
     names, kinds = _joint_labels(joint_names, n), list(units) or ["N m"] * n
@@ -394,7 +407,9 @@ def friction_figure(
 
 
 def energy_figure(motion: FreeMotion, *, title: str = "") -> Figure:
-    """Draw a free motion: joint positions, and kinetic, potential and total energy with what the drives put in and friction takes out."""
+    """Draw a free motion: joint positions, and kinetic, potential and total energy with what the
+    drives put in and friction takes out.
+    """
     model, t = motion.model, motion.t
     turning = [joint.is_revolute for joint in model.joints]
     with styled():

@@ -10,10 +10,12 @@ from asbuilt.validation.residuals import contiguous_runs
 
 
 def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
-    """Return `t` (M,) and each curve (M,) thinned to about `points`, NaN between contiguous runs so that no line bridges a gap.
+    """Return `t` (M,) and each curve (M,) thinned to about `points`, NaN between contiguous runs so
+    that no line bridges a gap.
 
-    Time is cut into buckets; every bucket keeps the samples where any curve is smallest and largest, and each run its first and last sample,
-    so all curves keep the same instants, their extremes and their steps.
+    Time is cut into buckets; every bucket keeps the samples where any curve is smallest and
+    largest, and each run its first and last sample, so all curves keep the same instants, their
+    extremes and their steps.
     """
     t_out: list[Array] = []
     kept: list[list[Array]] = [[] for _ in curves]
@@ -32,7 +34,9 @@ def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
 
 
 def _extremes(curves: list[Array], points: int) -> NDArray[np.int64]:
-    """Return the sorted indices of the bucket-wise minima and maxima of every curve, with the first and last sample."""
+    """Return the sorted indices of the bucket-wise minima and maxima of every curve, with the first
+    and last sample.
+    """
     n = len(curves[0])
     if n <= points:
         return np.arange(n)

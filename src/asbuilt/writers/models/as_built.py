@@ -21,7 +21,9 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.writers.models.sample_states import sample_states
 
 QUIETEST = 1e-6
-"""Noise of a joint, as a part of the largest, below which its weight grows no further: simulations have none."""
+"""Noise of a joint, as a part of the largest, below which its weight grows no further: simulations
+have none.
+"""
 INFORMATION_TOLERANCE = 1e-13
 """Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
 CHECKED_STATES = 100
@@ -32,16 +34,21 @@ SAME_TORQUE = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AsBuilt:
-    """Hold the standard parameters found for a result, drives included, and the robot that has them: all identified drive terms and no others."""
+    """Hold the standard parameters found for a result, drives included, and the robot that has
+    them: all identified drive terms and no others.
+    """
 
     parameters: StandardParameters
     model: RobotModel
 
 
 def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
-    """Return the robot as built: real bodies closest to CAD that give the identified torques exactly.
+    """Return the robot as built.
 
-    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose torque on the data used differs least, joints weighted by their noise.
+    Real bodies closest to CAD that give the identified torques exactly.
+
+    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose
+    torque on the data used differs least, joints weighted by their noise.
     """
     found = standard_parameters(
         result.model,
@@ -65,7 +72,10 @@ def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> Ro
 
 
 def _torque_information(result: IdentificationResult) -> Array:
-    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used: from the evidence, or else the inverse of the textbook covariance."""
+    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used.
+
+    From the evidence, or else the inverse of the textbook covariance.
+    """
     if result.evidence is not None:
         places = result.evidence.places(result.base.names)
         quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
@@ -88,7 +98,9 @@ def _torque_information(result: IdentificationResult) -> Array:
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
-    """Return a robot with other standard parameters (n_standard,), and these drive terms with their values and shapes in place of its own; friction that is below zero by rounding is zero."""
+    """Return a robot with other standard parameters (n_standard,), and these drive terms with their
+    values and shapes in place of its own; friction that is below zero by rounding is zero.
+    """
     rigid = 10 * model.n_joints
     robot = model.with_parameters(parameters[:rigid])
     drives = np.array(parameters[rigid:])
@@ -122,9 +134,11 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
 def keeping_described_drives(
     robot: RobotModel, described: RobotModel
 ) -> tuple[RobotModel, tuple[str, ...]]:
-    """Return a robot with the plain drive values of its description where it has none itself, such as the damping that a simulator wants, and what is to be said of them.
+    """Return a robot with the plain drive values of its description where it has none itself, such
+    as the damping that a simulator wants, and what is to be said of them.
 
-    Where a richer term was identified in the place of a plain one (`power` in that of `viscous`), the described value would count the same friction twice: it is zero there.
+    Where a richer term was identified in the place of a plain one (`power` in that of `viscous`),
+    the described value would count the same friction twice: it is zero there.
     """
     joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()
     for joint, before in zip(robot.joints, described.joints, strict=True):
@@ -162,9 +176,11 @@ def keeping_described_drives(
 
 
 def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
-    """Return the largest torque difference [N m or N] to the result over random states that friction depending on load makes, zero without such friction.
+    """Return the largest torque difference [N m or N] to the result over random states that
+    friction depending on load makes, zero without such friction.
 
-    The base parameters of a result count among the load what they cannot tell from a link, such as the armature of the first joint; the robot as built has it apart.
+    The base parameters of a result count among the load what they cannot tell from a link, such as
+    the armature of the first joint; the robot as built has it apart.
     """
     drive = result.base.drive
     if not drive.needs_load:

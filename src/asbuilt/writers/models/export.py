@@ -1,4 +1,7 @@
-"""The identified robot for other software: URDF, MJCF, C code and the robot file, all from one model."""
+"""The identified robot for other software.
+
+URDF, MJCF, C code and the robot file, all from one model.
+"""
 
 from __future__ import annotations
 
@@ -36,8 +39,9 @@ Place = str | os.PathLike[str]
 class Export:
     """Say which files were written, by kind, and for each what its reader must know.
 
-    `cost` holds a model that is only the nearest possible against the identified one, on the recordings; None where the identified torques are kept exactly, or the
-    result carries no evidence. `beyond` says how far apart the two are where no recording was.
+    `cost` holds a model that is only the nearest possible against the identified one, on the
+    recordings; None where the identified torques are kept exactly, or the result carries no
+    evidence. `beyond` says how far apart the two are where no recording was.
     """
 
     robot: str
@@ -81,14 +85,17 @@ def export_result(
 ) -> Export:
     """Write the identified robot into each file asked for; a `.c` file comes with its header.
 
-    `original` is the URDF that is edited; by default the description the robot was identified with, where that was a URDF and is still there.
-    Without one the URDF is written afresh, without shapes. The standard parameters are real bodies that give the identified torques exactly and are
-    closest to CAD; where there are none, `nearest` takes the real ones whose torque on the data used differs least.
+    `original` is the URDF that is edited; by default the description the robot was identified with,
+    where that was a URDF and is still there. Without one the URDF is written afresh, without
+    shapes. The standard parameters are real bodies that give the identified torques exactly and are
+    closest to CAD; where there are none, `nearest` takes the real ones whose torque on the data
+    used differs least.
 
     Raises
     ------
     InertiaError
-        If no rigid bodies and drives can have this model, or the nearest that can predicts the recordings badly and `force` is not set; nothing is written then.
+        If no rigid bodies and drives can have this model, or the nearest that can predicts the
+        recordings badly and `force` is not set; nothing is written then.
     UsageError
         If no file is asked for, or options do not go together.
     """
@@ -142,7 +149,9 @@ def export_result(
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
-    """Say how far apart the identified model and the one written are in random motion, and how sure the identified one is of itself there."""
+    """Say how far apart the identified model and the one written are in random motion, and how sure
+    the identified one is of itself there.
+    """
     W = random_motion_rows(result.model, result.base)
     unsure = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
     apart, of = (
@@ -159,7 +168,11 @@ def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
 def urdf_to_edit(
     model: RobotModel, given: Place | None = None
 ) -> tuple[Path | None, tuple[str, ...]]:
-    """Return the URDF to edit: the one given, else the one that the robot was read from, None where there is none, with a note where there was one."""
+    """Return the URDF to edit.
+
+    The one given, else the one that the robot was read from, None where there is none, with a note
+    where there was one.
+    """
     place = Path(given if given is not None else model.source)
     if given is not None or place.is_file():
         content, source = described_text(place)

@@ -14,18 +14,25 @@ from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_impossible
 
 STIFF_FRICTION = ("0.002 1", "0.9999 0.9999 0.001 0.5 2")
-"""Reference and impedance that let dry friction reach its full size at small speeds: two time steps of 1 ms, and a constraint as hard as MuJoCo has them."""
+"""Reference and impedance that let dry friction reach its full size at small speeds.
+
+Two time steps of 1 ms, and a constraint as hard as MuJoCo has them.
+"""
 CARRIED = frozenset(("spring", "motor_armature", "motor_viscous", "motor_coulomb"))
 """Further drive terms that MuJoCo has a place for, beside friction that is written as plain one."""
 
 
 def exported_mjcf(model: RobotModel) -> str:
-    """Return the robot as MJCF: `mjcf_text` with all of the drives that MuJoCo has, and in comments what MJCF cannot say.
+    """Return the robot as MJCF.
 
-    Armature, viscous and dry friction are the joint's; asymmetric dry friction is symmetric friction and an offset, smooth friction a dry one; a spring is the joint's stiffness; a motor that several
-    joints turn is a fixed tendon with damping, dry friction and armature; an offset is the bias of the joint's actuator, whose control is the torque that the drive has to
-    exert. MuJoCo's dry friction grows with speed and acceleration up to its full size; where the joint moves faster than `|qdd|` times a millisecond,
-    inverse dynamics holds all of it.
+    `mjcf_text` with all of the drives that MuJoCo has, and in comments what MJCF cannot say.
+
+    Armature, viscous and dry friction are the joint's; asymmetric dry friction is symmetric
+    friction and an offset, smooth friction a dry one; a spring is the joint's stiffness; a motor
+    that several joints turn is a fixed tendon with damping, dry friction and armature; an offset is
+    the bias of the joint's actuator, whose control is the torque that the drive has to exert.
+    MuJoCo's dry friction grows with speed and acceleration up to its full size; where the joint
+    moves faster than `|qdd|` times a millisecond, inverse dynamics holds all of it.
 
     Raises
     ------
@@ -54,7 +61,10 @@ def exported_mjcf(model: RobotModel) -> str:
 
 
 def _add_motors(root: Element, model: RobotModel) -> None:
-    """Add a fixed tendon for every motor that several joints turn: its length is the motor's coordinate `s = T q`."""
+    """Add a fixed tendon for every motor that several joints turn.
+
+    Its length is the motor's coordinate `s = T q`.
+    """
     tendons = Element("tendon")
     for joint, shares in zip(model.joints, model.motor_shares, strict=True):
         armature, viscous, coulomb = (
@@ -86,7 +96,9 @@ def _dry_friction(size: float) -> dict[str, str]:
 
 
 def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
-    """Return a note for what changes torques and has no place in MJCF, or one where it is easily overlooked."""
+    """Return a note for what changes torques and has no place in MJCF, or one where it is easily
+    overlooked.
+    """
     plain = in_plain_friction(model)
     offsets = [
         f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset

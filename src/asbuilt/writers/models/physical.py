@@ -20,7 +20,9 @@ from asbuilt.validation.comparison.significance import chi_square
 from asbuilt.validation.nearest_consistent import BADLY, StandIn
 
 UNKNOWN = 100.0
-"""Standard error of a parameter that was dropped, in values that it has in CAD, beside which it counts as unknown."""
+"""Standard error of a parameter that was dropped, in values that it has in CAD, beside which it
+counts as unknown.
+"""
 CURES = (
     "Identify with real bodies imposed (identify --method consistent, or entropic), which the"
     " report then judges; let it find how the robot stands (--mounting estimate), for free links"
@@ -30,7 +32,10 @@ CURES = (
 
 
 def impossibilities(model: RobotModel) -> tuple[str, ...]:
-    """Return one sentence per link that no rigid body can be and per drive that would push: negative armature, viscous or Coulomb friction."""
+    """Return one sentence per link that no rigid body can be and per drive that would push.
+
+    Negative armature, viscous or Coulomb friction.
+    """
     reasons = list(inconsistencies(model))
     for number, joint in enumerate(model.joints, start=1):
         for name in ("armature", "viscous", "coulomb"):
@@ -53,7 +58,9 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
 
 
 def in_plain_friction(model: RobotModel) -> RobotModel:
-    """Return a robot whose asymmetric dry friction is symmetric friction and an offset, and whose smooth one is dry, for files that have no other."""
+    """Return a robot whose asymmetric dry friction is symmetric friction and an offset, and whose
+    smooth one is dry, for files that have no other.
+    """
     joints = []
     for joint in model.joints:
         drive, terms = joint.drive, dict(joint.drive.terms)
@@ -75,7 +82,9 @@ def in_plain_friction(model: RobotModel) -> RobotModel:
 
 
 def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:
-    """Return a note that names the further drive terms which a kind of file does not carry, with the joints that have them; none where it carries all."""
+    """Return a note that names the further drive terms which a kind of file does not carry, with
+    the joints that have them; none where it carries all.
+    """
     joints: dict[str, list[str]] = {}
     for joint in model.joints:
         for key in joint.drive.terms:
@@ -96,7 +105,10 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
 
 
 def refuse_impossible(model: RobotModel, cure: str = "take the nearest possible robot") -> None:
-    """Raise `InertiaError` with every reason and the cure where the model is impossible; simulators would refuse it or blow up."""
+    """Raise `InertiaError` with every reason and the cure where the model is impossible.
+
+    Simulators would refuse it or blow up.
+    """
     reasons = impossibilities(model)
     if reasons:
         raise InertiaError(
@@ -107,7 +119,9 @@ def refuse_impossible(model: RobotModel, cure: str = "take the nearest possible 
 
 
 def refuse_impossible_result(result: IdentificationResult, model: RobotModel) -> None:
-    """Raise `InertiaError` where the robot as built is impossible, with what proves it and the cures."""
+    """Raise `InertiaError` where the robot as built is impossible, with what proves it and the
+    cures.
+    """
     if impossibilities(model):
         raise InertiaError(
             f"{result.robot} is not exported, for no robot can have this model:"
@@ -117,7 +131,9 @@ def refuse_impossible_result(result: IdentificationResult, model: RobotModel) ->
 
 
 def _reasons(result: IdentificationResult, model: RobotModel) -> str:
-    """Say which base parameters no robot has; where they alone are possible but for a drive or by rounding, what of the model is not.
+    """Say which base parameters no robot has.
+
+    Where they alone are possible but for a drive or by rounding, what of the model is not.
 
     Dropped parameters prove nothing: they count as all but unknown.
     """
@@ -137,9 +153,11 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
 
 
 def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn | None) -> None:
-    """Raise `InertiaError` where the nearest possible robot, of base parameters beta (p,), predicts the recordings badly.
+    """Raise `InertiaError` where the nearest possible robot, of base parameters beta (p,), predicts
+    the recordings badly.
 
-    `cost` says so joint by joint; without it, as the result carries no evidence, the growth of the error on the data used does.
+    `cost` says so joint by joint; without it, as the result carries no evidence, the growth of the
+    error on the data used does.
     """
     head = (
         f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings"
@@ -161,9 +179,11 @@ def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn
 
 
 def _error_growth(result: IdentificationResult, beta: Array) -> float:
-    """Return the weighted RMS torque error of other base parameters (p,) on the data used, in multiples of that of the estimate.
+    """Return the weighted RMS torque error of other base parameters (p,) on the data used, in
+    multiples of that of the estimate.
 
-    `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's own error: exact for least squares.
+    `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's
+    own error: exact for least squares.
     """
     d, rows = beta - result.estimates, result.n_samples * len(result.joint_names) - result.n_base
     return float(np.sqrt(1.0 + chi_square(d, result.textbook_covariance).statistic / max(rows, 1)))

@@ -1,4 +1,6 @@
-"""A robot, as designed or as identified, as a robot file in TOML that reads back to the same torques."""
+"""A robot, as designed or as identified, as a robot file in TOML that reads back to the same
+torques.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,10 @@ _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
 def robot_toml(model: RobotModel) -> str:
-    """Return the text of a robot file: placements as rotation matrices, inertias about link origins, numbers in full precision."""
+    """Return the text of a robot file.
+
+    Placements as rotation matrices, inertias about link origins, numbers in full precision.
+    """
     head = [
         f"name = {_text(model.name)}",
         f"citation = {_text(model.citation)}" if model.citation else "",

@@ -14,7 +14,10 @@ SHARPEST = 10.0
 
 
 def sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
-    """Return `count` random q, qd, qdd within the limits of the robot, each (count, n); always the same ones for one robot."""
+    """Return `count` random q, qd, qdd within the limits of the robot, each (count, n).
+
+    Always the same ones for one robot.
+    """
     rng, n = np.random.default_rng(0), model.n_joints
     reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]
     lower = np.array(

@@ -24,11 +24,14 @@ ON_AXIS = 1e-12
 
 
 def urdf_text(model: RobotModel) -> str:
-    """Return the robot as a URDF: links, joints, inertials, limits and joint dynamics, in full precision.
+    """Return the robot as a URDF.
 
-    URDF has the joint axis through the origin of the link frame. Where the model has the origin elsewhere (standard Denavit-Hartenberg
-    parameters with a length a), the URDF link frame is the joint frame, the inertial is given in it, and a fixed link `<name>_frame` marks the frame of
-    the model. Named frames become fixed links without mass. What URDF cannot say stands in comments.
+    Links, joints, inertials, limits and joint dynamics, in full precision.
+
+    URDF has the joint axis through the origin of the link frame. Where the model has the origin
+    elsewhere (standard Denavit-Hartenberg parameters with a length a), the URDF link frame is the
+    joint frame, the inertial is given in it, and a fixed link `<name>_frame` marks the frame of the
+    model. Named frames become fixed links without mass. What URDF cannot say stands in comments.
 
     Raises
     ------
@@ -67,9 +70,11 @@ def urdf_text(model: RobotModel) -> str:
 def write_urdf(
     path: str | os.PathLike[str], model: RobotModel, *, original: str | Path | None = None
 ) -> tuple[Path, tuple[str, ...]]:
-    """Write `original` with the inertias and friction of the model and every other byte kept, or a URDF of its own where there is no original.
+    """Write `original` with the inertias and friction of the model and every other byte kept, or a
+    URDF of its own where there is no original.
 
-    Returns the path and notes on what the reader must know. Raises as `edited_urdf` and `urdf_text` do.
+    Returns the path and notes on what the reader must know. Raises as `edited_urdf` and `urdf_text`
+    do.
     """
     if original is None:
         return atomic_write(path, urdf_text(model)), unsaid_in_urdf(model)
@@ -78,7 +83,9 @@ def write_urdf(
 
 
 def _shift(joint: Joint) -> Array:
-    """Return the pose of the model's link frame in the URDF's, the identity where the joint axis passes through the link origin."""
+    """Return the pose of the model's link frame in the URDF's, the identity where the joint axis
+    passes through the link origin.
+    """
     if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= ON_AXIS:
         return np.eye(4)
     return np.array(joint.after)

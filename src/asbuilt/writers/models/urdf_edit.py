@@ -1,4 +1,6 @@
-"""The user's own URDF with the inertials and joint dynamics as built, and every other byte as it was."""
+"""The user's own URDF with the inertials and joint dynamics as built, and every other byte as it
+was.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,14 @@ _TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditedUrdf:
-    """Hold the edited file: `content` in the encoding of the original, and `notes` on what a reader must know.
+    """Hold the edited file: `content` in the encoding of the original, and `notes` on what a reader
+    must know.
 
-    `links` and `joints` name what was changed, `emptied` the links behind fixed joints whose inertia went to the link that carries them.
-    `reread_difference` (n,) is the largest torque difference between the model and the file as asbuilt reads it, `literal_difference` (n,) as a
-    program reads it that takes rounded right angles (1.5708) to the letter [N m or N], over random motions.
+    `links` and `joints` name what was changed, `emptied` the links behind fixed joints whose
+    inertia went to the link that carries them. `reread_difference` (n,) is the largest torque
+    difference between the model and the file as asbuilt reads it, `literal_difference` (n,) as a
+    program reads it that takes rounded right angles (1.5708) to the letter [N m or N], over random
+    motions.
     """
 
     content: bytes
@@ -45,11 +50,14 @@ class EditedUrdf:
 
 
 def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
-    """Put the inertias and the viscous and Coulomb friction of `model` into a URDF of the same robot and keep all other bytes.
+    """Put the inertias and the viscous and Coulomb friction of `model` into a URDF of the same
+    robot and keep all other bytes.
 
-    The identified inertia of a moving link is that of everything fixed to it. Links behind fixed joints keep their inertials and the moving
-    link gets the remainder, where that is a possible body; else the moving link gets the whole and theirs are removed, with a note. Inertials
-    are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values on which the model is silent stay as they are.
+    The identified inertia of a moving link is that of everything fixed to it. Links behind fixed
+    joints keep their inertials and the moving link gets the remainder, where that is a possible
+    body; else the moving link gets the whole and theirs are removed, with a note. Inertials are
+    written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values on which the model
+    is silent stay as they are.
 
     Raises
     ------
@@ -110,7 +118,9 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
 
 
 def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
-    """Return a note for each thing of the model that changes torques and for which URDF has no place."""
+    """Return a note for each thing of the model that changes torques and for which URDF has no
+    place.
+    """
     plain, notes = in_plain_friction(model), []
     if any("asymmetric_coulomb" in joint.drive.terms for joint in model.joints):
         notes.append(

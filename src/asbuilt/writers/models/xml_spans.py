@@ -1,4 +1,6 @@
-"""Where the elements and attribute values of an XML file stand, so that some can be changed and every other byte kept."""
+"""Where the elements and attribute values of an XML file stand, so that some can be changed and
+every other byte kept.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,12 @@ _DECLARED = re.compile(rb"""^<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)["'
 
 @dataclass(eq=False)
 class Span:
-    """One element: its tag without namespace, its attributes, and where it stands in the text (counted in bytes of UTF-8).
+    """One element: its tag without namespace, its attributes, and where it stands in the text
+    (counted in bytes of UTF-8).
 
-    `start` is at the `<`, `inner` behind the `>` of the start tag, `close` at the `</` (None where the tag closes itself), `stop` behind the
-    element. `values` gives the text of each attribute between its quotes, `named` ends behind the last attribute.
+    `start` is at the `<`, `inner` behind the `>` of the start tag, `close` at the `</` (None where
+    the tag closes itself), `stop` behind the element. `values` gives the text of each attribute
+    between its quotes, `named` ends behind the last attribute.
     """
 
     tag: str
@@ -64,7 +68,10 @@ class Edit:
 
 @dataclass(frozen=True, eq=False)
 class XmlFile:
-    """An XML file with the place of everything in it; `edited` changes some places and keeps all other bytes."""
+    """An XML file with the place of everything in it.
+
+    `edited` changes some places and keeps all other bytes.
+    """
 
     text: bytes
     encoding: str
@@ -72,7 +79,9 @@ class XmlFile:
 
     @classmethod
     def of(cls, content: bytes, source: str) -> XmlFile:
-        """Locate every element; raises `DescriptionError` where the file is not well-formed or not in the encoding it declares."""
+        """Locate every element; raises `DescriptionError` where the file is not well-formed or not
+        in the encoding it declares.
+        """
         encoding = _encoding(content)
         try:
             decoded = content.decode(encoding)
@@ -115,14 +124,19 @@ class XmlFile:
         return self.text[at : element.start].decode()
 
     def appended(self, parent: Span, markup: str) -> Edit:
-        """Return the edit that adds an element behind the last child, on a line of its own where that child has one."""
+        """Return the edit that adds an element behind the last child, on a line of its own where
+        that child has one.
+        """
         if not parent.children:
             return self.prepended(parent, markup)
         last = parent.children[-1]
         return Edit(last.stop, last.stop, self.blanks_before(last) + markup)
 
     def prepended(self, parent: Span, markup: str) -> Edit:
-        """Return the edit that adds an element in front of the first child, indented like it; opens an element that closes itself."""
+        """Return the edit that adds an element in front of the first child, indented like it.
+
+        Opens an element that closes itself.
+        """
         if parent.children:
             first = parent.children[0]
             return Edit(first.start, first.start, markup + self.blanks_before(first))
@@ -137,7 +151,10 @@ class XmlFile:
 
 
 def attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]:
-    """Return the edits that give attributes new values, quotes kept; absent ones are added behind the last, a value already there is left."""
+    """Return the edits that give attributes new values, quotes kept.
+
+    Absent ones are added behind the last, a value already there is left.
+    """
     edits, added = [], ""
     for name, value in values.items():
         if name not in element.values:

@@ -38,14 +38,17 @@ def write_picture(
     style: Style = "auto",
     progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Write a robot or its motion as `.png` (the start, and the path of the tip), or as an animation in real time, `.gif` or `.webp`.
+    """Write a robot or its motion as `.png` (the start, and the path of the tip), or as an
+    animation in real time, `.gif` or `.webp`.
 
-    Rendered by MuJoCo where it is installed and OpenGL works without a screen (EGL or OSMesa), drawn as a skeleton otherwise, unless `style` says which.
+    Rendered by MuJoCo where it is installed and OpenGL works without a screen (EGL or OSMesa),
+    drawn as a skeleton otherwise, unless `style` says which.
 
     Raises
     ------
     UsageError
-        If the suffix is another one, an animation has no motion, or rendering is asked for where it cannot be.
+        If the suffix is another one, an animation has no motion, or rendering is asked for where it
+        cannot be.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (*STILLS, *ANIMATIONS):
@@ -98,7 +101,9 @@ def write_picture(
 def picture_frames(
     view: MotionView, width: int, height: int, *, style: Style = "auto"
 ) -> Iterator[Image]:
-    """Yield the frames of a view as images (height, width, 3), rendered where that works and `style` allows, else as skeletons."""
+    """Yield the frames of a view as images (height, width, 3), rendered where that works and
+    `style` allows, else as skeletons.
+    """
     if style not in ("auto", "rendered", "skeleton"):
         raise UsageError(f"style {style!r} is not one of auto, rendered, skeleton")
     context = None if style == "skeleton" else offscreen_context(2 * width, 2 * height)

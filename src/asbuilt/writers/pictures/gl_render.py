@@ -1,4 +1,6 @@
-"""Pictures rendered by MuJoCo without a screen, where the machine has an OpenGL that works so (EGL or OSMesa)."""
+"""Pictures rendered by MuJoCo without a screen, where the machine has an OpenGL that works so (EGL
+or OSMesa).
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ def offscreen_context(width: int, height: int) -> Any | None:
 
 
 def rendered_frames(view: MotionView, context: Any, width: int, height: int) -> Iterator[Image]:
-    """Yield every frame of a motion as an image (height, width, 3), oversampled twice in each direction."""
+    """Yield every frame of a motion as an image (height, width, 3), oversampled twice in each
+    direction.
+    """
     mujoco = import_module("mujoco")
     w, h = 2 * width, 2 * height
     compiled = mujoco.MjModel.from_xml_string(_scene_text(view, w, h))

@@ -1,4 +1,7 @@
-"""What any picture of a motion needs: poses over time, the path of the tip, the space that all of it takes."""
+"""What any picture of a motion needs.
+
+Poses over time, the path of the tip, the space that all of it takes.
+"""
 
 from __future__ import annotations
 
@@ -21,9 +24,12 @@ PATH_POINTS = 400
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionView:
-    """Hold the poses of a motion as pictures show it: `t` (N,), `q` (N, n), `poses` (N, n, 4, 4) in the root frame, `path` (m, 3) of the tip [m].
+    """Hold the poses of a motion as pictures show it.
 
-    `up` is the direction against gravity, `floor` the height of the ground along it, `centre` and `radius` a ball that holds every pose.
+    `t` (N,), `q` (N, n), `poses` (N, n, 4, 4) in the root frame, `path` (m, 3) of the tip [m].
+
+    `up` is the direction against gravity, `floor` the height of the ground along it, `centre` and
+    `radius` a ball that holds every pose.
     """
 
     model: RobotModel
@@ -41,7 +47,10 @@ class MotionView:
     def of(
         cls, model: RobotModel, t: ArrayLike, q: ArrayLike, *, path: ArrayLike | None = None
     ) -> MotionView:
-        """Build from times (N,) and joint positions (N, n); `path` (m, n) are the positions of a finer path, by default q."""
+        """Build from times (N,) and joint positions (N, n).
+
+        `path` (m, n) are the positions of a finer path, by default q.
+        """
         times, positions = (
             np.atleast_1d(np.asarray(t, dtype=np.float64)),
             np.atleast_2d(np.asarray(q, dtype=np.float64)),
@@ -79,7 +88,10 @@ class MotionView:
     def of_motion(
         cls, model: RobotModel, motion: Motion | None, *, most: int = 200, rate: float = 25.0
     ) -> MotionView:
-        """Build from a motion, at `rate` [Hz] or as many frames as `most`; without a motion the robot stands in the middle of its ranges."""
+        """Build from a motion, at `rate` [Hz] or as many frames as `most`.
+
+        Without a motion the robot stands in the middle of its ranges.
+        """
         if motion is None:
             return cls.of(model, [0.0], resting_pose(model)[None])
         frames = int(np.clip(np.ceil(motion.duration * rate), 2, most))
@@ -95,7 +107,9 @@ class MotionView:
 
 
 def resting_pose(model: RobotModel) -> Array:
-    """Return the zero position moved into the joints' ranges, shape (n,), with a bend so that no two axes hide each other."""
+    """Return the zero position moved into the joints' ranges, shape (n,), with a bend so that no
+    two axes hide each other.
+    """
     bounds = MotionBounds.assumed(model)
     bend = np.array(
         [0.35 * (-1) ** k if joint.is_revolute else 0.0 for k, joint in enumerate(model.joints)]

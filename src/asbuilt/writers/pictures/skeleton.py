@@ -1,4 +1,7 @@
-"""A robot drawn as a skeleton with matplotlib: rods, joints and the path of the tip, where no OpenGL is at hand."""
+"""A robot drawn as a skeleton with matplotlib.
+
+Rods, joints and the path of the tip, where no OpenGL is at hand.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A robot in 3-D in the browser: its motion, frames, centres of mass and inertia ellipsoids (viser)."""
+"""A robot in 3-D in the browser.
+
+Its motion, frames, centres of mass and inertia ellipsoids (viser).
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,9 @@ ROD, HOUSING, STAND, PATH, COM, INERTIA = (
 BODY_OPACITY = 0.35
 """Opacity of the bodies while something inside them is shown."""
 DISTANCE, BESIDE_PANEL = 2.7, 0.3
-"""How far the camera stands off, and how far to the side it looks so that the panel hides nothing, in radii of the scene."""
+"""How far the camera stands off, and how far to the side it looks so that the panel hides nothing,
+in radii of the scene.
+"""
 FRAME_RATE = 30.0
 """Poses sent per second [Hz]."""
 SAVED_FRAMES = 600
@@ -48,8 +53,9 @@ LAST_PORT_OFFSET = 20
 class Viewer:
     """A page that shows a robot in 3-D and, where there is a motion, plays it.
 
-    Bodies are rods and housings drawn from the geometry. Per link it can show the frame, the centre of mass, and the ellipsoid of uniform density that
-    has the link's inertia; links whose inertia no body has get a point but no ellipsoid. Without a motion each joint has a slider.
+    Bodies are rods and housings drawn from the geometry. Per link it can show the frame, the centre
+    of mass, and the ellipsoid of uniform density that has the link's inertia; links whose inertia
+    no body has get a point but no ellipsoid. Without a motion each joint has a slider.
 
     Raises
     ------
@@ -93,7 +99,9 @@ class Viewer:
         return f"http://{self.server.get_host()}:{self.port}"
 
     def page(self) -> str:
-        """Return a page of its own, one HTML text with everything in it, that shows the robot and plays the motion without any server."""
+        """Return a page of its own, one HTML text with everything in it, that shows the robot and
+        plays the motion without any server.
+        """
         self._show(dict.fromkeys(self._layers, True), opacity=BODY_OPACITY)
         recorder = self.server.get_scene_serializer()
         pause = float(self.view.t[-1]) / max(1, len(self.view.t) - 1)
@@ -103,7 +111,9 @@ class Viewer:
         return str(recorder.as_html())
 
     def serve(self, *, until: Callable[[], bool] | None = None) -> None:
-        """Play the motion round and round, obeying the controls of the page, until interrupted or `until()` says so."""
+        """Play the motion round and round, obeying the controls of the page, until interrupted or
+        `until()` says so.
+        """
         controls = _Controls(self)
         last = time.perf_counter()
         while until is None or not until():
@@ -252,7 +262,10 @@ class _Clock:
 
 
 class _Controls:
-    """The panel of the page: what to show, and a player, or a slider per joint where there is no motion."""
+    """The panel of the page.
+
+    What to show, and a player, or a slider per joint where there is no motion.
+    """
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
@@ -326,7 +339,9 @@ class _Controls:
 
 
 def round_mesh(solid: Solid, slices: int = 28, rings: int = 7) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices (v, 3) and triangles (f, 3), seen from outside, of a rod with round ends or of a housing with flat ones."""
+    """Return vertices (v, 3) and triangles (f, 3), seen from outside, of a rod with round ends or
+    of a housing with flat ones.
+    """
     length, radius = solid.length, solid.radius
     if solid.kind == "rod":
         angles = np.linspace(0.0, np.pi / 2, rings)

@@ -24,7 +24,10 @@ def sheet_text(
     *,
     gains: str | None = None,
 ) -> str:
-    """Return a recording sheet (TOML) for the log of the program, with comments above; `gains` says what belongs into the line of gains that waits to be filled in."""
+    """Return a recording sheet (TOML) for the log of the program, with comments above.
+
+    `gains` says what belongs into the line of gains that waits to be filled in.
+    """
     title = f"Recording sheet for the log of motion {request.name} on {request.model.name}."
     lines = [line for comment in (title, *comments) for line in wrapped(plain_text(comment))]
     scalars = {key: value for key, value in fields.items() if not isinstance(value, Mapping)}

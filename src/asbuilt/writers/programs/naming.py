@@ -10,9 +10,11 @@ MOST_CHARACTERS = 60
 
 
 def plain_text(text: str) -> str:
-    r"""Return printable ASCII on one line that cannot end or escape from a comment or a string literal in any language.
+    r"""Return printable ASCII on one line that cannot end or escape from a comment or a string
+    literal in any language.
 
-    Backslashes, double quotes, backticks and the marks that end comments become other characters; accents are dropped.
+    Backslashes, double quotes, backticks and the marks that end comments become other characters;
+    accents are dropped.
 
     Examples
     --------
@@ -47,7 +49,9 @@ def file_stem(name: str, *, default: str = "motion") -> str:
 
 
 def identifier(name: str, *, prefix: str) -> str:
-    """Return `prefix` and the name as one lower-case identifier; the prefix keeps it from being a keyword.
+    """Return `prefix` and the name as one lower-case identifier.
+
+    The prefix keeps it from being a keyword.
 
     Examples
     --------
@@ -58,7 +62,8 @@ def identifier(name: str, *, prefix: str) -> str:
 
 
 def class_name(name: str, *, suffix: str) -> str:
-    """Return the name as a Java class name that ends in `suffix`, which keeps it from being the name of a library's class.
+    """Return the name as a Java class name that ends in `suffix`, which keeps it from being the
+    name of a library's class.
 
     Examples
     --------

@@ -18,7 +18,10 @@ DRY_RUN_PART = f"{100 / DRY_RUN_SLOWDOWN:g} %"
 
 
 def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[str, ...]:
-    """Return the lines of the header; `use` says step by step how the program is run. ASCII, no line longer than `WIDTH`."""
+    """Return the lines of the header; `use` says step by step how the program is run.
+
+    ASCII, no line longer than `WIDTH`.
+    """
     model, motion = request.model, request.motion
     names = [plain_text(name) for name in model.joint_names]
     start = ", ".join(f"{q:.4f}" for q in motion.start)
@@ -103,7 +106,9 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
 
 
 def _approach(request: ProgramRequest) -> str:
-    """Return the top speeds on the way to the start pose, with the joints that have each where they are not all alike."""
+    """Return the top speeds on the way to the start pose, with the joints that have each where they
+    are not all alike.
+    """
     joints: dict[str, list[str]] = {}
     for name, turns, speed in zip(
         request.model.joint_names, request.revolute, request.approach_speed, strict=True
@@ -140,7 +145,9 @@ def _checked(request: ProgramRequest) -> str:
 
 
 def wrapped(text: str, label: str = "") -> list[str]:
-    """Return the text in lines of at most `WIDTH` characters, the first behind `label` and the others indented as far; names stay whole."""
+    """Return the text in lines of at most `WIDTH` characters, the first behind `label` and the
+    others indented as far; names stay whole.
+    """
     return textwrap.wrap(
         text,
         WIDTH,

@@ -12,7 +12,10 @@ from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, Prog
 
 
 def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) -> dict[str, Path]:
-    """Write the files of a program, each whole or not at all, and return them by role; scripts become executable."""
+    """Write the files of a program, each whole or not at all, and return them by role.
+
+    Scripts become executable.
+    """
     written = {}
     for file in files:
         path = atomic_write(Path(folder) / file.name, file.text)

@@ -24,7 +24,10 @@ PROGRAM_FORMATS: dict[str, ProgramFormat] = {
 def program_format(
     key: str, model: RobotModel | None = None, parametrisation: str | None = None
 ) -> ProgramFormat:
-    """Return the format of this name; with a `model` or a `parametrisation`, make sure that the format can move the one along motions of the other.
+    """Return the format of this name.
+
+    With a `model` or a `parametrisation`, make sure that the format can move the one along motions
+    of the other.
 
     Raises
     ------
@@ -52,7 +55,9 @@ def program_request(
     rate: float | None = None,
     collision: str | None = None,
 ) -> ProgramRequest:
-    """Return the checked request for a program of this format, with the arguments of `make_program`; raises as that does."""
+    """Return the checked request for a program of this format, with the arguments of
+    `make_program`; raises as that does.
+    """
     chosen = program_format(form, model)
     clearance = None if collision is None else clearance_along(model, motion, collision)
     return ProgramRequest(
@@ -69,18 +74,20 @@ def make_program(
     rate: float | None = None,
     collision: str | None = None,
 ) -> tuple[ProgramFile, ...]:
-    """Return the files of the program that moves `model` along `motion` on a controller of this format, its recording sheet among them.
+    """Return the files of the program that moves `model` along `motion` on a controller of this
+    format, its recording sheet among them.
 
-    `rate` [Hz] is that of the points or of the recording, as the format has it; by default what suits it. With bodies in
-    `collision` (what `--collision` takes) the program says how near they come. Nothing is written here.
+    `rate` [Hz] is that of the points or of the recording, as the format has it; by default what
+    suits it. With bodies in `collision` (what `--collision` takes) the program says how near they
+    come. Nothing is written here.
 
     Raises
     ------
     UsageError
         If there is no such format.
     MotionError
-        If the format cannot move this robot or sample at this rate, or the motion violates a limit, runs bodies into each other or does not start
-        and end at rest.
+        If the format cannot move this robot or sample at this rate, or the motion violates a limit,
+        runs bodies into each other or does not start and end at rest.
 
     Examples
     --------

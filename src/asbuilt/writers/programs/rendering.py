@@ -11,7 +11,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 def render(template: str, **values: Any) -> str:
-    """Return a template of this room filled in; a value that the template needs and does not get is an error."""
+    """Return a template of this room filled in.
+
+    A value that the template needs and does not get is an error.
+    """
     return _environment().get_template(template).render(**values)
 
 
@@ -27,7 +30,8 @@ def numbers(values: Iterable[float], decimals: int = 6) -> str:
 
 
 def rounded_down(value: float, decimals: int = 4) -> str:
-    """Return a positive number with a fixed count of decimals, never above itself, as a limit must be.
+    """Return a positive number with a fixed count of decimals, never above itself, as a limit must
+    be.
 
     Examples
     --------

@@ -48,14 +48,16 @@ class ProgramFile:
 
 @dataclass(frozen=True, eq=False)
 class ProgramRequest:
-    """Ask for a program that moves `model` along `motion`, sampled at `rate` [Hz] where the format samples; `name` is free text.
+    """Ask for a program that moves `model` along `motion`, sampled at `rate` [Hz] where the format
+    samples; `name` is free text.
 
     `clearance` says how near bodies come to each other on the way, None where nobody looked.
 
     Raises
     ------
     MotionError
-        If the motion, or its slow dry run, violates a limit of the robot, or does not start and end at rest.
+        If the motion, or its slow dry run, violates a limit of the robot, or does not start and end
+        at rest.
     """
 
     model: RobotModel
@@ -122,7 +124,10 @@ class ProgramRequest:
 
     @property
     def period_ms(self) -> int:
-        """The sampling period in whole milliseconds, which KUKA's controllers count in; raises MotionError for other rates."""
+        """The sampling period in whole milliseconds, which KUKA's controllers count in.
+
+        Raises MotionError for other rates.
+        """
         period = round(1000.0 / self.rate)
         if period < 1 or abs(period * self.rate - 1000.0) > 1e-6:
             raise MotionError(
@@ -133,7 +138,9 @@ class ProgramRequest:
 
 
 class ProgramFormat(ABC):
-    """A kind of controller: `key` names it, `default_rate` [Hz] suits it; `n_joints` is how many revolute joints it moves, None for any.
+    """A kind of controller: `key` names it, `default_rate` [Hz] suits it.
+
+    `n_joints` is how many revolute joints it moves, None for any.
 
     `smooth` says that it takes only motions whose acceleration does not jump.
     """
@@ -149,7 +156,9 @@ class ProgramFormat(ABC):
         """Return the files of the program, the recording sheet among them."""
 
     def check_parametrisation(self, parametrisation: str) -> None:
-        """Raise MotionError if motions of this kind are none that the controller takes, before any is designed."""
+        """Raise MotionError if motions of this kind are none that the controller takes, before any
+        is designed.
+        """
         if self.smooth and parametrisation in JUMPING:
             raise MotionError(
                 f"the format {self.key} takes no {parametrisation} motion, nor static poses joined"

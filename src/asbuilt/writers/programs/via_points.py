@@ -1,4 +1,7 @@
-"""Few points that stand for a whole motion: knots of cubics, points of a spline, poses of a point-to-point motion."""
+"""Few points that stand for a whole motion.
+
+Knots of cubics, points of a spline, poses of a point-to-point motion.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,9 @@ SPLINE_STEPS = (0.5, 0.02)
 """Longest and shortest time between the points of a spline [s]."""
 
 STRAIGHT = 1e-3
-"""A stretch is straight in joint space when no joint leaves the line between its ends by more than this [rad or m]."""
+"""A stretch is straight in joint space when no joint leaves the line between its ends by more than
+this [rad or m].
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +41,9 @@ class Stretch:
 
 
 def hermite_knots(motion: Motion, tolerance: float) -> Array:
-    """Return equally spaced times between which the cubics that match position and velocity stay within `tolerance` [rad or m] of the motion."""
+    """Return equally spaced times between which the cubics that match position and velocity stay
+    within `tolerance` [rad or m] of the motion.
+    """
 
     def error(knots: Array) -> float:
         cubic = CubicHermiteSpline(knots, motion.derivative(knots), motion.derivative(knots, 1))
@@ -46,7 +53,9 @@ def hermite_knots(motion: Motion, tolerance: float) -> Array:
 
 
 def spline_times(motion: Motion, tolerance: float) -> Array:
-    """Return equally spaced times such that a cubic spline at rest at both ends through the poses then stays within `tolerance` of the motion."""
+    """Return equally spaced times such that a cubic spline at rest at both ends through the poses
+    then stays within `tolerance` of the motion.
+    """
 
     def error(times: Array) -> float:
         return _largest_deviation(
@@ -57,7 +66,8 @@ def spline_times(motion: Motion, tolerance: float) -> Array:
 
 
 def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
-    """Return the straight stretches between rests that the motion is made of, or None if it is not point-to-point.
+    """Return the straight stretches between rests that the motion is made of, or None if it is not
+    point-to-point.
 
     A rest is where every joint moves slower than it can start within one step of a 1 kHz grid.
     """

@@ -24,14 +24,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CadVerdict:
-    """Hold a result against CAD: the comparison, why CAD is off (None without evidence) and what the recording determines."""
+    """Hold a result against CAD.
+
+    The comparison, why CAD is off (None without evidence) and what the recording determines.
+    """
 
     comparison: Comparison
     attribution: Attribution | None
     determination: Determination
 
     def as_text(self) -> str:
-        """Return all of it for a terminal: the verdict, why CAD is off, then the parameters, then what the recording tells."""
+        """Return all of it for a terminal.
+
+        The verdict, why CAD is off, then the parameters, then what the recording tells.
+        """
         parts = [self.comparison.heading()]
         if self.comparison.torque:
             parts.append(self.comparison.torque_table().as_text())
@@ -59,7 +65,9 @@ class CadVerdict:
 def write_comparison(
     folder: Path, result: IdentificationResult, verdict: CadVerdict
 ) -> dict[str, Path]:
-    """Write comparison.csv, comparison.txt, comparison.html and, where the evidence allows, attribution.csv and the figures; returns their paths by kind."""
+    """Write comparison.csv, comparison.txt, comparison.html and, where the evidence allows,
+    attribution.csv and the figures; returns their paths by kind.
+    """
     files = {
         "comparison": atomic_write(
             folder / "comparison.csv", verdict.comparison.parameter_table().as_csv()
@@ -84,7 +92,9 @@ def write_comparison(
 
 
 def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[str, Path]:
-    """Write drift.csv, drift.txt and drift.html of two results, or of a result and the controller's model; returns their paths by kind."""
+    """Write drift.csv, drift.txt and drift.html of two results, or of a result and the controller's
+    model; returns their paths by kind.
+    """
     drift = compared if isinstance(compared, Drift) else compared.difference
     return {
         "comparison": atomic_write(folder / "drift.csv", drift.table().as_csv()),

@@ -1,4 +1,7 @@
-"""One self-contained HTML page that holds CAD against the robot as built: where it differs, what that costs, why, and what the recording can tell."""
+"""One self-contained HTML page that holds CAD against the robot as built.
+
+Where it differs, what that costs, why, and what the recording can tell.
+"""
 
 from __future__ import annotations
 

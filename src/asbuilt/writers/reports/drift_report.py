@@ -1,4 +1,6 @@
-"""One self-contained HTML page of two results of one robot, or of a result and its controller's model: what changed, and what that does to the torque."""
+"""One self-contained HTML page of two results of one robot, or of a result and its controller's
+model: what changed, and what that does to the torque.
+"""
 
 from __future__ import annotations
 

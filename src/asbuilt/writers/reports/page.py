@@ -1,4 +1,7 @@
-"""What the HTML pages share: templates filled with escaped texts, one style, nothing asked of the network."""
+"""What the HTML pages share.
+
+Templates filled with escaped texts, one style, nothing asked of the network.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,9 @@ CITATION = (
 
 
 def page(template: str, **fields: Any) -> str:
-    """Return a template of this package filled with fields, every text escaped that is not `Markup`; style, version and citation are given."""
+    """Return a template of this package filled with fields, every text escaped that is not
+    `Markup`; style, version and citation are given.
+    """
     return (
         _environment()
         .get_template(template)

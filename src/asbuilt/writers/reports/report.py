@@ -1,6 +1,9 @@
-"""One self-contained HTML page about an identification: verdict, tables, interactive torque plots, warnings, provenance.
+"""One self-contained HTML page about an identification.
 
-The page carries everything it needs and asks the network for nothing; every name in it may come from a stranger's file and is escaped.
+Verdict, tables, interactive torque plots, warnings, provenance.
+
+The page carries everything it needs and asks the network for nothing; every name in it may come
+from a stranger's file and is escaped.
 """
 
 from __future__ import annotations
@@ -36,7 +39,10 @@ from asbuilt.writers.reports.report_verdict import verdict
 from asbuilt.writers.tables.payload_tables import payload_table, payload_torque_table
 
 CURVE_POINTS = 120_000
-"""Points of all torque curves of a page together; each joint of each recording gets its share, 400 to 2500."""
+"""Points of all torque curves of a page together.
+
+Each joint of each recording gets its share, 400 to 2500.
+"""
 
 
 def write_report(
@@ -74,9 +80,11 @@ def report_html(
 ) -> str:
     """Return the page as text.
 
-    `validations` are predictions of data not used for fitting, by which the model is judged; `fitted` are predictions of the data used, which the
-    plots show too. `attribution` says why CAD is off; it is worked out where none is given and the result carries the evidence. `payload` is
-    what the flange carries, where that was identified too. `command` is the command line that repeats the identification.
+    `validations` are predictions of data not used for fitting, by which the model is judged;
+    `fitted` are predictions of the data used, which the plots show too. `attribution` says why CAD
+    is off; it is worked out where none is given and the result carries the evidence. `payload` is
+    what the flange carries, where that was identified too. `command` is the command line that
+    repeats the identification.
     """
     comparison = compare(result, validation=validations or None)
     if attribution is None and result.evidence is not None:
@@ -167,7 +175,10 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
 
 
 def _parameter_row(parameter: ComparedParameter) -> dict[str, Any]:
-    """Return the texts, sort keys and the little interval drawing of one parameter; the drawing spans -100 to 100."""
+    """Return the texts, sort keys and the little interval drawing of one parameter.
+
+    The drawing spans -100 to 100.
+    """
     half = 1.96 * (parameter.std_error or 0.0)
     scale = max(abs(parameter.estimate), abs(parameter.cad or 0.0), 0.8 * half) or 1.0
     shown, error = rounded(parameter.estimate, parameter.std_error)
@@ -237,7 +248,10 @@ def _page_data(
     validations: Sequence[Validation],
     analyses: Sequence[ResidualAnalysis],
 ) -> dict[str, Any]:
-    """Return what the page's script draws: curves per recording and joint, singular values; numbers to five digits."""
+    """Return what the page's script draws: curves per recording and joint, singular values.
+
+    Numbers to five digits.
+    """
     joints = max(1, sum(len(validation.joint_names) for validation in validations))
     points = int(np.clip(CURVE_POINTS / joints / 4, 400, 2500))
     return {

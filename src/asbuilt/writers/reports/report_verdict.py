@@ -1,4 +1,7 @@
-"""What a reader of the report must know first: how well the model predicts, whether it can be, what is determined and what differs."""
+"""What a reader of the report must know first.
+
+How well the model predicts, whether it can be, what is determined and what differs.
+"""
 
 from __future__ import annotations
 

@@ -34,7 +34,11 @@ from asbuilt.writers.tables.tabular import (
 
 
 def study_text(study: Study, payload: Payload | None = None) -> str:
-    """Return what `asbuilt identify` prints: the summary, torque errors of CAD and as built, the verdict, and what the flange carries where that was identified too."""
+    """Return what `asbuilt identify` prints.
+
+    The summary, torque errors of CAD and as built, the verdict, and what the flange carries where
+    that was identified too.
+    """
     parts = [study.result.summary().as_text()]
     if gear_ratios(study.result.model):
         parts.append(
@@ -67,10 +71,13 @@ def study_document(
 def write_study(
     folder: Path, study: Study, *, payload: Payload | None = None, command: Sequence[str] = ()
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
-    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as built, robot.toml; cutoff.png and payload.json where there is one.
+    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as
+    built, robot.toml; cutoff.png and payload.json where there is one.
 
-    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file as built. Returns the path of each, by kind, and what the reader of a file must
-    know, by kind too: what a URDF cannot hold, or why a file was not written. `command` is the command line that repeats the study.
+    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file
+    as built. Returns the path of each, by kind, and what the reader of a file must know, by kind
+    too: what a URDF cannot hold, or why a file was not written. `command` is the command line that
+    repeats the study.
     """
     result = study.result
     files = {
@@ -102,7 +109,9 @@ def write_study(
 def _write_robot(
     folder: Path, result: IdentificationResult
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
-    """Write robot.toml and robot.urdf where there can be such, and say what they lack, or why there are none."""
+    """Write robot.toml and robot.urdf where there can be such, and say what they lack, or why there
+    are none.
+    """
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     try:
@@ -142,7 +151,10 @@ def _write_robot(
 def write_validations(
     folder: Path, result: IdentificationResult, validations: Sequence[Validation]
 ) -> dict[str, Path]:
-    """Write for each validation its torques (CSV) and their figure (PNG); returns the path of each, by kind."""
+    """Write for each validation its torques (CSV) and their figure (PNG).
+
+    Returns the path of each, by kind.
+    """
     files: dict[str, Path] = {}
     for k, validation in enumerate(validations, start=1):
         number = "" if len(validations) == 1 else f"_{k}"

@@ -26,7 +26,9 @@ LISTED = 12
 """How many of the worst determined parameters the text names."""
 
 TELLABLE = 1e7
-"""Largest condition number of an observation matrix that the product of the matrix with itself tells."""
+"""Largest condition number of an observation matrix that the product of the matrix with itself
+tells.
+"""
 
 SAME_POSE = 1e-6
 """Poses that differ by less in every joint [rad or m] are told to be the same."""
@@ -37,7 +39,10 @@ UNWATCHED_RATE = 100.0
 def write_design(
     path: str | os.PathLike[str], design: Design | StaticDesign, rate: float
 ) -> dict[str, Path]:
-    """Write the motion, or the one through standing poses, as CSV at `rate` [Hz]; returns its path by kind."""
+    """Write the motion, or the one through standing poses, as CSV at `rate` [Hz].
+
+    Returns its path by kind.
+    """
     return {"motion": write_motion(path, design.motion, design.model.joint_names, rate)}
 
 

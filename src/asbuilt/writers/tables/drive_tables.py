@@ -79,7 +79,10 @@ def drives_text() -> str:
 
 
 def gains_document(found: TorqueGains) -> dict[str, Any]:
-    """Return gains as plain data; `gain` is the list that stands in place of those in use, `option` and `sheet` the same as text."""
+    """Return gains as plain data.
+
+    `gain` is the list that stands in place of those in use, `option` and `sheet` the same as text.
+    """
     return {
         "joints": list(found.joint_names),
         "gains": [_number(value) for value in found.gains],
@@ -101,7 +104,9 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
 
 
 def gains_text(found: TorqueGains) -> str:
-    """Return gains as a table with what they rest on, and the option and the line of a recording sheet that put them to use."""
+    """Return gains as a table with what they rest on, and the option and the line of a recording
+    sheet that put them to use.
+    """
     rows = [
         (
             name,

@@ -24,7 +24,9 @@ WHAT = {
 
 
 def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
-    """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG beside it."""
+    """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG beside
+    it.
+    """
     columns: dict[str, Any] = {"t": motion.t}
     for letter, values in (("q", motion.q), ("qd", motion.qd), ("tau", motion.tau)):
         columns |= {

@@ -29,7 +29,9 @@ def payload_text(payload: Payload) -> str:
 
 
 def payload_table(payload: Payload) -> Table:
-    """Return mass, centre of mass and inertia about it with standard errors, and whether this motion tells them."""
+    """Return mass, centre of mass and inertia about it with standard errors, and whether this
+    motion tells them.
+    """
     rows = []
     split = bool(np.any(payload.gain_uncertainty > 0.0))
     parts = (payload.values, payload.std_errors, payload.noise_errors, payload.gain_errors)
@@ -183,7 +185,9 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
 
 
 def _symmetric(upper: Array) -> list[list[float]]:
-    """Return the symmetric 3 x 3 matrix with these six entries on and above its diagonal, row by row."""
+    """Return the symmetric 3 x 3 matrix with these six entries on and above its diagonal, row by
+    row.
+    """
     matrix = np.zeros((3, 3))
     matrix[np.triu_indices(3)] = upper
     return [row.tolist() for row in matrix + np.triu(matrix, 1).T]

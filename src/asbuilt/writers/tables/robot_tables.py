@@ -49,7 +49,10 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
 
 
 def robot_document(model: RobotModel) -> dict[str, Any]:
-    """Return what `asbuilt show --json` prints: the model with, for every link, whether such a body can exist."""
+    """Return what `asbuilt show --json` prints.
+
+    The model with, for every link, whether such a body can exist.
+    """
     inconsistencies = {
         link.name: link.inertia.inconsistency() for link in model.links if link.inertia_known
     }
@@ -64,7 +67,9 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
 
 
 def joints_table(model: RobotModel) -> Table:
-    """List the joints: parent link, kind, where the axis sits in the parent link, limits and the drive values that the description gives."""
+    """List the joints: parent link, kind, where the axis sits in the parent link, limits and the
+    drive values that the description gives.
+    """
     rows: list[tuple[Cell, ...]] = []
     further = any(joint.drive.terms for joint in model.joints)
     for joint in model.joints:
@@ -119,7 +124,9 @@ def _further_terms(drive: DriveValues) -> str:
 
 
 def links_table(model: RobotModel) -> Table:
-    """List the links: mass, centre of mass and inertia about it in link axes, and whether such a body can exist."""
+    """List the links: mass, centre of mass and inertia about it in link axes, and whether such a
+    body can exist.
+    """
     rows: list[tuple[Cell, ...]] = []
     for link in model.links:
         inertia = link.inertia
@@ -182,7 +189,10 @@ def robot_text(model: RobotModel) -> str:
 
 
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
-    """List the base parameters: id, expression with letters where the description names lengths, value by design."""
+    """List the base parameters.
+
+    Id, expression with letters where the description names lengths, value by design.
+    """
     values = base.values(parameter_values(model, base.drive))
     rows = tuple(
         (int(number), symbolic, unit, None if np.isnan(value) else float(value))
@@ -206,7 +216,10 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
 
 
 def standard_table(base: BaseParameters) -> Table:
-    """List the standard parameters: whether torques tell each alone, in a sum (which) or never, and why."""
+    """List the standard parameters.
+
+    Whether torques tell each alone, in a sum (which) or never, and why.
+    """
     rows = tuple(
         (
             parameter.id,

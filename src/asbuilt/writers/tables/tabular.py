@@ -70,7 +70,10 @@ def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
 def identify_document(
     result: IdentificationResult, *, files: Mapping[str, str | os.PathLike[str]] | None = None
 ) -> dict[str, Any]:
-    """Return what `asbuilt identify --json` prints; `files` are the paths of what was written, by kind."""
+    """Return what `asbuilt identify --json` prints.
+
+    `files` are the paths of what was written, by kind.
+    """
     return {
         "robot": result.robot,
         "method": result.method,
@@ -125,7 +128,10 @@ def validate_document(
     *,
     files: Mapping[str, str | os.PathLike[str]] | None = None,
 ) -> dict[str, Any]:
-    """Return what `asbuilt validate --json` prints: metrics as built and of the CAD values on each recording."""
+    """Return what `asbuilt validate --json` prints.
+
+    Metrics as built and of the CAD values on each recording.
+    """
     return {
         "robot": result.robot,
         "method": result.method,
@@ -137,7 +143,10 @@ def validate_document(
 
 
 def described_document(model: RobotModel, errors: Sequence[TorqueMetrics]) -> dict[str, Any]:
-    """Return what `asbuilt validate ROBOT --json` prints: how far off a robot as described predicts each recording."""
+    """Return what `asbuilt validate ROBOT --json` prints.
+
+    How far off a robot as described predicts each recording.
+    """
     return {
         "robot": model.name,
         "method": "as described",
@@ -170,7 +179,10 @@ def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -
 def check_document(
     model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()
 ) -> dict[str, Any]:
-    """Return what `asbuilt check --json` prints; `information` is None where a recording was not judged."""
+    """Return what `asbuilt check --json` prints.
+
+    `information` is None where a recording was not judged.
+    """
     parts = list(carried) or [None] * len(checks)
     return {
         "robot": model.name,
@@ -191,7 +203,10 @@ def check_document(
 
 
 def json_text(document: Any) -> str:
-    """Return one JSON document; NaN and infinities become null, numpy numbers and arrays plain ones."""
+    """Return one JSON document.
+
+    NaN and infinities become null, numpy numbers and arrays plain ones.
+    """
     return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
@@ -231,7 +246,11 @@ def identified_table(result: IdentificationResult) -> Table:
 
 
 def write_parameters_csv(path: str | os.PathLike[str], result: IdentificationResult) -> Path:
-    """Write the base parameters of a result as CSV: id, name, expression, symbolic, unit, cad, estimate, std_error, determined, dropped; a dropped one has no std_error."""
+    """Write the base parameters of a result as CSV.
+
+    Id, name, expression, symbolic, unit, cad, estimate, std_error, determined, dropped; a dropped
+    one has no std_error.
+    """
     return atomic_write(path, identified_table(result).as_csv())
 
 

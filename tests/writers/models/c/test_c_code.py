@@ -68,7 +68,9 @@ class Compiled:
 
 
 def check_compiles(folder: Path, model: RobotModel) -> Compiled:
-    """Compare with Pinocchio and with the batched kernels, and the regressor with its own parameter table."""
+    """Compare with Pinocchio and with the batched kernels, and the regressor with its own parameter
+    table.
+    """
     compiled, n = Compiled(folder, model), model.n_joints
     drive = DriveSet.parse("armature,viscous,coulomb,offset")
     base = find_base_parameters(model, drive)

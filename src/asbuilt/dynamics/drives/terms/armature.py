@@ -11,7 +11,10 @@ from asbuilt.dynamics.drives.term import MOTOR_SOURCES, DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class Armature(DriveTerm):
-    """Add `Ia qdd`; the gyroscopic effect of the spinning rotor is neglected. A sensor behind the gear does not feel it."""
+    """Add `Ia qdd`; the gyroscopic effect of the spinning rotor is neglected.
+
+    A sensor behind the gear does not feel it.
+    """
 
     key = "armature"
     position = 10

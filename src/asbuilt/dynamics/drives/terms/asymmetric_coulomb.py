@@ -11,7 +11,10 @@ from asbuilt.dynamics.drives.term import DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class AsymmetricCoulomb(DriveTerm):
-    """Add `Fcp` where qd > 0 and `-Fcn` where qd < 0: Coulomb friction (Fcp + Fcn) / 2 with an offset (Fcp - Fcn) / 2 that rests at standstill."""
+    """Add `Fcp` where qd > 0 and `-Fcn` where qd < 0.
+
+    Coulomb friction (Fcp + Fcn) / 2 with an offset (Fcp - Fcn) / 2 that rests at standstill.
+    """
 
     key = "asymmetric_coulomb"
     position = 32
@@ -28,5 +31,8 @@ class AsymmetricCoulomb(DriveTerm):
         out[1] = -1.0 * (qd < 0)
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return halves of `sign qd` and of the constant: beside `coulomb` or `offset` only sums can be told."""
+        """Return halves of `sign qd` and of the constant.
+
+        Beside `coulomb` or `offset` only sums can be told.
+        """
         return ({"sign qd": 0.5, "1": 0.5}, {"sign qd": 0.5, "1": -0.5})

@@ -1,4 +1,6 @@
-"""A gravity balancer: a counterweight, or an ideal spring balancer, that turns with the joint against a fixed direction."""
+"""A gravity balancer: a counterweight, or an ideal spring balancer, that turns with the joint
+against a fixed direction.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,11 @@ from asbuilt.dynamics.drives.term import DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class Balancer(DriveTerm):
-    """Add `Bs sin(q) + Bc cos(q)`. Where gravity looks the same from the parent link at all times, a first moment of the link does just that."""
+    """Add `Bs sin(q) + Bc cos(q)`.
+
+    Where gravity looks the same from the parent link at all times, a first moment of the link does
+    just that.
+    """
 
     key = "balancer"
     position = 80

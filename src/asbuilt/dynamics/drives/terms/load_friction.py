@@ -13,7 +13,8 @@ from asbuilt.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class LoadFriction(DriveTerm):
-    """Add `Fl |load| sign(qd)`, load being the torque of the rigid bodies at the joint, as the current model has it.
+    """Add `Fl |load| sign(qd)`, load being the torque of the rigid bodies at the joint, as the
+    current model has it.
 
     Source: Hamon, Gautier and Garrec, IROS 2010: dry friction that depends on load.
     """

@@ -10,9 +10,12 @@ from asbuilt.dynamics.drives.term import DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class MotorArmature(DriveTerm):
-    """Add `Iam s_dd` to the torque of every joint that turns the motor, times its share; s is the motor's coordinate.
+    """Add `Iam s_dd` to the torque of every joint that turns the motor, times its share.
 
-    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `armature` says the same and this column is zero.
+    S is the motor's coordinate.
+
+    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `armature`
+    says the same and this column is zero.
     """
 
     key = "motor_armature"

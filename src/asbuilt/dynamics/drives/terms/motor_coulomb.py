@@ -12,9 +12,12 @@ from asbuilt.dynamics.drives.term import DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class MotorCoulomb(DriveTerm):
-    """Add `Fcm sign(s_d)` to the torque of every joint that turns the motor, times its share; s is the motor's coordinate.
+    """Add `Fcm sign(s_d)` to the torque of every joint that turns the motor, times its share.
 
-    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `coulomb` says the same and this column is zero.
+    S is the motor's coordinate.
+
+    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `coulomb` says
+    the same and this column is zero.
     """
 
     key = "motor_coulomb"

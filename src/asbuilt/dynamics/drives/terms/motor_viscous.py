@@ -10,9 +10,12 @@ from asbuilt.dynamics.drives.term import DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class MotorViscous(DriveTerm):
-    """Add `Fvm s_d` to the torque of every joint that turns the motor, times its share; s is the motor's coordinate.
+    """Add `Fvm s_d` to the torque of every joint that turns the motor, times its share.
 
-    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `viscous` says the same and this column is zero.
+    S is the motor's coordinate.
+
+    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `viscous` says
+    the same and this column is zero.
     """
 
     key = "motor_viscous"

@@ -16,9 +16,13 @@ SPECIAL = {0.0: "sign qd", 1.0: "qd", 2.0: "qd |qd|", 3.0: "qd^3"}
 
 @dataclass(frozen=True, slots=True)
 class Power(DriveTerm):
-    """Add `Fp |qd|^exponent sign(qd)`: rolling bearings and grease that thins with shear (exponent 2/3 and less), churned oil (towards 2).
+    """Add `Fp |qd|^exponent sign(qd)`.
 
-    Source: Palmgren, Grundlagen der Waelzlagertechnik, 1957: the torque of a lubricated bearing without load grows with the 2/3 power of speed. It stands for `viscous`.
+    Rolling bearings and grease that thins with shear (exponent 2/3 and less), churned oil (towards
+    2).
+
+    Source: Palmgren, Grundlagen der Waelzlagertechnik, 1957: the torque of a lubricated bearing
+    without load grows with the 2/3 power of speed. It stands for `viscous`.
     """
 
     exponent: ShapeValue = None

@@ -14,7 +14,8 @@ from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, Shape, ShapeVal
 class SmoothCoulomb(DriveTerm):
     """Add `Fct tanh(qd / width)`; it stands for `coulomb`, and beside it for a rounded part of it.
 
-    The width is that of the change of sign, where bristles bend before surfaces slide and logged velocities lie in their noise; fits look up to a tenth of the top speed.
+    The width is that of the change of sign, where bristles bend before surfaces slide and logged
+    velocities lie in their noise; fits look up to a tenth of the top speed.
     """
 
     width: ShapeValue = None

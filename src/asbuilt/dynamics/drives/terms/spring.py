@@ -11,7 +11,10 @@ from asbuilt.dynamics.drives.term import DriveTerm
 
 @dataclass(frozen=True, slots=True)
 class Spring(DriveTerm):
-    """Add `Ks q`; with an offset, the spring rests at `q = -Fo / Ks`. Cables that coil about an axis act like one."""
+    """Add `Ks q`; with an offset, the spring rests at `q = -Fo / Ks`.
+
+    Cables that coil about an axis act like one.
+    """
 
     key = "spring"
     position = 70
@@ -27,5 +30,8 @@ class Spring(DriveTerm):
         out[0] = q
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return `q`, which no link imitates: the potential energy of gravity holds no square of a position."""
+        """Return `q`, which no link imitates.
+
+        The potential energy of gravity holds no square of a position.
+        """
         return ({"q": 1.0},)

@@ -14,9 +14,10 @@ from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, Shape, ShapeVal
 class Stribeck(DriveTerm):
     """Add `Fs exp(-|qd / velocity|^power) sign(qd)` to Coulomb friction.
 
-    The velocity is that at which lubricant begins to part the surfaces: 1e-5 to 0.1 m/s of sliding. On a motor's shaft of 2 cm radius behind a gear of 50
-    or more that is at most 0.1 rad/s at the joint; a tenth of the top speed, 0.2 to 0.3 rad/s for most arms, is a generous bound for a fit. What fades
-    at higher speeds is something else, such as grease that thins with shear.
+    The velocity is that at which lubricant begins to part the surfaces: 1e-5 to 0.1 m/s of sliding.
+    On a motor's shaft of 2 cm radius behind a gear of 50 or more that is at most 0.1 rad/s at the
+    joint; a tenth of the top speed, 0.2 to 0.3 rad/s for most arms, is a generous bound for a fit.
+    What fades at higher speeds is something else, such as grease that thins with shear.
 
     Source: Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1994, section 2.
     """

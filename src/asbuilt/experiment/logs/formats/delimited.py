@@ -27,7 +27,10 @@ _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text file is written: `separator` is "" for runs of blanks; `skip` lines precede the data; `names` of all columns."""
+    """How a text file is written: `separator` is "" for runs of blanks.
+
+    `skip` lines precede the data; `names` of all columns.
+    """
 
     separator: str
     decimal_comma: bool
@@ -40,7 +43,9 @@ class Dialect:
 def find_dialect(
     path: Path, *, header: bool | None = None, separator: str | None = None
 ) -> Dialect:
-    """Find separator, header and column names from the first lines; `header` None decides by whether the first line holds numbers.
+    """Find separator, header and column names from the first lines.
+
+    `header` None decides by whether the first line holds numbers.
 
     Raises
     ------
@@ -143,7 +148,8 @@ def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
 def read_delimited(
     path: Path, *, header: bool | None = None, separator: str | None = None
 ) -> Table:
-    """Read a CSV file (or one delimited by semicolons, tabs, bars or blanks), with or without header.
+    """Read a CSV file (or one delimited by semicolons, tabs, bars or blanks), with or without
+    header.
 
     Empty cells become NaN; a cell that is not a number raises with its line and column.
 

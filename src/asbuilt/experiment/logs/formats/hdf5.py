@@ -13,7 +13,9 @@ from asbuilt.experiment.logs.formats.table import Table, table_from_variables
 
 
 def read_hdf5(path: Path) -> Table:
-    """Read every numeric dataset of an HDF5 file (also MATLAB 7.3); groups are searched, and a name is the last part of its path where that is unique.
+    """Read every numeric dataset of an HDF5 file (also MATLAB 7.3).
+
+    Groups are searched, and a name is the last part of its path where that is unique.
 
     Raises
     ------

@@ -16,7 +16,9 @@ from asbuilt.experiment.logs.formats.table import Table, table_from_variables
 
 
 def read_mat(path: Path) -> Table:
-    """Read numeric variables of a `.mat` file, also inside structures; version 7.3 files are read as HDF5.
+    """Read numeric variables of a `.mat` file, also inside structures.
+
+    Version 7.3 files are read as HDF5.
 
     Raises
     ------

@@ -12,7 +12,9 @@ from asbuilt.experiment.logs.formats.table import Table
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
-    """Open a Parquet file lazily; return it with the names of its numeric columns and of the others.
+    """Open a Parquet file lazily.
+
+    Return it with the names of its numeric columns and of the others.
 
     Raises
     ------

@@ -15,17 +15,20 @@ _JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
 def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
-    """Read position, velocity and effort of every joint from a bag folder, a bare `.db3` file or an `.mcap` file.
+    """Read position, velocity and effort of every joint from a bag folder, a bare `.db3` file or an
+    `.mcap` file.
 
-    Times are the message header's where it has one, else the bag's. Messages that name other joints than most do (a gripper's) are left out,
-    and joints are found by name in every message, whatever their order in it.
+    Times are the message header's where it has one, else the bag's. Messages that name other joints
+    than most do (a gripper's) are left out, and joints are found by name in every message, whatever
+    their order in it.
 
     Raises
     ------
     MissingExtraError
         If rosbags is not installed.
     RecordingError
-        If the bag cannot be read, has no joint states, or has several topics of them and `topic` does not say which.
+        If the bag cannot be read, has no joint states, or has several topics of them and `topic`
+        does not say which.
     """
     try:
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415

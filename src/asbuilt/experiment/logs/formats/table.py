@@ -15,8 +15,8 @@ from asbuilt.errors import RecordingError
 class Table:
     """Hold named columns of equal length (N,); `text_columns` names those that do not hold numbers.
 
-    `headless` says that the file had no names and the columns are called "1", "2", ... A column from a source with joint names of its own
-    (a ROS message) has its quantity and joint in `known`.
+    `headless` says that the file had no names and the columns are called "1", "2", ... A column
+    from a source with joint names of its own (a ROS message) has its quantity and joint in `known`.
     """
 
     source: str
@@ -33,7 +33,9 @@ class Table:
 
 
 def table_from_variables(source: str, variables: Mapping[str, Array]) -> Table:
-    """Spread vectors (N,) and matrices (N, m) or (m, N) over columns: a matrix `positions` gives `positions_1`, ..., `positions_m`.
+    """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
+
+    A matrix `positions` gives `positions_1`, ..., `positions_m`.
 
     N is the length that most variables share; variables without it are left out.
 

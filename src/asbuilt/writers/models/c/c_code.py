@@ -1,4 +1,7 @@
-"""A robot's inverse dynamics, gravity torque and regressor as plain C99 with its numbers in: no allocation, of libm sin and cos and what drive terms need."""
+"""A robot's inverse dynamics, gravity torque and regressor as plain C99 with its numbers in.
+
+No allocation, of libm sin and cos and what drive terms need.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ LONGEST_TEXT = 2000
 
 @dataclass(frozen=True, slots=True)
 class CCode:
-    """Hold the two files: `header` and `source`, which includes `<stem>.h`; all names begin with `prefix`."""
+    """Hold the two files: `header` and `source`, which includes `<stem>.h`.
+
+    All names begin with `prefix`.
+    """
 
     prefix: str
     header: str
@@ -52,10 +58,12 @@ def c_code(
 ) -> CCode:
     """Write a robot as C99.
 
-    `PREFIX_inverse_dynamics(q, qd, qdd, tau)` and `PREFIX_gravity_torque(q, tau)` run straight through with the numbers folded in. They use base
-    parameters in place of standard ones, which gives the same torques with fewer operations. `PREFIX_regressor(q, qd, qdd, Y)` fills the
-    (n, p) regressor of the base parameters row by row, `PREFIX_base_values` and `PREFIX_base_parameters` hold their values, names and units:
-    `tau = Y beta`. Drive terms add to inverse dynamics and regressor; `drive` and `drive_values` (joint by joint) default to those of the model.
+    `PREFIX_inverse_dynamics(q, qd, qdd, tau)` and `PREFIX_gravity_torque(q, tau)` run straight
+    through with the numbers folded in. They use base parameters in place of standard ones, which
+    gives the same torques with fewer operations. `PREFIX_regressor(q, qd, qdd, Y)` fills the (n, p)
+    regressor of the base parameters row by row, `PREFIX_base_values` and `PREFIX_base_parameters`
+    hold their values, names and units: `tau = Y beta`. Drive terms add to inverse dynamics and
+    regressor; `drive` and `drive_values` (joint by joint) default to those of the model.
 
     Raises
     ------
@@ -144,9 +152,11 @@ def write_c(
 
 
 def _fewest_parameters(model: RobotModel) -> Array:
-    """Return standard parameters with the model's torques of which only those that lead a base parameter are not zero.
+    """Return standard parameters with the model's torques of which only those that lead a base
+    parameter are not zero.
 
-    The model's own where they are not the same to rounding: in descriptions with lengths that are almost, but not exactly, zero.
+    The model's own where they are not the same to rounding: in descriptions with lengths that are
+    almost, but not exactly, zero.
     """
     rigid = find_base_parameters(model)
     chi = np.zeros(10 * model.n_joints)

@@ -17,7 +17,10 @@ from asbuilt.writers.models.c.c_expressions import ONE, ZERO, StraightLine, Term
 
 @dataclass(frozen=True, slots=True)
 class DriveState:
-    """Hold what the columns of a drive term are written from: the motion of the joint, or of a motor that several joints turn, and the load of the joint."""
+    """Hold what the columns of a drive term are written from.
+
+    The motion of the joint, or of a motor that several joints turn, and the load of the joint.
+    """
 
     code: StraightLine
     term: DriveTerm
@@ -32,7 +35,9 @@ class DriveState:
         return self.given("(double)(({qd} > 0.0) - ({qd} < 0.0))")
 
     def given(self, text: str) -> Term:
-        """Define a variable by a C expression in `{q}`, `{qd}` and `{load}` and the shapes of the term."""
+        """Define a variable by a C expression in `{q}`, `{qd}` and `{load}` and the shapes of the
+        term.
+        """
         shapes = {
             shape.name: repr(float(self.term.value(shape.name))) for shape in self.term.shapes
         }
@@ -76,9 +81,11 @@ COLUMNS: dict[str, Callable[[DriveState], tuple[Term, ...]]] = {
 def drive_entries(
     mechanism: Mechanism, drive: DriveSet, parameters: Array
 ) -> list[dict[int, Term]]:
-    """Return for each drive parameter, joint by joint, the joints that it acts on and its column there; motors that several joints turn act on all of these.
+    """Return for each drive parameter, joint by joint, the joints that it acts on and its column
+    there; motors that several joints turn act on all of these.
 
-    `parameters` (10 n,) of the links give the load of terms that depend on it. Raises UsageError for a term that is not among `COLUMNS`.
+    `parameters` (10 n,) of the links give the load of terms that depend on it. Raises UsageError
+    for a term that is not among `COLUMNS`.
     """
     code, shares = mechanism.code, mechanism.model.motor_shares
     loads = mechanism.torques(parameters) if drive.needs_load else [ZERO] * mechanism.model.n_joints

@@ -1,4 +1,7 @@
-"""Straight-line arithmetic in C: sums of products with the numbers folded, each written once and only if used."""
+"""Straight-line arithmetic in C.
+
+Sums of products with the numbers folded, each written once and only if used.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,10 @@ Vector = tuple[Term, Term, Term]
 
 @dataclass
 class StraightLine:
-    """Collect definitions `const double x7 = ...;` in order, each sum of products once; `used` says which an answer needs."""
+    """Collect definitions `const double x7 = ...;` in order, each sum of products once.
+
+    `used` says which an answer needs.
+    """
 
     texts: dict[str, str] = field(default_factory=dict)
     needs: dict[str, tuple[str, ...]] = field(default_factory=dict)
@@ -45,7 +51,10 @@ class StraightLine:
         return self.known[text]
 
     def total(self, *products: Sequence[Term]) -> Term:
-        """Return the sum of products of at most two variables and any numbers; like products are gathered, those with a zero dropped."""
+        """Return the sum of products of at most two variables and any numbers.
+
+        Like products are gathered, those with a zero dropped.
+        """
         sums: dict[tuple[str, ...], float] = {}
         for product in products:
             factor = 1.0

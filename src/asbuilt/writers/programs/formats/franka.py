@@ -1,4 +1,6 @@
-"""Franka: a C++ program for libfranka that runs the motion through its joint position motion generator and records it."""
+"""Franka: a C++ program for libfranka that runs the motion through its joint position motion
+generator and records it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,10 @@ CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""
 
 ASSUMED_JERK = 5000.0
-"""Jerk limit where the description gives none [rad/s^3]; the least of the Panda's is 3750, of the FR3's 5000."""
+"""Jerk limit where the description gives none [rad/s^3].
+
+The least of the Panda's is 3750, of the FR3's 5000.
+"""
 
 
 class FrankaFormat(ProgramFormat):

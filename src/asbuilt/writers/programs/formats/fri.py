@@ -1,4 +1,6 @@
-"""KUKA FRI: a C++ client that streams the motion and records it, and the Java application that opens the session."""
+"""KUKA FRI: a C++ client that streams the motion and records it, and the Java application that
+opens the session.
+"""
 
 from __future__ import annotations
 
@@ -25,11 +27,15 @@ FADE_SPEED = 0.02
 """... and by this much for the offset from the start pose that fades meanwhile [rad/s]."""
 
 APPROACH_PART = 0.1
-"""Speed to the start pose as a part of the axes' maximum where the description gives no velocity limit."""
+"""Speed to the start pose as a part of the axes' maximum where the description gives no velocity
+limit.
+"""
 
 
 class FriFormat(ProgramFormat):
-    """A client for KUKA's FRI client SDK that commands joint positions in every cycle, with a table of the motion."""
+    """A client for KUKA's FRI client SDK that commands joint positions in every cycle, with a table
+    of the motion.
+    """
 
     key = "fri"
     title = "KUKA FRI client (C++) with its Sunrise application (Java)"

@@ -18,14 +18,19 @@ DECIMALS = 9
 
 
 class CsvFormat(ProgramFormat):
-    """`t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units, one line per sample; asbuilt reads it back as a motion."""
+    """`t, q_<joint>..., qd_<joint>..., qdd_<joint>...` in SI units, one line per sample.
+
+    Asbuilt reads it back as a motion.
+    """
 
     key = "csv"
     title = "Motion table (CSV)"
     default_rate = 250.0
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
-        """Return both tables at the same rate (so that the dry run is slow also where lines are played one per cycle), notes and a sheet."""
+        """Return both tables at the same rate (so that the dry run is slow also where lines are
+        played one per cycle), notes and a sheet.
+        """
         stem = request.stem
         use = (
             (
@@ -81,7 +86,10 @@ class CsvFormat(ProgramFormat):
 
 
 def motion_csv(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str:
-    """Return the motion as CSV with a fixed count of decimals; the end of the motion is the last line whatever the rate."""
+    """Return the motion as CSV with a fixed count of decimals.
+
+    The end of the motion is the last line whatever the rate.
+    """
     t = times_to_end(motion, rate)
     rows = np.round(np.hstack(motion.at(t)), DECIMALS) + 0.0
     text = io.StringIO()

@@ -1,4 +1,6 @@
-"""ROS 2: the motion as trajectory_msgs/JointTrajectory in YAML, and a script that runs it through FollowJointTrajectory and records a bag."""
+"""ROS 2: the motion as trajectory_msgs/JointTrajectory in YAML, and a script that runs it through
+FollowJointTrajectory and records a bag.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ DECIMALS = 9
 
 
 class Ros2Format(ProgramFormat):
-    """Points with position, velocity and acceleration, between which the joint trajectory controller follows quintics."""
+    """Points with position, velocity and acceleration, between which the joint trajectory
+    controller follows quintics.
+    """
 
     key = "ros2"
     title = "ROS 2 joint trajectory"
@@ -96,7 +100,10 @@ class Ros2Format(ProgramFormat):
 
 
 def trajectory_yaml(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str:
-    """Return the fields of a trajectory_msgs/JointTrajectory as YAML; the end of the motion is the last point whatever the rate."""
+    """Return the fields of a trajectory_msgs/JointTrajectory as YAML.
+
+    The end of the motion is the last point whatever the rate.
+    """
     t = times_to_end(motion, rate)
     names = ", ".join(json.dumps(name) for name in joint_names)
     lines = [f"joint_names: [{names}]", "points:"]

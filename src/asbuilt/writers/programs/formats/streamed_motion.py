@@ -12,7 +12,10 @@ DECIMALS = 12
 
 
 def motion_table(motion: Motion, rate: float) -> str:
-    """Return CSV with the header `t,q1,...,qn,qd1,...,qdn`; the end of the motion is the last line whatever the rate."""
+    """Return CSV with the header `t,q1,...,qn,qd1,...,qdn`.
+
+    The end of the motion is the last line whatever the rate.
+    """
     t = times_to_end(motion, rate)
     q, qd, _ = motion.at(t)
     n = motion.n_joints

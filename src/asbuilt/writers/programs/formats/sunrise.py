@@ -1,4 +1,6 @@
-"""KUKA Sunrise: a Java application that runs the motion with the controller's own spline or point-to-point motions and records it."""
+"""KUKA Sunrise: a Java application that runs the motion with the controller's own spline or
+point-to-point motions and records it.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,11 @@ SIGN_NOTE = (
 
 
 class SunriseFormat(ProgramFormat):
-    """A RoboticsAPI application: SplineJP through points of the motion, or PTP from rest to rest where the motion is made of these."""
+    """A RoboticsAPI application.
+
+    SplineJP through points of the motion, or PTP from rest to rest where the motion is made of
+    these.
+    """
 
     key = "sunrise"
     title = "KUKA Sunrise application (Java)"
@@ -52,7 +58,9 @@ class SunriseFormat(ProgramFormat):
     n_joints = 7
 
     def check_joints(self, model: RobotModel) -> None:
-        """Raise MotionError if the robot is none of KUKA's kind, or has joints without a velocity limit."""
+        """Raise MotionError if the robot is none of KUKA's kind, or has joints without a velocity
+        limit.
+        """
         super().check_joints(model)
         limit = MotionBounds.of(model).velocity
         unknown = [

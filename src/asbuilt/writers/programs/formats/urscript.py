@@ -40,7 +40,9 @@ FIELDS = (
 
 
 class UrScriptFormat(ProgramFormat):
-    """A script per speed: points of position and velocity, cubics between them, servoj in every control cycle (CB3 and e-Series alike)."""
+    """A script per speed: points of position and velocity, cubics between them, servoj in every
+    control cycle (CB3 and e-Series alike).
+    """
 
     key = "urscript"
     title = "URScript program for Universal Robots"
