@@ -19,7 +19,7 @@ from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.calibration.payload import identify_payload, payload_frame
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.cause_data import gather_evidence
+from asbuilt.identification.information.cause_data import gather_cause_data
 
 ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
 DRAWS = 60
@@ -55,7 +55,9 @@ def measure() -> dict[str, float | str]:
                 )
                 samples = scaled(bare, factors)
                 result = identify(model, samples, drive=DRIVE)
-                result = replace(result, evidence=gather_evidence(model, result.base, [samples]))
+                result = replace(
+                    result, cause_data=gather_cause_data(model, result.base, [samples])
+                )
                 payload = identify_payload(result, scaled(loaded, factors))
                 off = np.abs(payload.values[:4] - np.array([TOOL.mass, *TOOL.com]))
                 whole.append(off < TWO_SIDED * payload.std_errors[:4])

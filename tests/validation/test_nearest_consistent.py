@@ -55,7 +55,7 @@ def test_worse_than_cad_is_said() -> None:
 def test_nothing_is_said_without_evidence() -> None:
     assert (
         stand_in(
-            replace(identified("ur10e", "f"), evidence=None),
+            replace(identified("ur10e", "f"), cause_data=None),
             np.zeros(identified("ur10e", "f").n_base),
         )
         is None

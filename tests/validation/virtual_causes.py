@@ -18,7 +18,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.cause_data import gather_evidence
+from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
 
 TOOL = LinkInertia.from_com(1.9, [0.02, 0.0, 0.08], np.diag([0.01, 0.01, 0.006]))
@@ -74,4 +74,4 @@ def identified(
         "blocks:2s:3",
     )
     result = identify(model, train, base=base)
-    return replace(result, evidence=gather_evidence(model, base, [train], [held]))
+    return replace(result, cause_data=gather_cause_data(model, base, [train], [held]))

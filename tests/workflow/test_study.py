@@ -94,7 +94,7 @@ def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording
     )
     study = run_study(load_robot("scara"), [brief], options=StudyOptions(checked=False))
     said = {warning.code: warning.message for warning in study.result.warnings}
-    assert study.result.evidence is None
+    assert study.result.cause_data is None
     assert "0 to judge by" in said["causes_untold"]
     whole = run_study(load_robot("scara"), recordings[:1])
     assert "causes_untold" not in {warning.code for warning in whole.result.warnings}
@@ -244,7 +244,7 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
         model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False)
     )
     warnings = {warning.code: warning.message for warning in study.result.warnings}
-    assert {"bodies_strained", "bodies_refused"} & set(warnings)
+    assert {"consistent_fit_costly", "consistent_fit_rejected"} & set(warnings)
     assert "--mounting estimate" in warnings["mounting_askew"]
     found = re.search(
         r"gravity is turned by (-?[\d.]+) \+- [\d.]+ deg about x and (-?[\d.]+)",
@@ -260,7 +260,7 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
         options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"),
     )
     assert mended.result.physically_consistent
-    assert not {"bodies_strained", "bodies_refused", "mounting_askew"} & {
+    assert not {"consistent_fit_costly", "consistent_fit_rejected", "mounting_askew"} & {
         warning.code for warning in mended.result.warnings
     }
 
@@ -279,7 +279,9 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
         robot.record(random_fourier(model, rng=1, duration=10.0), 100.0, rng=1).recording
     )
     result = identify(model, samples, drive=drive)
-    result = replace(result, warnings=(IdentificationWarning("bodies_refused", "no bodies"),))
+    result = replace(
+        result, warnings=(IdentificationWarning("consistent_fit_rejected", "no bodies"),)
+    )
     angle = np.deg2rad(0.1)
     stands = Mounting(
         model,
@@ -290,7 +292,7 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
         np.ones(2),
         np.full(2, left),
     )
-    assert stands.is_askew
+    assert stands.is_tilted
     assert stands.relief == pytest.approx(1.0 - left)
     monkeypatch.setattr(hidden_causes, "find_mounting", lambda *_, **__: stands)
     monkeypatch.setattr(hidden_causes, "suspected_springs", lambda *_, **__: ())

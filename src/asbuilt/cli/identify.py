@@ -107,7 +107,7 @@ def identify(
         sweep_cutoff=swept,
         errors=one_of("--errors", errors, ERROR_KINDS),
         holdout=holdout,
-        unexcited=one_of(
+        undetermined=one_of(
             "--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}
         ),
         mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
@@ -319,7 +319,7 @@ def compare(
             design,
             tolerance=None if cad_tolerance is None else CadTolerance.parse(cad_tolerance),
         ),
-        attribute(identified, design) if identified.evidence is not None else None,
+        attribute(identified, design) if identified.cause_data is not None else None,
         determination(identified),
     )
     files = write_comparison(out, identified, verdict) if out is not None else {}

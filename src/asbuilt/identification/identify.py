@@ -18,12 +18,16 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
     margin_is_consistent,
-    pushing_drives,
+    non_passive_drives,
 )
-from asbuilt.identification.drives.nonlinear_parameters import fit_shapes
+from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, TELLING_GROWTH, ErrorKind
-from asbuilt.identification.errors.nonlinear_errors import ShapeErrors, ShapePlace, shape_errors
+from asbuilt.identification.errors.nonlinear_errors import (
+    NonlinearErrors,
+    NonlinearPlace,
+    nonlinear_errors,
+)
 from asbuilt.identification.errors.uncertainty import (
     Uncertainty,
     block_uncertainty,
@@ -31,7 +35,7 @@ from asbuilt.identification.errors.uncertainty import (
 )
 from asbuilt.identification.estimators.least_squares import Estimate
 from asbuilt.identification.estimators.methods import find_method
-from asbuilt.identification.information.estimation_data import Evidence, Unexcited
+from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
@@ -77,19 +81,19 @@ def identify(
     drive: DriveSet = NO_DRIVE,
     method: str = "wls",
     base: BaseParameters | None = None,
-    unexcited: Unexcited = "toward_prior",
+    undetermined: Undetermined = "toward_prior",
     errors: ErrorKind = "blocks",
     block_seconds: float | None = None,
     threads: int | None = None,
-    fitted_shapes: Sequence[ShapePlace] = (),
+    fitted_nonlinear: Sequence[NonlinearPlace] = (),
 ) -> IdentificationResult:
     """Identify the base parameters of a robot from the samples of one or more recordings.
 
-    Shapes of `drive` that are not stated are fitted first. `base` saves finding the base parameters
-    again, its drive terms with every shape stated; `fitted_shapes` are those of them that were
+    Nonlinear parameters of `drive` that are not stated are fitted first. `base` saves finding the base parameters
+    again, its drive terms with every nonlinear parameter stated; `fitted_nonlinear` are those of them that were
     fitted to these samples, so that standard errors count what they leave open. `method` names an
     estimator of `methods`, such as `"wls"` for a weight per joint. Directions that the samples do
-    not excite keep their CAD values, with a warning, or are refused (`unexcited="refuse"`).
+    not excite keep their CAD values, with a warning, or are refused (`undetermined="refuse"`).
     `errors` says how standard errors are judged: `"blocks"` by formula from time blocks,
     `"bootstrap"` by drawing them, all choices of the estimator held fixed, `"textbook"` as if
     residuals were independent.
@@ -108,16 +112,16 @@ def identify(
             " recording"
         )
     estimator = find_method(method)
-    fit = fit_shapes(model, drive, batches) if base is None and not drive.is_shaped else None
+    fit = fit_nonlinear(model, drive, batches) if base is None and not drive.is_linear else None
     if fit is not None:
-        drive, fitted_shapes = fit.drive, fit.places
+        drive, fitted_nonlinear = fit.drive, fit.places
     found = base if base is not None else find_base_parameters(model, drive)
     information = accumulate_stream(
         model, found, batches, block_seconds=block_seconds, threads=threads
     )
     cad = design_values(model, found)
     estimate = estimator.estimate(
-        Evidence(model, information, batches, cad, unexcited, block_seconds)
+        EstimationData(model, information, batches, cad, undetermined, block_seconds)
     )
     if found.drive.needs_load:
         information, estimate = _with_own_load(
@@ -126,7 +130,9 @@ def identify(
             estimate,
             batches,
             lambda seen, loading: estimator.estimate(
-                Evidence(model, seen, batches, cad, unexcited, block_seconds, loading=loading)
+                EstimationData(
+                    model, seen, batches, cad, undetermined, block_seconds, loading=loading
+                )
             ),
             block_seconds,
             threads,
@@ -134,19 +140,19 @@ def identify(
     uncertainty = _judged(
         estimate.information or information, estimate, errors, automatic=method == "auto"
     )
-    shapes = None
-    if fitted_shapes:
+    nonlinear = None
+    if fitted_nonlinear:
         loading = carrying(model, found, estimate.beta) if found.drive.needs_load else model
-        shapes = shape_errors(
+        nonlinear = nonlinear_errors(
             loading,
             found,
             estimate,
             batches,
-            fitted_shapes,
+            fitted_nonlinear,
             textbook=errors == "textbook",
             block_seconds=block_seconds,
         )
-        estimate = replace(estimate, notes=(*estimate.notes, shapes.sentence(model.joint_names)))
+        estimate = replace(estimate, notes=(*estimate.notes, nonlinear.sentence(model.joint_names)))
     source = ", ".join(information.sources)
     measured = []
     for beta in (estimate.beta, np.nan_to_num(cad, nan=0.0)):
@@ -165,12 +171,12 @@ def identify(
         cad=measured[1],
         provenance=tuple(dict.fromkeys(line for batch in batches for line in batch.provenance)),
         uncertainty=uncertainty,
-        shapes=shapes,
+        nonlinear=nonlinear,
     )
     if fit is None:
         return result
     spoken = (
-        IdentificationWarning("drive_shapes", warning)
+        IdentificationWarning("nonlinear_parameters", warning)
         for warning in fit.warnings(model.joint_names)
     )
     return replace(
@@ -234,19 +240,19 @@ def conclude(
     cad: TorqueMetrics | None = None,
     provenance: tuple[str, ...] = (),
     uncertainty: Uncertainty | None = None,
-    shapes: ShapeErrors | None = None,
+    nonlinear: NonlinearErrors | None = None,
 ) -> IdentificationResult:
     """Make a result of an estimate.
 
-    Errors, with those of `shapes` fitted along, physical consistency, verdicts.
+    Errors, with those of `nonlinear` fitted along, physical consistency, verdicts.
 
     Without `train` and `cad` both come from the information alone, as for recordings larger than
     memory; the largest error is then unknown.
     """
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
-    if shapes is not None:
-        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + shapes.covariance)
+    if nonlinear is not None:
+        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + nonlinear.covariance)
     poor = _poorly_determined(information, estimate, uncertainty, design)
     dropped = (
         np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
@@ -275,7 +281,7 @@ def conclude(
         margin: float | None = consistency_margin(base, estimate.beta)
     except IdentifiabilityError:
         margin = None
-    pushing = pushing_drives(base, estimate.beta)
+    non_passive = non_passive_drives(base, estimate.beta)
     return IdentificationResult(
         model=model,
         base=base,
@@ -302,17 +308,21 @@ def conclude(
             else information_metrics(information, np.nan_to_num(design, nan=0.0))
         ),
         physically_consistent=(
-            None if margin is None else margin_is_consistent(margin, estimate.beta) and not pushing
+            None
+            if margin is None
+            else margin_is_consistent(margin, estimate.beta) and not non_passive
         ),
         consistency_margin=margin,
-        warnings=_warnings(parameters, estimate, uncertainty, margin, pushing),
+        warnings=_warnings(parameters, estimate, uncertainty, margin, non_passive),
         provenance=provenance,
         notes=estimate.notes,
         errors=uncertainty.basis,
         free=(
             None
             if estimate.method == "wls"
-            else free_values(information, design, None if shapes is None else shapes.covariance)
+            else free_values(
+                information, design, None if nonlinear is None else nonlinear.covariance
+            )
         ),
     )
 
@@ -375,7 +385,7 @@ def _warnings(
     estimate: Estimate,
     uncertainty: Uncertainty,
     margin: float | None,
-    pushing: tuple[str, ...],
+    non_passive: tuple[str, ...],
 ) -> tuple[IdentificationWarning, ...]:
     found: list[tuple[str, str]] = []
     if estimate.undetermined:
@@ -434,7 +444,7 @@ def _warnings(
     if basis.kind == "bootstrap" and estimate.method in PULLED:
         found.append(
             (
-                "bootstrap_of_pull",
+                "bootstrap_of_regularised_fit",
                 (
                     "Fits pulled to CAD all lean the same way, which their scatter does not show:"
                     " bootstrap errors are too small where CAD is off. Errors by formula (--errors"
@@ -474,15 +484,15 @@ def _warnings(
                 ),
             )
         )
-    if pushing:
+    if non_passive:
         listed = ", ".join(
             f"{p.name} {plus_minus(p.estimate, p.std_error)}"
             for p in parameters
-            if p.name in pushing
+            if p.name in non_passive
         )
         found.append(
             (
-                "pushing_drives",
+                "non_passive_drives",
                 (
                     f"Below zero, where no passive drive is: {listed}. Files for other software are not"
                     " written with these. Impose it (--method consistent), or leave out drive terms"

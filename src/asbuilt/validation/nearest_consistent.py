@@ -110,20 +110,20 @@ class StandIn:
 
 def stand_in(result: IdentificationResult, beta: ArrayLike) -> StandIn | None:
     """Hold other base parameters (p,) against those of a result, on the motions that it was
-    identified from and judged by; None where it carries no evidence.
+    identified from and judged by; None where it carries no cause data.
     """
-    evidence = result.evidence
-    if evidence is None:
+    cause_data = result.cause_data
+    if cause_data is None:
         return None
-    places = evidence.places(result.base.names)
+    places = cause_data.places(result.base.names)
     fitted, judged = (
         [
             np.column_stack([factor[:, places], factor[:, -1]]) / np.sqrt(n)
-            for factor in evidence.whole(factors)
+            for factor in cause_data.whole(factors)
         ]
         for factors, n in (
-            (evidence.fitted, evidence.n_fitted),
-            (evidence.judged, evidence.n_judged),
+            (cause_data.fitted, cause_data.n_fitted),
+            (cause_data.judged, cause_data.n_judged),
         )
     )
     values = np.asarray(beta, dtype=np.float64)
@@ -134,7 +134,7 @@ def stand_in(result: IdentificationResult, beta: ArrayLike) -> StandIn | None:
     return StandIn(
         joint_names=result.joint_names,
         units=torque_units(result.model),
-        judged_by=recording_name(evidence.judged_by),
+        judged_by=recording_name(cause_data.judged_by),
         torque=error(judged, np.zeros(len(values))),
         identified=error(judged, result.estimates),
         stand_in=error(judged, values),

@@ -24,7 +24,7 @@ from asbuilt.identification.calibration.mounting import find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.errors.error_basis import ErrorKind
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.cause_data import gather_evidence
+from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare
@@ -52,7 +52,7 @@ class StudyOptions:
     | `method` | the estimator, a key of `methods`; the command line takes "auto" where none is named |
     | `chain` | the signal chain; what it leaves open is chosen from the recordings |
     | `holdout` | a rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out |
-    | `unexcited` | directions that no motion excites stay at CAD and are named, or the study refuses |
+    | `undetermined` | directions that no motion excites stay at CAD and are named, or the study refuses |
     | `mounting` | gravity points as described, or its direction is found along with the bodies |
     | `block_seconds` | length of the time blocks that errors are judged by [s]; None: 5 s, less in short recordings |
     | `sweep_cutoff` | choose the cutoff of the low-pass by held-out error |
@@ -70,7 +70,7 @@ class StudyOptions:
     method: str = "wls"
     chain: SignalChain = field(default_factory=SignalChain)
     holdout: str | None = None
-    unexcited: Literal["toward_prior", "refuse"] = "toward_prior"
+    undetermined: Literal["toward_prior", "refuse"] = "toward_prior"
     mounting: Literal["as_described", "estimate"] = "as_described"
     block_seconds: float | None = None
     sweep_cutoff: bool = False
@@ -168,11 +168,11 @@ def run_study(
         learning,
         base=find_base_parameters(model, chosen.drive),
         method=options.method,
-        unexcited=options.unexcited,
+        undetermined=options.undetermined,
         errors=options.errors,
         block_seconds=options.block_seconds,
         threads=options.threads,
-        fitted_shapes=chosen.fitted,
+        fitted_nonlinear=chosen.fitted,
     )
     if stands is not None:
         result = replace(result, notes=(*result.notes, stands.sentence))
@@ -188,7 +188,7 @@ def run_study(
     )
     result = _with_evidence(result, learning, judging, options.block_seconds)
     attribution = None
-    if result.evidence is not None and options.mounting == "as_described":
+    if result.cause_data is not None and options.mounting == "as_described":
         attribution = attribute(result)
     tilt = None if attribution is None else attribution.tilt
     result = with_hidden_causes(
@@ -217,13 +217,13 @@ def _with_evidence(
     judging: Sequence[Samples],
     block_seconds: float | None,
 ) -> IdentificationResult:
-    """Return the result with the evidence of causes, or with a warning that there is too little of
+    """Return the result with the cause data, or with a warning that there is too little of
     it.
     """
     try:
         return replace(
             result,
-            evidence=gather_evidence(
+            cause_data=gather_cause_data(
                 result.model, result.base, learning, judging[:1], block_seconds=block_seconds
             ),
         )
@@ -282,7 +282,9 @@ def _with_drive_choice(result: IdentificationResult, chosen: DriveChoice) -> Ide
         IdentificationWarning("drive_terms", f"{sentence[0].upper()}{sentence[1:]}.")
         for sentence in chosen.sentences
     ]
-    spoken += [IdentificationWarning("drive_shapes", warning) for warning in chosen.warnings]
+    spoken += [
+        IdentificationWarning("nonlinear_parameters", warning) for warning in chosen.warnings
+    ]
     return replace(
         result,
         warnings=(*result.warnings, *spoken),

@@ -17,7 +17,7 @@ from asbuilt.identification.bodies.body_bounds import (
     generous_bounds,
     non_negative_drives,
 )
-from asbuilt.identification.bodies.conic_fit import TINY_PULL, RealBodies, fit_real_bodies
+from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem, fit_consistent_bodies
 
 
 def factor_of(trial):
@@ -43,7 +43,7 @@ def test_same_minimum_as_an_independent_program(trial, weight):
     cp = pytest.importorskip("cvxpy")
     case = trial("two-link", "viscous,coulomb", noise=0.3, seed=4, duration=4.0)
     factor, bounds = factor_of(case), non_negative_drives(case.prior)
-    ours = fit_real_bodies(
+    ours = fit_consistent_bodies(
         case.prior,
         case.base.regrouping,
         factor=factor,
@@ -73,7 +73,7 @@ def test_same_minimum_as_an_independent_program(trial, weight):
     np.testing.assert_allclose(case.base.values(ours.chi), case.base.values(chi.value), atol=2e-3)
 
 
-@pytest.mark.parametrize("weight", [TINY_PULL, 1e3])
+@pytest.mark.parametrize("weight", [TINY_WEIGHT, 1e3])
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560"])
 def test_no_drive_pushes_by_rounding(trial, robot, weight):
     """Torque of negative friction.
@@ -88,7 +88,7 @@ def test_no_drive_pushes_by_rounding(trial, robot, weight):
         )
         factor[:-1, -1] = factor[:-1, :-1] @ (case.base.regrouping @ chi)
         for bounds in (generous_bounds(case.prior), non_negative_drives(case.prior)):
-            fit = fit_real_bodies(
+            fit = fit_consistent_bodies(
                 case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight
             )
             assert np.all(fit.chi[case.prior.non_negative] >= 0.0)
@@ -103,7 +103,7 @@ def test_no_feasible_direction_goes_down(trial, around_cad, robot):
     case = trial(robot, noise=0.2, seed=1, duration=6.0, spread=0.5)
     factor, bounds = factor_of(case), non_negative_drives(case.prior)
     weight = 1.0
-    fit = fit_real_bodies(
+    fit = fit_consistent_bodies(
         case.prior, case.base.regrouping, factor=factor, bounds=bounds, weight=weight
     )
     here = objective(case, factor, fit.chi, weight)
@@ -120,7 +120,7 @@ def test_no_feasible_direction_goes_down(trial, around_cad, robot):
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "scara", "puma-560", "ur10e", "franka-panda"])
 def test_all_links_are_real_and_drives_passive_however_bad_the_data(trial, robot):
     case = trial(robot, noise=2.0, seed=2, duration=4.0)
-    fit = fit_real_bodies(
+    fit = fit_consistent_bodies(
         case.prior, case.base.regrouping, factor=factor_of(case), bounds=generous_bounds(case.prior)
     )
     assert fit.part >= 0.999e-3
@@ -131,7 +131,7 @@ def test_all_links_are_real_and_drives_passive_however_bad_the_data(trial, robot
 def test_without_noise_the_truth_comes_back(trial):
     for robot in ("kuka-iiwa7-r800", "ur10e", "scara"):
         case = trial(robot, seed=3)
-        fit = fit_real_bodies(
+        fit = fit_consistent_bodies(
             case.prior,
             case.base.regrouping,
             factor=factor_of(case),
@@ -156,8 +156,8 @@ def test_bounds_are_kept_and_named(trial):
         mass={5: (2.0, 2.5), 1: (0.0, np.inf)},
         com={5: ([-0.01, -0.01, 0.0], [0.01, 0.01, 0.1])},
     )
-    fit = fit_real_bodies(
-        case.prior, case.base.regrouping, factor=factor_of(case), bounds=given, weight=TINY_PULL
+    fit = fit_consistent_bodies(
+        case.prior, case.base.regrouping, factor=factor_of(case), bounds=given, weight=TINY_WEIGHT
     )
     body = fit.chi[50:60]
     assert masses[5] < 2.0 - 1e-6 <= body[9] <= 2.5 + 1e-6
@@ -171,7 +171,7 @@ def test_impossible_bounds_are_refused(trial):
         body_bounds(case.prior, mass={0: (5.0, 6.0)})
     )
     with pytest.raises(IdentifiabilityError, match="widen"):
-        fit_real_bodies(
+        fit_consistent_bodies(
             case.prior, case.base.regrouping, factor=factor_of(case), bounds=contradiction
         )
     with pytest.raises(UsageError, match="lower bound first"):
@@ -198,10 +198,10 @@ def test_a_panic_of_the_solver_is_told_as_any_failure(trial, monkeypatch):
     with pytest.raises(
         IdentifiabilityError, match=r"two-link .* the solver says Panic \(Eigval error\)"
     ):
-        fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
+        fit_consistent_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
     monkeypatch.setattr(Solver, "solve", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        fit_real_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
+        fit_consistent_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
 
 
 def test_slack_of_bounds():
@@ -227,9 +227,9 @@ def test_bodies_that_are_real_anyway_need_no_cone(trial, monkeypatch, robot, wei
         )
     )
     bounds = non_negative_drives(case.prior)
-    problem = RealBodies.of(case.prior, case.base.regrouping, bounds)
+    problem = ConicProblem.of(case.prior, case.base.regrouping, bounds)
     quick = problem.fit(factor, weight)
-    monkeypatch.setattr(RealBodies, "_inside", lambda *_: None)
+    monkeypatch.setattr(ConicProblem, "_inside", lambda *_: None)
     conic = problem.fit(factor, weight)
     assert conic.iterations > 0
     torque = factor[:-1, :-1] @ case.base.regrouping

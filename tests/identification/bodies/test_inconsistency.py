@@ -10,8 +10,8 @@ import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.identification.bodies.body_bounds import non_negative_drives
-from asbuilt.identification.bodies.conic_fit import fit_real_bodies
-from asbuilt.identification.bodies.inconsistency import why_impossible
+from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
+from asbuilt.identification.bodies.inconsistency import find_inconsistency
 from asbuilt.identification.information.triangular import triangular_factor
 
 
@@ -37,7 +37,7 @@ def pushed_out(trial, robot, drive, seed):
 )
 def test_no_real_robot_has_the_combination_below_zero(trial, robot, drive):
     case, beta, covariance = pushed_out(trial, robot, drive, 4)
-    proof = why_impossible(case.base, case.prior, beta, covariance)
+    proof = find_inconsistency(case.base, case.prior, beta, covariance)
     y = np.zeros(len(beta))
     y[[case.base.names.index(name) for name in proof.names]] = proof.coefficients
     assert proof.value == pytest.approx(y @ beta)
@@ -69,12 +69,12 @@ def test_no_real_robot_has_the_combination_below_zero(trial, robot, drive):
 def test_sureness_is_the_distance_to_the_nearest_real_robot(trial, robot, drive):
     """The proof's bound and the nearest robot's distance, two programs dual to each other, meet."""
     case, beta, covariance = pushed_out(trial, robot, drive, 5)
-    proof = why_impossible(case.base, case.prior, beta, covariance)
+    proof = find_inconsistency(case.base, case.prior, beta, covariance)
     root = np.linalg.cholesky(np.linalg.inv(covariance)).T
     factor = triangular_factor(
         np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, len(beta) + 1))])
     )
-    nearest = fit_real_bodies(
+    nearest = fit_consistent_bodies(
         case.prior,
         case.base.regrouping,
         factor=factor,
@@ -89,7 +89,7 @@ def test_sureness_is_the_distance_to_the_nearest_real_robot(trial, robot, drive)
 
 def test_few_parameters_are_named(trial):
     case, beta, covariance = pushed_out(trial, "ur10e", "viscous,coulomb", 6)
-    proof = why_impossible(case.base, case.prior, beta, covariance)
+    proof = find_inconsistency(case.base, case.prior, beta, covariance)
     assert len(proof.names) <= 5
     assert "standard errors below zero" in proof.sentence
     assert "kg;" not in proof.sentence
@@ -97,4 +97,6 @@ def test_few_parameters_are_named(trial):
 
 def test_nothing_is_said_of_a_robot_that_can_be(trial):
     case = trial("ur10e", "viscous,coulomb", seed=7, duration=2.0)
-    assert why_impossible(case.base, case.prior, case.beta, 1e-4 * np.eye(len(case.beta))) is None
+    assert (
+        find_inconsistency(case.base, case.prior, case.beta, 1e-4 * np.eye(len(case.beta))) is None
+    )

@@ -41,7 +41,7 @@ def test_tilt_of_a_simulated_robot_is_found_within_its_error(trial, robot):
     case = trial(robot, "viscous,coulomb,offset", seed=12, duration=16.0, rate=20.0)
     samples, gravity = standing(case, [0.03, -0.02, 0.0])
     found = find_mounting(case.model, samples, drive=DRIVE)
-    assert found.is_askew
+    assert found.is_tilted
     np.testing.assert_array_less(np.abs(found.tilt - [0.03, -0.02]), 4.0 * found.std_errors + 1e-4)
     np.testing.assert_allclose(
         found.model.gravity, gravity, atol=9.81 * (4.0 * found.std_errors.max() + 1e-4)
@@ -55,7 +55,7 @@ def test_a_level_robot_stays_level(trial):
     case = trial("kuka-iiwa7-r800", "viscous,coulomb,offset", seed=13, duration=16.0, rate=20.0)
     samples, _ = standing(case, [0.0, 0.0, 0.0])
     found = find_mounting(case.model, samples, drive=DRIVE)
-    assert not found.is_askew
+    assert not found.is_tilted
     assert found.model is case.model
     assert "not told from nothing" in found.sentence
 

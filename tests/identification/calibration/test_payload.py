@@ -25,7 +25,7 @@ from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.calibration.payload import Payload, identify_payload, payload_frame
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.cause_data import gather_evidence
+from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
 
 TOOL = LinkInertia.from_com(
@@ -234,7 +234,8 @@ def test_what_gains_do_to_a_payload_is_seen_by_changing_them(
         result = replace(result, sigma=np.full(n, 0.1), covariance=reference.covariance)
         if keep_evidence:
             result = replace(
-                result, evidence=gather_evidence(robot.model, result.base, [scaled(bare, factors)])
+                result,
+                cause_data=gather_cause_data(robot.model, result.base, [scaled(bare, factors)]),
             )
         return identify_payload(result, scaled(loaded, factors), arm=arm)
 
@@ -262,7 +263,7 @@ def test_random_gains_are_covered(by_current: tuple[InstalledRobot, Samples, Sam
         )
         result = identify(robot.model, scaled(bare, factors), drive=DRIVE)
         result = replace(
-            result, evidence=gather_evidence(robot.model, result.base, [scaled(bare, factors)])
+            result, cause_data=gather_cause_data(robot.model, result.base, [scaled(bare, factors)])
         )
         payload = identify_payload(result, scaled(loaded, factors))
         off.append((payload.values[:4] - np.array([TOOL.mass, *TOOL.com])) / payload.std_errors[:4])

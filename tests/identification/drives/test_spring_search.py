@@ -89,7 +89,7 @@ def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
 
     refused = replace(
         identify(case.model, samples, drive=described),
-        warnings=(IdentificationWarning("bodies_refused", "no real bodies"),),
+        warnings=(IdentificationWarning("consistent_fit_rejected", "no real bodies"),),
     )
     _, said = with_hidden_causes(refused, [samples], described).warnings
     advised = said.message.rpartition("--drive ")[2].rstrip(".")

@@ -22,7 +22,7 @@ from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import find_method, methods
 from asbuilt.identification.identify import design_values, identify
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
@@ -90,7 +90,7 @@ def test_every_draw_of_a_linear_estimate_is_the_fit_of_the_blocks_drawn(
     information: SquareRootInformation, method: str
 ) -> None:
     design = design_values(MODEL, BASE)
-    estimate = find_method(method).estimate(Evidence(MODEL, information, None, design))
+    estimate = find_method(method).estimate(EstimationData(MODEL, information, None, design))
     found = redraw(information, estimate, n_draws=6, rng=4)
     for beta, blocks in zip(found.estimates, drawn_blocks(information.n_blocks, 6, 4), strict=True):
         gram, side = normal_equations(information.select(blocks), estimate.weights)
@@ -146,7 +146,7 @@ def test_dropped_parameters_stay_dropped_and_the_others_are_fitted_without_them(
     information: SquareRootInformation,
 ) -> None:
     estimate = find_method("essential").estimate(
-        Evidence(MODEL, information, None, design_values(MODEL, BASE))
+        EstimationData(MODEL, information, None, design_values(MODEL, BASE))
     )
     assert estimate.dropped is not None
     assert 0 < estimate.dropped.sum() < BASE.n_base
@@ -256,8 +256,8 @@ def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
     for method, codes in (
         ("wls", []),
         ("consistent", ["bootstrap_near_bounds"]),
-        ("entropic", ["bootstrap_of_pull"]),
-        ("ridge", ["bootstrap_of_pull"]),
+        ("entropic", ["bootstrap_of_regularised_fit"]),
+        ("ridge", ["bootstrap_of_regularised_fit"]),
     ):
         result = identify(
             MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0

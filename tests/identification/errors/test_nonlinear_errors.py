@@ -1,4 +1,4 @@
-"""Errors of fitted shapes, and what they add to all others.
+"""Errors of fitted nonlinear parameters, and what they add to all others.
 
 Against the full Jacobian, and against what fits to fresh noise do.
 """
@@ -18,18 +18,18 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.drives.drive_choice import settle_drive
-from asbuilt.identification.drives.nonlinear_parameters import fit_shapes
+from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.error_basis import ErrorKind
-from asbuilt.identification.errors.nonlinear_errors import shape_errors
+from asbuilt.identification.errors.nonlinear_errors import nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import rounded
 from asbuilt.workflow.study import StudyOptions, run_study
 
-SHAPED = {
+NONLINEAR = {
     "power": ("coulomb,power:exponent=0.6,offset", [1.0, 2.0, 0.3], "coulomb,power,offset"),
     "stribeck": (
         "viscous,coulomb,stribeck:velocity=0.1,offset",
@@ -48,7 +48,7 @@ def samples_of(
     robot: str, term: str, *, noise: float = 0.2, seed: int = 1, joint_noise: float = 0.0
 ) -> Samples:
     model = bundled_robot(robot)
-    drive, values, _ = SHAPED[term]
+    drive, values, _ = NONLINEAR[term]
     motion = random_fourier(model, 3, duration=20.0).sample(100.0)
     state = motion.q, motion.qd, motion.qdd
     tau = inverse_dynamics(model, *state) + drive_torque(
@@ -67,35 +67,39 @@ def fitted(
     return identify(
         bundled_robot(robot),
         samples,
-        drive=DriveSet.parse(SHAPED[term][2]),
+        drive=DriveSet.parse(NONLINEAR[term][2]),
         method=method,
         errors=errors,
     )
 
 
 @pytest.mark.parametrize("robot", ["scara", "two-link", "ur10e"])
-@pytest.mark.parametrize("term", [*SHAPED])
+@pytest.mark.parametrize("term", [*NONLINEAR])
 def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
-    """Shapes as further unknowns beside everything linear.
+    """Nonlinear parameters as further unknowns beside everything linear.
 
     Dense columns, differenced on another road, and one inverse.
     """
     model, samples = bundled_robot(robot), samples_of(robot, term, joint_noise=0.5)
     result = fitted(robot, samples, term, errors="textbook")
     drive, base = result.base.drive, result.base
-    assert drive.is_shaped
-    shaped = next(each for each in drive.terms if each.key == term)
-    name, state, n = shaped.shapes[0].name, (samples.q, samples.qd, samples.qdd), model.n_joints
+    assert drive.is_linear
+    nonlinear = next(each for each in drive.terms if each.key == term)
+    name, state, n = (
+        nonlinear.nonlinear[0].name,
+        (samples.q, samples.qd, samples.qdd),
+        model.n_joints,
+    )
 
-    def columns(shapes: np.ndarray) -> np.ndarray:
-        moved = drive.with_term(shaped.with_shapes({name: tuple(shapes.tolist())}))
+    def columns(parameters: np.ndarray) -> np.ndarray:
+        moved = drive.with_term(nonlinear.with_nonlinear({name: tuple(parameters.tolist())}))
         return observation_matrix(model, *state, drive=moved, columns=base.columns)
 
-    at = np.array([shaped.at(k).value(name) for k in range(n)])
+    at = np.array([nonlinear.at(k).value(name) for k in range(n)])
     weights = np.tile(1.0 / result.sigma, samples.t.size)
     told = [
         place.joint
-        for place in fit_shapes(model, DriveSet.parse(SHAPED[term][2]), [samples]).places
+        for place in fit_nonlinear(model, DriveSet.parse(NONLINEAR[term][2]), [samples]).places
     ]
     assert len(told) >= n - 1
     steps = [1e-5 * np.eye(n)[k] for k in told]
@@ -106,7 +110,7 @@ def test_errors_are_those_of_the_full_jacobian(robot: str, term: str) -> None:
     size = np.linalg.norm(J, axis=0)
     expected = np.sqrt(np.diag(np.linalg.inv((J / size).T @ (J / size)))) / size
     np.testing.assert_allclose(result.std_errors, expected[: base.n_base], rtol=2e-3)
-    note = next(note for note in result.notes if "shapes" in note)
+    note = next(note for note in result.notes if "nonlinear parameters" in note)
     for k, error in zip(told, expected[base.n_base :], strict=True):
         assert f"{model.joint_names[k]} {' +- '.join(rounded(at[k], error))}" in note
 
@@ -142,8 +146,8 @@ def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     found = [
         run_study(model, [samples], options=StudyOptions(drive=drive, method="consistent")).result
         for drive in (
-            DriveSet.parse(SHAPED["power"][2]),
-            settle_drive(model, [samples], DriveSet.parse(SHAPED["power"][2])).drive,
+            DriveSet.parse(NONLINEAR["power"][2]),
+            settle_drive(model, [samples], DriveSet.parse(NONLINEAR["power"][2])).drive,
         )
     ]
     grown = found[0].std_errors / found[1].std_errors
@@ -159,16 +163,16 @@ def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     assert not any("exponent of power" in note for note in found[1].notes)
 
 
-def test_a_shape_without_effect_is_not_told() -> None:
+def test_a_nonlinear_parameter_without_effect_is_not_told() -> None:
     model, samples = bundled_robot("two-link"), samples_of("two-link", "power")
-    choice = settle_drive(model, [samples], DriveSet.parse(SHAPED["power"][2]))
+    choice = settle_drive(model, [samples], DriveSet.parse(NONLINEAR["power"][2]))
     result = identify(model, samples, drive=choice.drive)
     still = replace(samples, qd=np.zeros_like(samples.qd))
     information = accumulate(model, result.base, still)
     estimate = estimate_wls(
-        Evidence(model, information, [still], np.zeros(result.n_base), "toward_prior", None)
+        EstimationData(model, information, [still], np.zeros(result.n_base), "toward_prior", None)
     )
-    found = shape_errors(model, result.base, estimate, [still], choice.fitted)
+    found = nonlinear_errors(model, result.base, estimate, [still], choice.fitted)
     assert np.all(np.isnan(found.std_errors))
     assert not found.covariance.any()
     assert "not told" in found.sentence(model.joint_names)

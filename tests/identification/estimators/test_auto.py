@@ -45,7 +45,7 @@ def test_impossible_bodies_give_way_to_real_ones_that_predict_as_well(robot):
     assert result.method in ("consistent", "entropic")
     assert result.physically_consistent
     assert "groups of time blocks held out in turn: squared error of" in result.notes[0]
-    assert "bodies_strained" not in codes(result)
+    assert "consistent_fit_costly" not in codes(result)
 
 
 def test_values_that_no_bodies_have_stay_where_these_predict_worse(robot):
@@ -57,7 +57,7 @@ def test_values_that_no_bodies_have_stay_where_these_predict_worse(robot):
     assert result.method == "wls"
     assert not result.physically_consistent
     assert "wls kept" in result.notes[0]
-    assert "bodies_refused" in codes(result)
+    assert "consistent_fit_rejected" in codes(result)
     real = identify(model, samples, drive=DRIVE, base=base, method="consistent")
     assert real.train.rms.max() > 2 * result.train.rms.max()
 
@@ -69,7 +69,7 @@ def test_strain_of_real_bodies_is_told(robot):
     result = picked(robot, recording(model, base, impossible, noise=0.1, seconds=2.0, seed=2))
     assert result.method == "consistent"
     assert "too few" in result.notes[0]
-    assert "bodies_strained" in codes(result)
+    assert "consistent_fit_costly" in codes(result)
 
 
 def test_better_is_more_than_one_standard_error_of_paired_errors():

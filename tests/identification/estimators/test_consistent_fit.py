@@ -28,7 +28,7 @@ from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import find_method
 from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.information.square_root_information import accumulate
 
@@ -257,7 +257,7 @@ def test_torques_of_zero_are_fitted_without_overflow(trial, method):
     still = replace(case.samples, tau=np.zeros_like(case.samples.tau), tau_raw=np.zeros(0))
     with np.errstate(over="raise", invalid="raise"):
         estimate = find_method(method).estimate(
-            Evidence(case.model, accumulate(case.model, case.base, still), None)
+            EstimationData(case.model, accumulate(case.model, case.base, still), None)
         )
     assert np.all(np.isfinite(estimate.beta))
     assert np.all(np.isfinite(estimate.weights))

@@ -103,7 +103,7 @@ def test_joint_that_stands_still_is_named_or_refused(robot, method):
     assert any("Fv3" in text for text in result.undetermined)
     assert np.all(np.isfinite(result.estimates))
     with pytest.raises(IdentifiabilityError, match="Fv3"):
-        identify(model, samples, drive=DRIVE, base=base, method=method, unexcited="refuse")
+        identify(model, samples, drive=DRIVE, base=base, method=method, undetermined="refuse")
 
 
 @every_method

@@ -209,7 +209,7 @@ def test_what_is_open_can_be_refused(robot):
     with pytest.raises(
         IdentifiabilityError, match=r"determines \d+ of the 64 parameters.*Fv7.*Move the joints"
     ):
-        fit_least_squares(information, prior=beta, unexcited="refuse")
+        fit_least_squares(information, prior=beta, undetermined="refuse")
     with pytest.raises(IdentifiabilityError, match="give CAD values"):
         fit_least_squares(information)
 

@@ -15,13 +15,13 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.estimators.ridge import RIDGES
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 
-def evidence_of(robot, samples, prior=None):
+def data_of(robot, samples, prior=None):
     model, base, _ = robot
-    return Evidence(model, accumulate_stream(model, base, [samples]), [samples], prior)
+    return EstimationData(model, accumulate_stream(model, base, [samples]), [samples], prior)
 
 
 def weighted_stack(robot, samples, weights):
@@ -35,8 +35,8 @@ def test_ridge_is_tikhonov_toward_cad_at_one_of_its_weights(robot):
     model, base, beta = robot
     cad = base.values(np.nan_to_num(parameter_values(model, DRIVE)))
     samples = recording(model, base, beta, noise=3.0, seconds=10.0, seed=8)
-    evidence = evidence_of(robot, samples, cad)
-    estimate = methods["ridge"].estimate(evidence)
+    data = data_of(robot, samples, cad)
+    estimate = methods["ridge"].estimate(data)
     W, tau = weighted_stack(robot, samples, estimate.weights)
     size = np.linalg.norm(W, axis=0)
     distance = []
@@ -63,7 +63,7 @@ def test_total_least_squares_is_that_of_the_singular_vector(robot, believed):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.5, seed=9)
     estimate = methods["total"].estimate(
-        evidence_of(robot, samples, None if believed is None else believed * beta)
+        data_of(robot, samples, None if believed is None else believed * beta)
     )
     W, tau = weighted_stack(robot, samples, estimate.weights)
     size, length = np.linalg.norm(W, axis=0), np.linalg.norm(tau)
@@ -85,7 +85,7 @@ def test_total_least_squares_keeps_to_cad_what_no_sample_tells(robot):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.3, still=(2,), seed=4)
     cad = base.values(np.nan_to_num(parameter_values(model, DRIVE))) + 0.1
-    estimate = methods["total"].estimate(evidence_of(robot, samples, cad))
+    estimate = methods["total"].estimate(data_of(robot, samples, cad))
     W, _ = weighted_stack(robot, samples, estimate.weights)
     size = np.linalg.norm(W, axis=0)
     never = size == 0
@@ -106,7 +106,7 @@ def test_total_least_squares_without_a_solution_is_refused(robot):
     with pytest.raises(
         IdentifiabilityError, match="total least squares has no trustworthy solution"
     ):
-        methods["total"].estimate(evidence_of(robot, samples))
+        methods["total"].estimate(data_of(robot, samples))
 
 
 def shared_noise(robot, seed, seconds=20.0):
@@ -124,7 +124,7 @@ def shared_noise(robot, seed, seconds=20.0):
 def test_maximum_likelihood_is_generalised_least_squares_at_its_own_covariance(robot):
     model, base, _beta = robot
     samples = shared_noise(robot, 0)
-    estimate = methods["ml"].estimate(evidence_of(robot, samples))
+    estimate = methods["ml"].estimate(data_of(robot, samples))
     joints = full_rows(model, base, samples)
     errors = np.array([tau - W @ estimate.beta for W, tau in joints])
     root = np.linalg.inv(np.linalg.cholesky(errors @ errors.T))
@@ -139,9 +139,9 @@ def test_maximum_likelihood_beats_separate_weights_where_noise_is_shared(robot):
     _, _, beta = robot
     separate, together, scaled = [], [], []
     for seed in range(12):
-        evidence = evidence_of(robot, shared_noise(robot, seed))
-        separate.append(methods["wls"].estimate(evidence).beta - beta)
-        estimate = methods["ml"].estimate(evidence)
+        data = data_of(robot, shared_noise(robot, seed))
+        separate.append(methods["wls"].estimate(data).beta - beta)
+        estimate = methods["ml"].estimate(data)
         together.append(estimate.beta - beta)
         scaled.append((estimate.beta - beta) / estimate.std_errors)
     gain, size = (
@@ -172,9 +172,9 @@ def test_instruments_take_most_of_the_bias_that_noise_in_the_motion_causes(robot
     _, base, beta = robot
     bias = {"wls": [], "iv": []}
     for seed in range(4):
-        evidence = evidence_of(robot, noisy_motion(robot, seed))
+        data = data_of(robot, noisy_motion(robot, seed))
         for method, errors in bias.items():
-            errors.append(methods[method].estimate(evidence).beta - beta)
+            errors.append(methods[method].estimate(data).beta - beta)
     inertial = np.array([name.startswith("I") for name in base.names])
     plain, instrumented = (
         np.linalg.norm(np.mean(bias[method], axis=0)[inertial]) for method in ("wls", "iv")
@@ -188,8 +188,8 @@ def test_instrumented_equations_hold(robot):
 
     model, base, _ = robot
     samples = noisy_motion(robot, 1)
-    evidence = evidence_of(robot, samples)
-    estimate = methods["iv"].estimate(evidence)
+    data = data_of(robot, samples)
+    estimate = methods["iv"].estimate(data)
     assert estimate.information is not None
     W, tau = weighted_stack(robot, samples, estimate.weights)
     hertz = float(estimate.notes[0].split("up to ")[1].split(" Hz")[0])
@@ -206,8 +206,8 @@ def test_essential_parameters_leave_out_what_is_zero(robot):
     beta = beta.copy()
     beta[absent] = 0.0
     samples = recording(model, base, beta, noise=1.0, seconds=60.0, seed=13, parallel=False)
-    evidence = evidence_of(robot, samples)
-    full, essential = (methods[method].estimate(evidence) for method in ("wls", "essential"))
+    data = data_of(robot, samples)
+    full, essential = (methods[method].estimate(data) for method in ("wls", "essential"))
     dropped = np.flatnonzero(essential.beta == 0.0)
     assert len(set(absent) & set(dropped)) >= 2
     assert len(dropped) < base.n_base / 2

@@ -11,7 +11,7 @@ from three_links import DRIVE, full_rows, recording
 
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 
@@ -33,8 +33,8 @@ def struck(robot, clean):
 
 def test_huber_is_the_minimum_that_scipy_finds(robot, struck):
     model, base, _ = robot
-    evidence = Evidence(model, accumulate_stream(model, base, [struck]), [struck])
-    estimate = methods["huber"].estimate(evidence)
+    data = EstimationData(model, accumulate_stream(model, base, [struck]), [struck])
+    estimate = methods["huber"].estimate(data)
     joints = full_rows(model, base, struck)
     size = np.linalg.norm(
         np.vstack([W / s for (W, _), s in zip(joints, estimate.sigma, strict=True)]), axis=0
@@ -58,8 +58,8 @@ def test_huber_is_the_minimum_that_scipy_finds(robot, struck):
 
 def test_bisquare_gradient_vanishes(robot, struck):
     model, base, _ = robot
-    evidence = Evidence(model, accumulate_stream(model, base, [struck]), [struck])
-    estimate = methods["bisquare"].estimate(evidence)
+    data = EstimationData(model, accumulate_stream(model, base, [struck]), [struck])
+    estimate = methods["bisquare"].estimate(data)
     gradient, size = np.zeros(base.n_base), np.zeros(base.n_base)
     for (W, tau), sigma in zip(full_rows(model, base, struck), estimate.sigma, strict=True):
         r = (tau - W @ estimate.beta) / sigma
@@ -98,7 +98,7 @@ def test_robust_standard_errors_are_those_of_repeated_experiments(robot):
         clean_tau = recording(model, base, beta, noise=0.0, seconds=16.0, seed=5).tau
         spoilt = replace(samples, tau=clean_tau + noise, tau_raw=np.empty((0, 0)), parallel=None)
         estimate = methods["huber"].estimate(
-            Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt])
+            EstimationData(model, accumulate_stream(model, base, [spoilt]), [spoilt])
         )
         found.append(estimate.beta)
         stated.append(estimate.std_errors)
@@ -117,7 +117,7 @@ def test_they_still_are_where_outliers_sit_where_joints_turn_back(robot):
         )
         spoilt = replace(clean, tau=clean.tau + noise, tau_raw=np.empty((0, 0)), parallel=None)
         estimate = methods["huber"].estimate(
-            Evidence(model, accumulate_stream(model, base, [spoilt]), [spoilt])
+            EstimationData(model, accumulate_stream(model, base, [spoilt]), [spoilt])
         )
         found.append(estimate.beta)
         stated.append(estimate.std_errors)

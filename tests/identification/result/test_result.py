@@ -318,7 +318,7 @@ def test_what_is_not_excited_is_kept_at_cad_and_said(arm):
     assert "Fv2" in result.undetermined
     assert np.isinf(result.condition_number)
     with pytest.raises(IdentifiabilityError, match="Fv2"):
-        identify(model, samples, drive=DRIVE, unexcited="refuse")
+        identify(model, samples, drive=DRIVE, undetermined="refuse")
 
 
 def test_a_conclusion_from_the_information_alone_says_the_same_but_the_largest_error(arm):

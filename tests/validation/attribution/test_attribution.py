@@ -235,9 +235,9 @@ def test_evidence_survives_json_and_its_absence_is_said() -> None:
         json_text(attribute(result).as_document())
     )
     with pytest.raises(ResultError, match="identify again"):
-        attribute(replace(result, evidence=None))
+        attribute(replace(result, cause_data=None))
     damaged = json.loads(result.to_json())
-    damaged["evidence"]["fitted"][0] = "AAAA"
+    damaged["cause_data"]["fitted"][0] = "AAAA"
     with pytest.raises(ResultError, match="identify again"):
         IdentificationResult.from_json(json.dumps(damaged))
 

@@ -13,7 +13,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.identify import identify
-from asbuilt.identification.information.cause_data import gather_evidence
+from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.torque_cost import torque_cost
@@ -32,7 +32,7 @@ def test_costs_are_those_of_the_whole_observation_matrix() -> None:
     )
     W = held.filtered(W.reshape(len(held.t), 7, -1))
     difference = result.estimates - np.nan_to_num(result.cad_values)
-    cost = torque_cost(result.evidence, result.base, difference)
+    cost = torque_cost(result.cause_data, result.base, difference)
     contributions = W * difference
     np.testing.assert_allclose(
         cost.torque, np.sqrt(np.mean(contributions**2, axis=0)).T, rtol=1e-6, atol=1e-9
@@ -86,7 +86,7 @@ def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself()
     samples = prepare_samples(machine.record(motion, 100.0, rng=1).recording, SignalChain())
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     result = identify(model, samples, base=base)
-    comparison = compare(replace(result, evidence=gather_evidence(model, base, [samples])))
+    comparison = compare(replace(result, cause_data=gather_cause_data(model, base, [samples])))
     left = comparison.torque[0][1].rms
     shared = [each for each in comparison.parameters if each.shared_with]
     assert shared
@@ -101,13 +101,13 @@ def test_evidence_judges_as_validation_does() -> None:
     _, held = hold_out(prepare_samples(recorded(ARM, "pf"), SignalChain()), "blocks:2s:3")
     validation = validate(result, held)
     np.testing.assert_allclose(
-        result.evidence.error_of(result.base.names, result.estimates),
+        result.cause_data.error_of(result.base.names, result.estimates),
         validation.metrics_as_built.rms,
         rtol=1e-9,
     )
     design = np.nan_to_num(result.cad_values)
     np.testing.assert_allclose(
-        result.evidence.error_of(result.base.names, design), validation.metrics_cad.rms, rtol=1e-9
+        result.cause_data.error_of(result.base.names, design), validation.metrics_cad.rms, rtol=1e-9
     )
 
 

@@ -152,7 +152,7 @@ def test_page_of_the_controller_says_whose_model_is_better(
 
 
 def test_unchanged_robot_and_results_without_evidence(example: Any) -> None:
-    result = replace(example.result, evidence=None)
+    result = replace(example.result, cause_data=None)
     same = compare_results(result, result)
     page = drift_html(same)
     assert "No parameter changed beyond doubt." in page

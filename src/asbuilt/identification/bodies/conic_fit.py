@@ -28,7 +28,7 @@ from asbuilt.identification.bodies.cone_program import solve_cone_program
 
 SMALLEST_PART = 1e-3
 """Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
-TINY_PULL = 1e-3
+TINY_WEIGHT = 1e-3
 """Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution
 unique.
 """
@@ -67,13 +67,13 @@ class ConicFit:
     iterations: int
 
 
-def fit_real_bodies(
+def fit_consistent_bodies(
     prior: CadPrior,
     regrouping: Array,
     *,
     factor: Array,
     bounds: BodyBounds | None = None,
-    weight: float = TINY_PULL,
+    weight: float = TINY_WEIGHT,
     smallest_part: float = SMALLEST_PART,
 ) -> ConicFit:
     """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` subject to `P_i >= smallest_part
@@ -88,14 +88,14 @@ def fit_real_bodies(
 
     Raises `IdentifiabilityError` where the bounds leave nothing, saying so.
     """
-    return RealBodies.of(prior, regrouping, bounds, smallest_part).fit(factor, weight)
+    return ConicProblem.of(prior, regrouping, bounds, smallest_part).fit(factor, weight)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RealBodies:
+class ConicProblem:
     """Hold what all conic fits of one robot have in common.
 
-    `fit` is `fit_real_bodies` for another factor.
+    `fit` is `fit_consistent_bodies` for another factor.
 
     `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) +
     s = (z, limits)`, r the residual, s in the `cones`; the first p rows take `R torque` at `places`
@@ -123,7 +123,7 @@ class RealBodies:
         regrouping: Array,
         bounds: BodyBounds | None = None,
         smallest_part: float = SMALLEST_PART,
-    ) -> RealBodies:
+    ) -> ConicProblem:
         """Return the program of a robot with these bounds."""
         bodies, q0 = near_one(prior)
         n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
@@ -161,7 +161,7 @@ class RealBodies:
             cones,
         )
 
-    def fit(self, factor: Array, weight: float = TINY_PULL, *, rough: bool = False) -> ConicFit:
+    def fit(self, factor: Array, weight: float = TINY_WEIGHT, *, rough: bool = False) -> ConicFit:
         """Return the minimiser for the triangular factor [R z] (p + 1, p + 1).
 
         A `rough` one misses it by a thousandth of a standard error or so.
@@ -180,7 +180,7 @@ class RealBodies:
                     np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL),
                 ]
             )
-            inside = self._inside(torque, z, pull) if weight > TINY_PULL else None
+            inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None
             if inside is not None:
                 return self._fit(inside, 0)
             constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])

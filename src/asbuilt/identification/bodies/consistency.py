@@ -104,7 +104,7 @@ def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
     return margin >= -MARGIN_TOLERANCE * scale
 
 
-def pushing_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
+def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
     """Return the names of the base parameters (p,) that are a drive parameter by itself and below
     zero, where a passive drive has it at zero or above.
     """

@@ -106,7 +106,7 @@ class EntropicProblem:
 
     D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi`
     stays what it is at the start, exactly. Bounds enter with a logarithmic barrier. The variables
-    are those of `fit_real_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`. Newton's
+    are those of `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`. Newton's
     method on a self-concordant function with a line search; the Hessian of a body is taken as `W^-1
     (x) W^-1`, `W Z W = Q`, halfway between the body and its dual `Z -> weight Q^-1`, that of a
     bound likewise, which sees edges coming that a former, stronger weight kept away (Nesterov &

@@ -35,7 +35,7 @@ ROUNDING = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Impossibility:
+class Inconsistency:
     """Hold a proof that no robot has base parameters beta (p,), and how sure it is.
 
     `y^T beta` is at least zero for all real bodies and passive drives: `K^T y` is non-negative on
@@ -71,9 +71,9 @@ class Impossibility:
         )
 
 
-def why_impossible(
+def find_inconsistency(
     base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
-) -> Impossibility | None:
+) -> Inconsistency | None:
     """Return the proof with few parameters that no real bodies and passive drives have beta, None
     where some have.
 
@@ -96,7 +96,7 @@ def why_impossible(
     share = np.abs(said) * problem.size
     order = np.argsort(-share, kind="stable")[: np.count_nonzero(said)]
     y = said / np.abs(said[order[0]])
-    return Impossibility(
+    return Inconsistency(
         names=tuple(base.names[j] for j in order),
         ids=tuple(int(base.ids[j]) for j in order),
         coefficients=y[order],

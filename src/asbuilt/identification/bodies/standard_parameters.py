@@ -23,7 +23,7 @@ from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.body_bounds import BodyBounds, non_negative_drives
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.cone_program import solve_cone_program
-from asbuilt.identification.bodies.conic_fit import SMALLEST_PART, fit_real_bodies, near_one
+from asbuilt.identification.bodies.conic_fit import SMALLEST_PART, fit_consistent_bodies, near_one
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
 from asbuilt.identification.information.triangular import triangular_factor
 
@@ -153,7 +153,7 @@ def standard_parameters(
         possible = exact or nearest
         if not exact and nearest:
             factor = _distance_factor(asked, motion, information)
-            chi = fit_real_bodies(cad, base.regrouping, factor=factor, bounds=drives).chi
+            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=drives).chi
             least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)

@@ -96,18 +96,18 @@ def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weight
 
     `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction
     larger, beta changes by that fraction of column k. W and tau are those the result was identified
-    from, where it kept its evidence (all of it: what was put aside to judge by is part of it where
+    from, where it kept its cause data (all of it: what was put aside to judge by is part of it where
     no other recording was at hand); else those of `stand_in`, weighted rows `[W_k | ...]` of other
     motion of the arm, with the torque that the result predicts. Parameters that the result dropped
     stay zero.
     """
     p, beta = result.n_base, result.estimates
-    if result.evidence is not None:
-        evidence = result.evidence
-        places = np.append(evidence.places(result.base.names), -1)
-        parts = [evidence.whole(evidence.fitted)]
-        if evidence.n_fitted < result.n_samples:
-            parts.append(evidence.whole(evidence.judged))
+    if result.cause_data is not None:
+        cause_data = result.cause_data
+        places = np.append(cause_data.places(result.base.names), -1)
+        parts = [cause_data.whole(cause_data.fitted)]
+        if cause_data.n_fitted < result.n_samples:
+            parts.append(cause_data.whole(cause_data.judged))
         factors = [
             weight * np.vstack(joint)[:, places]
             for weight, joint in zip(weights, zip(*parts, strict=True), strict=True)

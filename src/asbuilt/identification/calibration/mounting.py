@@ -19,7 +19,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.bodies.body_bounds import BodyBounds, generous_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
-from asbuilt.identification.bodies.conic_fit import fit_real_bodies
+from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
 from asbuilt.identification.estimators.consistent_fit import ConsistentEstimate, fit_consistent
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -57,7 +57,7 @@ class Mounting:
 
     `covariance` (2, 2) allows for residuals that are alike within a time block. `rms_as_given` and
     `rms` (n,) are the torque residuals of the best real bodies, standing as described and as found.
-    `is_askew` says whether the tilt is more than its error and more than a floor's.
+    `is_tilted` says whether the tilt is more than its error and more than a floor's.
     """
 
     as_given: RobotModel
@@ -79,7 +79,7 @@ class Mounting:
         return float(np.linalg.norm(self.tilt))
 
     @property
-    def is_askew(self) -> bool:
+    def is_tilted(self) -> bool:
         """Whether the robot stands otherwise than described."""
         z = (
             float(self.tilt @ np.linalg.solve(self.covariance, self.tilt))
@@ -99,7 +99,7 @@ class Mounting:
     @property
     def model(self) -> RobotModel:
         """The robot standing as found; as described where that is not askew."""
-        return self.as_given.with_gravity(self.gravity) if self.is_askew else self.as_given
+        return self.as_given.with_gravity(self.gravity) if self.is_tilted else self.as_given
 
     @property
     def sentence(self) -> str:
@@ -113,7 +113,7 @@ class Mounting:
             float(np.sqrt(np.mean(self.rms_as_given**2))),
             float(np.sqrt(np.mean(self.rms**2))),
         )
-        if self.is_askew:
+        if self.is_tilted:
             return (
                 f"gravity is turned by {turned} from where the description has it: the robot stands"
                 f" askew; torque residual {before:.3g} -> {after:.3g} N m"
@@ -169,7 +169,7 @@ def find_mounting(
 
     def shares(tilt: Array, weights: Array) -> Array:
         told = information(tilt)
-        chi = fit_real_bodies(
+        chi = fit_consistent_bodies(
             prior, base.regrouping, factor=told.stacked(weights), bounds=bounds
         ).chi
         return _shares(told, base, weights, chi)

@@ -30,7 +30,7 @@ from asbuilt.identification.calibration.gain_uncertainty import (
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows
 from asbuilt.identification.estimators.least_squares import solve_factor
-from asbuilt.identification.information.known_information import told_directions
+from asbuilt.identification.information.known_information import determined_directions
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
@@ -79,7 +79,7 @@ class Payload:
     were used. `noise_errors` (10,) are the part of the standard errors that the recordings show,
     `gain_errors` (10,) that of gains known no better than `gain_uncertainty` (n,), as fractions;
     `gain_slopes` (10, n) is how much each value changes per fraction by which the torque of a joint
-    changes, in all recordings of the arm: exact where the result kept its evidence
+    changes, in all recordings of the arm: exact where the result kept its cause data
     (`gains_by_evidence`), else as if the arm had been identified along the motion at hand, which
     may leave the centre too sure. `metrics` has the torque errors with payload on each recording,
     `metrics_bare` those of the arm alone.
@@ -224,7 +224,7 @@ def identify_payload(
         gain_errors=gain_errors,
         gain_slopes=reported @ slopes,
         gain_uncertainty=uncertainty,
-        gains_by_evidence=result.evidence is not None,
+        gains_by_evidence=result.cause_data is not None,
         projected=projected,
         determined=tuple(item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if well),
         not_determined=tuple(
@@ -283,7 +283,7 @@ def _prior(result: IdentificationResult) -> Array:
     """Return rows (m, p + 11) that hold beta at the result, in units of its standard errors, where
     the result knows it; what it dropped, whose columns are zero elsewhere, at zero.
     """
-    scale, variances, directions = told_directions(result)
+    scale, variances, directions = determined_directions(result)
     root = np.vstack(
         [(directions / np.sqrt(variances)).T * scale, np.eye(result.n_base)[result.dropped]]
     )

@@ -23,7 +23,7 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.identification.calibration.payload import payload_frame
-from asbuilt.identification.information.rows import stretches
+from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
 
 if TYPE_CHECKING:
@@ -271,10 +271,10 @@ class _Problem:
         self.blocks: list[list[Array]] = []
         loads: set[bool] = set()
         for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
-            for stretch in stretches(model, [samples]):
+            for stretch in sample_blocks(model, [samples]):
                 growing = [GrowingFactor(len(support) + 1) for support in plan.support]
-                for piece in stretch.pieces(plan):
-                    for factor, rows in zip(growing, piece, strict=True):
+                for chunk in stretch.chunks(plan):
+                    for factor, rows in zip(growing, chunk, strict=True):
                         factor.append(rows)
                 block = []
                 for support, factor in zip(plan.support, growing, strict=True):

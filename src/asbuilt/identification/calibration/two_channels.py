@@ -22,7 +22,7 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.estimators.least_squares import Estimate, fit_least_squares
-from asbuilt.identification.information.rows import stretches
+from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import GrowingFactor
 
@@ -115,9 +115,9 @@ def identify_two_channels(
     )
     for side in (link_side, ahead):
         side.check_joints(model.n_joints)
-        if not side.is_shaped:
+        if not side.is_linear:
             raise UsageError(
-                "two channels are identified with shapes that are stated, such as"
+                "two channels are identified with nonlinear parameters that are stated, such as"
                 f" stribeck:velocity=0.05, got {side}"
             )
     if link_side.needs_load or ahead.needs_load:
@@ -155,7 +155,7 @@ def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
         term.is_at(k) and (bool(coupled[k]) or not term.of_motor)
         for k in range(model.n_joints)
         for term in motor_side.terms
-        for _ in term.letters
+        for _ in term.symbols
     ]
     return np.flatnonzero(acts)
 
@@ -167,9 +167,9 @@ def _both_sides(
     independent of all others.
     """
     every = [
-        f"{letter}m{number}"
+        f"{symbol}m{number}"
         for number in range(1, model.n_joints + 1)
-        for letter in motor_side.letters
+        for symbol in motor_side.symbols
     ]
     every_unit = [unit for joint in model.joints for unit in motor_side.units(joint.kind)]
     names, units = tuple(every[j] for j in acting), tuple(every_unit[j] for j in acting)
@@ -217,11 +217,13 @@ def _joined(
     )
     factors: list[list[Array]] = [[] for _ in support]
     sums, times = [], []
-    for seen, driven in zip(stretches(model, sensors), stretches(model, motors), strict=True):
+    for seen, driven in zip(
+        sample_blocks(model, sensors), sample_blocks(model, motors), strict=True
+    ):
         growing = [GrowingFactor(len(columns) + 1) for columns in support]
         total = np.zeros(2 * n)
         for behind, links_again, ahead in zip(
-            seen.pieces(links), driven.pieces(links), driven.pieces(drives), strict=True
+            seen.chunks(links), driven.chunks(links), driven.chunks(drives), strict=True
         ):
             for k in range(n):
                 growing[k].append(behind[k])

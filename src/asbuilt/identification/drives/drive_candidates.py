@@ -1,4 +1,4 @@
-"""Drive terms that might be added to a robot's, with every shape tried, as columns beside its
+"""Drive terms that might be added to a robot's, with every nonlinear parameter tried, as columns beside its
 regressor.
 """
 
@@ -14,7 +14,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm, Shape
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.drives.nonlinear_parameters import credible_range, thinned
 
@@ -26,7 +26,7 @@ Placed = tuple[int, int]
 Choice = tuple[Placed, ...]
 
 POINTS = 8
-"""Values of a shape that are tried, ends of the credible range included."""
+"""Values of a nonlinear parameter that are tried, ends of the credible range included."""
 RIDGE = 1e-9
 """Added to the diagonal of normal equations in columns of unit length, so that columns which repeat
 others stay small.
@@ -35,7 +35,7 @@ others stay small.
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A term with its shape stated, one value per joint.
+    """A term with its nonlinear parameter stated, one value per joint.
 
     `at_bound` where that value is an end of its credible range.
     """
@@ -52,7 +52,7 @@ class Candidate:
 def candidates(
     model: RobotModel, start: DriveSet, source: str, samples: Sequence[Samples]
 ) -> tuple[Candidate, ...]:
-    """Return the terms that are tried beside `start` for torques of this source, a shape at values
+    """Return the terms that are tried beside `start` for torques of this source, a nonlinear parameter at values
     spread over its credible range.
     """
     found = []
@@ -60,21 +60,22 @@ def candidates(
     for term in available_terms().values():
         if source not in term.tried_for or term.key in start.keys:
             continue
-        if not term.free_shapes:
+        if not term.free_nonlinear:
             found.append(Candidate(term, False))
-        for shape in term.free_shapes:
-            for j, values in enumerate(_spread(model, shape, speeds)):
+        for parameter in term.free_nonlinear:
+            for j, values in enumerate(_spread(model, parameter, speeds)):
                 found.append(
                     Candidate(
-                        term.with_shapes({shape.name: tuple(values.tolist())}), j in (0, POINTS - 1)
+                        term.with_nonlinear({parameter.name: tuple(values.tolist())}),
+                        j in (0, POINTS - 1),
                     )
                 )
     return tuple(found)
 
 
-def _spread(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> Array:
+def _spread(model: RobotModel, parameter: NonlinearParameter, speeds: Sequence[Array]) -> Array:
     """Return values (POINTS, n) in equal ratios from one end of the credible range to the other."""
-    lowest, highest = credible_range(model, shape, speeds)
+    lowest, highest = credible_range(model, parameter, speeds)
     return np.asarray(np.geomspace(np.maximum(lowest, 1e-9), np.maximum(highest, 1e-9), POINTS))
 
 
@@ -114,13 +115,13 @@ class CandidateColumns:
         n = model.n_joints
         plans = [RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)]
         for each in tried:
-            own = n * len(each.term.letters)
+            own = n * len(each.term.symbols)
             plans.append(
                 RegressorPlan.of(
                     model, DriveSet((each.term,)), np.arange(10 * n, 10 * n + own), spare_rows=1
                 )
             )
-        first = np.cumsum([0, *(len(each.term.letters) for each in tried)])
+        first = np.cumsum([0, *(len(each.term.symbols) for each in tried)])
         extra, p = int(first[-1]), base.n_base
         self.n_parameters = p + n * extra
         self._places = {
@@ -139,7 +140,7 @@ class CandidateColumns:
         for stretch in thinned(model, samples):
             block = [np.zeros((len(positions), len(positions))) for positions in self._positions]
             for base_rows, *extra_rows in zip(
-                *(stretch.pieces(plan) for plan in plans), strict=True
+                *(stretch.chunks(plan) for plan in plans), strict=True
             ):
                 for k in range(n):
                     rows = np.vstack(
@@ -234,7 +235,7 @@ def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Ind
     """
     found = []
     for term in base.drive.terms:
-        names = [f"{letter}{joint + 1}" for letter in term.letters]
+        names = [f"{symbol}{joint + 1}" for symbol in term.symbols]
         found.append(
             (
                 term,
@@ -285,24 +286,24 @@ def chosen_drive(
 ) -> DriveSet:
     """Return the drive set of a choice.
 
-    Each term at the joints that have it, with the shapes they have there, simpler terms at the
+    Each term at the joints that have it, with the nonlinear parameters they have there, simpler terms at the
     other joints.
     """
     drive = start
     for key in dict.fromkeys(tried[c].key for _, c in choice):
         at = {k: tried[c].term for k, c in choice if tried[c].key == key}
         term = next(iter(at.values()))
-        shapes = {
-            shape.name: tuple(
-                float(f"{at[k].at(k).value(shape.name):.4g}") if k in at else shape.default
+        parameters = {
+            parameter.name: tuple(
+                float(f"{at[k].at(k).value(parameter.name):.4g}") if k in at else parameter.default
                 for k in range(n_joints)
             )
-            for shape in available_terms()[key].free_shapes
+            for parameter in available_terms()[key].free_nonlinear
         }
         everywhere = len(at) == n_joints
         drive = drive.with_term(
             replace(
-                term.with_shapes(shapes),
+                term.with_nonlinear(parameters),
                 joints=None if everywhere else tuple(sorted(k + 1 for k in at)),
             )
         )

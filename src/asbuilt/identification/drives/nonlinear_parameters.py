@@ -1,4 +1,4 @@
-"""Shapes of drive terms - a Stribeck velocity, an exponent, the width of a sign - by variable
+"""Nonlinear parameters of drive terms - a Stribeck velocity, an exponent, the width of a sign - by variable
 projection over everything linear.
 """
 
@@ -15,25 +15,25 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.term import DriveTerm, Shape
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
-from asbuilt.identification.errors.nonlinear_errors import ShapePlace
-from asbuilt.identification.information.rows import Stretch, stretches
+from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
+from asbuilt.identification.information.rows import SampleBlock, sample_blocks
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 
 MOST_SAMPLES = 20_000
-"""Filtered samples that a fit of shapes looks at; of longer recordings every so many time blocks."""
+"""Filtered samples that a fit of nonlinear parameters looks at; of longer recordings every so many time blocks."""
 GRID = 24
-"""Values tried over the whole range of a shape,"""
+"""Values tried over the whole range of a nonlinear parameter,"""
 REFINEMENTS = 10
 """then so many golden sections about the best of each joint."""
 TOLD = 30.0
-"""A shape is told where it lowers the squared error of its joint by this fraction, divided by the
+"""A nonlinear parameter is told where it lowers the squared error of its joint by this fraction, divided by the
 number of filtered samples (an F of 30 for white residuals, of a few for correlated ones), and where
 the least error lies within the credible range; elsewhere it keeps its default.
 """
@@ -42,9 +42,9 @@ AT_BOUND = 0.02
 SLOWEST_SHARE = 0.03
 """A speed is looked for above the slowest samples of a joint, this share of those that move."""
 CYCLES = 10
-"""Most rounds over the shapes, where there are several,"""
+"""Most rounds over the nonlinear parameters, where there are several,"""
 SETTLED = 0.01
-"""which end when no shape moves by more than this fraction."""
+"""which end when no nonlinear parameter moves by more than this fraction."""
 SAME_COLUMN = 1e-8
 """What is left of a column beside all others, relative to its size, below which it is one of their
 sums.
@@ -53,8 +53,8 @@ GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedShape:
-    """The values of a shape, one per joint, the fraction of the squared error that the term takes
+class FittedNonlinear:
+    """The values of a nonlinear parameter, one per joint, the fraction of the squared error that the term takes
     away there, and where the data told the value.
 
     `at_bound` says where the data would like a value at an end of the credible range, or beyond it,
@@ -62,7 +62,7 @@ class FittedShape:
     """
 
     term: str
-    shape: Shape
+    parameter: NonlinearParameter
     values: tuple[float, ...]
     reduction: Array
     told: NDArray[np.bool_]
@@ -72,44 +72,44 @@ class FittedShape:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShapeFit:
-    """The drive with every shape stated, and how each was found."""
+class NonlinearFit:
+    """The drive with every nonlinear parameter stated, and how each was found."""
 
     drive: DriveSet
-    shapes: tuple[FittedShape, ...]
+    nonlinear: tuple[FittedNonlinear, ...]
 
     @property
-    def places(self) -> tuple[ShapePlace, ...]:
-        """The shapes and joints where the data told a value."""
+    def places(self) -> tuple[NonlinearPlace, ...]:
+        """The nonlinear parameters and joints where the data told a value."""
         present = {term.key: term for term in self.drive.terms}
         return tuple(
-            ShapePlace(found.term, found.shape.name, k)
-            for found in self.shapes
+            NonlinearPlace(found.term, found.parameter.name, k)
+            for found in self.nonlinear
             for k in np.flatnonzero(found.told).tolist()
             if present[found.term].is_at(k)
         )
 
     def sentences(self, joint_names: Sequence[str]) -> tuple[str, ...]:
-        """Say what was found, a sentence per shape."""
+        """Say what was found, a sentence per nonlinear parameter."""
         said = []
-        for found in self.shapes:
-            unit = f" {found.shape.unit}" if found.shape.unit else ""
+        for found in self.nonlinear:
+            unit = f" {found.parameter.unit}" if found.parameter.unit else ""
             listed = ", ".join(
                 f"{name} {value:.3g}{'' if told else ' (not told, default)'}"
                 for name, value, told in zip(joint_names, found.values, found.told, strict=True)
             )
             said.append(
-                f"{found.shape.name} of {found.term}, fitted by variable projection: {listed}{unit}"
+                f"{found.parameter.name} of {found.term}, fitted by variable projection: {listed}{unit}"
             )
         return tuple(said)
 
     def warnings(self, joint_names: Sequence[str]) -> tuple[str, ...]:
-        """Say where a term is not what its name says, a sentence per shape."""
+        """Say where a term is not what its name says, a sentence per nonlinear parameter."""
         said = []
-        for found in self.shapes:
+        for found in self.nonlinear:
             bounded = [
                 f"{name} ({low:.3g} to"
-                f" {high:.3g}{f' {found.shape.unit}' if found.shape.unit else ''})"
+                f" {high:.3g}{f' {found.parameter.unit}' if found.parameter.unit else ''})"
                 for name, low, high, there in zip(
                     joint_names, found.lowest, found.highest, found.at_bound, strict=True
                 )
@@ -117,7 +117,7 @@ class ShapeFit:
             ]
             if bounded:
                 said.append(
-                    f"The {found.shape.name} that fits {found.term} best lies at an end of its"
+                    f"The {found.parameter.name} that fits {found.term} best lies at an end of its"
                     f" credible range at {', '.join(bounded)}: the friction there is of another"
                     " kind. It keeps its default; leave the term out there (:joints=...) or state"
                     " the value."
@@ -125,74 +125,78 @@ class ShapeFit:
         return tuple(said)
 
 
-def fit_shapes(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> ShapeFit:
-    """Fit the shapes that are not stated, joint by joint, each to the least squared error that
+def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> NonlinearFit:
+    """Fit the nonlinear parameters that are not stated, joint by joint, each to the least squared error that
     remains after all linear parameters of its joint.
 
-    For joint k and shape s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint
+    For joint k and nonlinear parameter s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint
     k, links free for each joint (a little freer than the robot is, so that no joint waits for
     another). The parameter of the term is held positive, friction that brakes, unless the simpler
-    term that it stands for is beside it, of which it may take away. The credible range of the shape
+    term that it stands for is beside it, of which it may take away. The credible range of the nonlinear parameter
     is searched whole, then refined, because the error has several minima. The load of
     load-dependent terms is that of `model`.
 
     Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection. Raises
     `IdentifiabilityError` where filtering leaves no samples.
     """
-    found: dict[tuple[str, str], FittedShape] = {}
+    found: dict[tuple[str, str], FittedNonlinear] = {}
     current = drive
-    free = [(term.key, shape) for term in drive.terms for shape in term.free_shapes]
+    free = [(term.key, parameter) for term in drive.terms for parameter in term.free_nonlinear]
     chosen = thinned(model, samples)
     if not chosen:
         raise IdentifiabilityError(
-            f"no samples of {model.name} are left to fit the shapes of {drive} to: every contiguous"
+            f"no samples of {model.name} are left to fit the nonlinear parameters of {drive} to: every contiguous"
             " stretch is shorter than the filter needs; record longer, raise the cutoff, or state"
-            " the shapes"
+            " the nonlinear parameters"
         )
     with one_blas_thread():
         for _ in range(CYCLES if len(free) > 1 else 1):
             before = {place: np.array(each.values) for place, each in found.items()}
-            for key, shape in free:
+            for key, parameter in free:
                 term = next(term for term in current.terms if term.key == key)
-                fitted = _fit_one(model, current.without(key), term, shape, chosen)
-                found[key, shape.name] = fitted
-                current = current.with_term(term.with_shapes({shape.name: fitted.values}))
+                fitted = _fit_one(model, current.without(key), term, parameter, chosen)
+                found[key, parameter.name] = fitted
+                current = current.with_term(term.with_nonlinear({parameter.name: fitted.values}))
             if all(
                 place in before
                 and np.all(np.abs(before[place] - each.values) <= SETTLED * np.abs(each.values))
                 for place, each in found.items()
             ):
                 break
-    return ShapeFit(current, tuple(found.values()))
+    return NonlinearFit(current, tuple(found.values()))
 
 
-def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[Stretch]:
+def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
     """Return the time blocks of samples that fits of drive terms look at.
 
     All, or of long recordings every so many.
     """
-    every = list(stretches(model, samples))
+    every = list(sample_blocks(model, samples))
     step = max(1, -(-sum(each.n_outputs for each in every) // MOST_SAMPLES))
     return every[::step]
 
 
 def _fit_one(
-    model: RobotModel, others: DriveSet, term: DriveTerm, shape: Shape, chosen: Sequence[Stretch]
-) -> FittedShape:
+    model: RobotModel,
+    others: DriveSet,
+    term: DriveTerm,
+    parameter: NonlinearParameter,
+    chosen: Sequence[SampleBlock],
+) -> FittedNonlinear:
     n = model.n_joints
     remaining = _Remaining(model, others, chosen)
     braking = term.stands_for not in others.keys
 
     def error(values: Array) -> Array:
         return remaining.with_term(
-            term.with_shapes({shape.name: tuple(float(value) for value in values)}),
+            term.with_nonlinear({parameter.name: tuple(float(value) for value in values)}),
             positive=braking,
         )
 
     lowest, highest = credible_range(
-        model, shape, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen]
+        model, parameter, [np.abs(each.samples.qd[each.start : each.stop]) for each in chosen]
     )
-    logarithmic = shape.lower > 0.0
+    logarithmic = parameter.lower > 0.0
     first, last = (np.log(lowest), np.log(highest)) if logarithmic else (lowest, highest)
 
     def real(points: Array) -> Array:
@@ -227,13 +231,15 @@ def _fit_one(
     lowers = reduction > TOLD / sum(each.n_outputs for each in chosen)
     at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
     told = lowers & ~at_bound
-    stated = tuple(float(f"{value:.4g}") for value in np.where(told, values, shape.default))
-    within = tuple(min(max(value, shape.lower), shape.upper) for value in stated)
-    return FittedShape(term.key, shape, within, reduction, told, at_bound, lowest, highest)
+    stated = tuple(float(f"{value:.4g}") for value in np.where(told, values, parameter.default))
+    within = tuple(min(max(value, parameter.lower), parameter.upper) for value in stated)
+    return FittedNonlinear(term.key, parameter, within, reduction, told, at_bound, lowest, highest)
 
 
-def credible_range(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> tuple[Array, Array]:
-    """Return the range in which a shape of each joint is looked for, two (n,).
+def credible_range(
+    model: RobotModel, parameter: NonlinearParameter, speeds: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Return the range in which a nonlinear parameter of each joint is looked for, two (n,).
 
     That of its physics, and for a speed what the recording has.
 
@@ -242,20 +248,20 @@ def credible_range(model: RobotModel, shape: Shape, speeds: Sequence[Array]) -> 
     none.
     """
     n = model.n_joints
-    low, high = shape.credible
-    if not shape.speed:
-        return np.full(n, max(low, shape.lower)), np.full(n, min(high, shape.upper))
+    low, high = parameter.credible
+    if not parameter.speed:
+        return np.full(n, max(low, parameter.lower)), np.full(n, min(high, parameter.upper))
     moved = np.concatenate(speeds)
     limit = np.array([joint.limits.velocity for joint in model.joints])
     top = np.where(np.isfinite(limit) & (limit > 0), limit, moved.max(axis=0))
     slowest = np.array(
         [
-            np.quantile(v[v > 0.0], SLOWEST_SHARE) if np.any(v > 0.0) else shape.lower
+            np.quantile(v[v > 0.0], SLOWEST_SHARE) if np.any(v > 0.0) else parameter.lower
             for v in moved.T
         ]
     )
-    lowest = np.clip(np.maximum(low * top, slowest), shape.lower, shape.upper)
-    return lowest, np.clip(high * top, lowest, shape.upper)
+    lowest = np.clip(np.maximum(low * top, slowest), parameter.lower, parameter.upper)
+    return lowest, np.clip(high * top, lowest, parameter.upper)
 
 
 class _Remaining:
@@ -263,7 +269,7 @@ class _Remaining:
     what that term leaves of it.
     """
 
-    def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[Stretch]) -> None:
+    def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[SampleBlock]) -> None:
         self._model, self._chosen = model, chosen
         base = find_base_parameters(model, others)
         plan = RegressorPlan.of(model, others, base.columns, spare_rows=1)
@@ -283,7 +289,7 @@ class _Remaining:
         """Return the squared error of each joint that is left beside the columns of this term,
         shape (n,); with `positive` only if their parameters are.
         """
-        n, per = self._model.n_joints, len(term.letters)
+        n, per = self._model.n_joints, len(term.symbols)
         plan = RegressorPlan.of(
             self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1
         )
@@ -303,8 +309,8 @@ class _Remaining:
         return np.array(left)
 
 
-def _joined(plan: RegressorPlan, chosen: Sequence[Stretch]) -> list[Array]:
-    pieces: Iterator[tuple[Array, ...]] = (
-        tuple(rows.copy() for rows in piece) for each in chosen for piece in each.pieces(plan)
+def _joined(plan: RegressorPlan, chosen: Sequence[SampleBlock]) -> list[Array]:
+    chunks: Iterator[tuple[Array, ...]] = (
+        tuple(rows.copy() for rows in chunk) for each in chosen for chunk in each.chunks(plan)
     )
-    return [np.hstack(parts) for parts in zip(*pieces, strict=True)]
+    return [np.hstack(parts) for parts in zip(*chunks, strict=True)]

@@ -12,7 +12,7 @@ from scipy import stats
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
-from asbuilt.identification.errors.uncertainty import COVERED, Uncertainty, basis_of, block_pulls
+from asbuilt.identification.errors.uncertainty import COVERED, Uncertainty, basis_of, block_scores
 from asbuilt.identification.estimators.least_squares import Estimate, Refit
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
@@ -125,7 +125,7 @@ def _stepped(
     information: SquareRootInformation, estimate: Estimate, counts: NDArray[np.int64]
 ) -> list[Array]:
     root = estimate.solution.inverse_root
-    gram, score = block_pulls(information, estimate)
+    gram, score = block_scores(information, estimate)
     more, estimates = counts - 1.0, []
     identity = np.eye(root.shape[1])
     for extra in more:

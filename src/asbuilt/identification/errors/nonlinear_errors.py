@@ -1,4 +1,4 @@
-"""What fitted shapes leave open.
+"""What fitted nonlinear parameters leave open.
 
 How well a recording tells a Stribeck velocity or an exponent, and what that adds to the errors of
 everything linear.
@@ -21,7 +21,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.estimators.least_squares import Estimate
-from asbuilt.identification.information.rows import stretches
+from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.tables import rounded
 
 if TYPE_CHECKING:
@@ -29,35 +29,35 @@ if TYPE_CHECKING:
 
 
 STEP = 1e-3
-"""Part of a shape's value by which it is moved to see what that does to the torque."""
+"""Part of a nonlinear parameter's value by which it is moved to see what that does to the torque."""
 ALONE = 1e-9
 """What is left of that beside all linear columns, relative to its size (squared), below which the
-shape is not told.
+nonlinear parameter is not told.
 """
 
 
 @dataclass(frozen=True, slots=True)
-class ShapePlace:
-    """A shape at a joint (counted from 0), such as the velocity of stribeck."""
+class NonlinearPlace:
+    """A nonlinear parameter at a joint (counted from 0), such as the velocity of stribeck."""
 
     term: str
-    shape: str
+    parameter: str
     joint: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShapeErrors:
-    """Hold the values and standard errors (m,) of fitted shapes, and what these add to the
-    covariance (p, p) of the linear parameters; NaN where a shape is not told.
+class NonlinearErrors:
+    """Hold the values and standard errors (m,) of fitted nonlinear parameters, and what these add to the
+    covariance (p, p) of the linear parameters; NaN where a nonlinear parameter is not told.
     """
 
-    places: tuple[ShapePlace, ...]
+    places: tuple[NonlinearPlace, ...]
     values: Array
     std_errors: Array
     covariance: Array
 
     def sentence(self, joint_names: Sequence[str]) -> str:
-        """Say how well each shape is told."""
+        """Say how well each nonlinear parameter is told."""
         parts: dict[str, list[str]] = {}
         for place, value, error in zip(self.places, self.values, self.std_errors, strict=True):
             shown = (
@@ -65,46 +65,46 @@ class ShapeErrors:
                 if np.isfinite(error)
                 else f"{value:.3g} (not told)"
             )
-            parts.setdefault(f"{place.shape} of {place.term}", []).append(
+            parts.setdefault(f"{place.parameter} of {place.term}", []).append(
                 f"{joint_names[place.joint]} {shown}"
             )
         listed = "; ".join(f"{what} {', '.join(each)}" for what, each in parts.items())
-        return f"Standard errors count what the shapes, fitted along, leave open: {listed}."
+        return f"Standard errors count what the nonlinear parameters, fitted along, leave open: {listed}."
 
 
-def shape_errors(
+def nonlinear_errors(
     model: RobotModel,
     base: BaseParameters,
     estimate: Estimate,
     samples: Sequence[Samples],
-    places: Sequence[ShapePlace],
+    places: Sequence[NonlinearPlace],
     *,
     textbook: bool = False,
     block_seconds: float | None = None,
-) -> ShapeErrors:
-    """Judge shapes that were fitted along with an estimate, to first order.
+) -> NonlinearErrors:
+    """Judge nonlinear parameters that were fitted along with an estimate, to first order.
 
-    With `C` the change of the weighted torque per shape, `W` the weighted columns and `C' = C - W
-    (W^T W)^-1 W^T C`, shapes have the covariance `V = (C'^T C')^-1`, each error grown to what time
+    With `C` the change of the weighted torque per parameter, `W` the weighted columns and `C' = C - W
+    (W^T W)^-1 W^T C`, nonlinear parameters have the covariance `V = (C'^T C')^-1`, each error grown to what time
     blocks say (`sum_b (C'^T e)_b^2`), unless those of a `textbook` are asked for. The estimate
-    follows a shape by `G = -(W^T W)^-1 W^T C`, so its covariance grows by `G V G^T`: that of the
+    follows a nonlinear parameter by `G = -(W^T W)^-1 W^T C`, so its covariance grows by `G V G^T`: that of the
     fit with columns `[W C]` (Frisch and Waugh, Econometrica 1, 1933).
     """
-    shaped = {(place.term, place.shape): None for place in places}
+    nonlinear = {(place.term, place.parameter): None for place in places}
     changes, first = (
-        _Changes(base, estimate.beta, list(shaped), model.n_joints),
-        [list(shaped).index((place.term, place.shape)) for place in places],
+        _Changes(base, estimate.beta, list(nonlinear), model.n_joints),
+        [list(nonlinear).index((place.term, place.parameter)) for place in places],
     )
-    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + len(shaped))
+    plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1 + len(nonlinear))
     root, m = estimate.solution.inverse_root, len(places)
     r = root.shape[1]
     at = [[i for i, place in enumerate(places) if place.joint == k] for k in range(model.n_joints)]
     blocks = []
     with one_blas_thread():
-        for stretch in stretches(model, samples, block_seconds):
+        for stretch in sample_blocks(model, samples, block_seconds):
             gram = np.zeros((r + m + 1, r + m + 1))
-            for piece in stretch.pieces(plan, changes.of(stretch.samples)):
-                for k, rows in enumerate(piece):
+            for chunk in stretch.chunks(plan, changes.of(stretch.samples)):
+                for k, rows in enumerate(chunk):
                     p_k = len(plan.support[k])
                     error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
                     seen = np.vstack(
@@ -125,7 +125,7 @@ def shape_errors(
     values = np.array([_value(base.drive, place) for place in places])
     errors = np.full(m, np.nan)
     if not told:
-        return ShapeErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
+        return NonlinearErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
     inverse = np.linalg.inv(left[np.ix_(told, told)])
     noise = np.array(
         [estimate.sigma[places[i].joint] * estimate.weights[places[i].joint] for i in told]
@@ -140,22 +140,22 @@ def shape_errors(
         V = V * np.outer(swell, swell)
     errors[told] = np.sqrt(np.diag(V))
     follows = root @ moved[:, told]
-    return ShapeErrors(tuple(places), values, errors, np.asarray(follows @ V @ follows.T))
+    return NonlinearErrors(tuple(places), values, errors, np.asarray(follows @ V @ follows.T))
 
 
-def _value(drive: DriveSet, place: ShapePlace) -> float:
+def _value(drive: DriveSet, place: NonlinearPlace) -> float:
     return (
         next(term for term in drive.terms if term.key == place.term)
         .at(place.joint)
-        .value(place.shape)
+        .value(place.parameter)
     )
 
 
 class _Changes:
-    """What moving each shape by one unit does to the torque of every joint, to first order."""
+    """What moving each nonlinear parameter by one unit does to the torque of every joint, to first order."""
 
     def __init__(
-        self, base: BaseParameters, beta: Array, shaped: Sequence[tuple[str, str]], n_joints: int
+        self, base: BaseParameters, beta: Array, nonlinear: Sequence[tuple[str, str]], n_joints: int
     ) -> None:
         chi = np.zeros(base.n_standard)
         chi[base.columns] = beta
@@ -164,13 +164,13 @@ class _Changes:
         first = 0
         places = {}
         for term in base.drive.terms:
-            places[term.key] = values[:, first : first + len(term.letters)].ravel()
-            first += len(term.letters)
-        for key, name in shaped:
+            places[term.key] = values[:, first : first + len(term.symbols)].ravel()
+            first += len(term.symbols)
+        for key, name in nonlinear:
             term = next(term for term in base.drive.terms if term.key == key)
             at = np.array([term.at(k).value(name) for k in range(n_joints)])
             sides = [
-                DriveSet((term.with_shapes({name: tuple((at * (1.0 + step)).tolist())}),))
+                DriveSet((term.with_nonlinear({name: tuple((at * (1.0 + step)).tolist())}),))
                 for step in (STEP, -STEP)
             ]
             self._moved.append((sides, places[key], 2.0 * STEP * at))

@@ -78,7 +78,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
     pulls = np.empty((n_blocks, root.shape[1], root.shape[0]))
     weight = np.empty((n_blocks, root.shape[0]))
     with one_blas_thread():
-        for b, (gram, pull) in enumerate(zip(*block_pulls(information, estimate), strict=True)):
+        for b, (gram, pull) in enumerate(zip(*block_scores(information, estimate), strict=True)):
             leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
             score = axes.T @ pull
@@ -132,7 +132,7 @@ def basis_of(
     )
 
 
-def block_pulls(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
+def block_scores(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
     """Return `M_b = S^T W_b^T W_b S` (n_blocks, rank, rank) and `g_b = S^T W_b^T e_b` (n_blocks,
     rank) of every time block, e the weighted residual.
     """

@@ -14,7 +14,7 @@ from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
     margin_is_consistent,
-    pushing_drives,
+    non_passive_drives,
 )
 from asbuilt.identification.estimators.consistent_fit import (
     estimate_consistent,
@@ -26,7 +26,7 @@ from asbuilt.identification.estimators.consistent_fit import (
 from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls
 from asbuilt.identification.estimators.ridge import estimate_ridge, folds
 from asbuilt.identification.estimators.robust import estimate_huber, outlying_share
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 OUTLYING_SHARE = 0.07
@@ -53,7 +53,7 @@ CURE = (
 )
 
 
-def estimate_auto(evidence: Evidence) -> Estimate:
+def estimate_auto(data: EstimationData) -> Estimate:
     """Estimate by the method that rules pick, each on what the one before has left.
 
     1. weighted least squares; `huber` where more than 7 % of the torques lie beyond 4 robust
@@ -68,25 +68,25 @@ def estimate_auto(evidence: Evidence) -> Estimate:
        the weight of CAD is chosen). That bodies are real is certain, that they are near CAD is not,
        so the one is asked not to do harm, the other to do good.
 
-    Where real bodies have the values found, they stay. With `unexcited="refuse"` steps 2 and 3 are
+    Where real bodies have the values found, they stay. With `undetermined="refuse"` steps 2 and 3 are
     left out.
     """
-    estimate = estimate_wls(evidence)
+    estimate = estimate_wls(data)
     reasons = []
-    if evidence.samples is not None:
-        sample = replace(evidence, every=max(1, evidence.information.n_samples // SCREENED))
+    if data.samples is not None:
+        sample = replace(data, every=max(1, data.information.n_samples // SCREENED))
         robust = estimate_huber(sample)
         share, swell = outlying_share(sample, robust)
         if share > OUTLYING_SHARE or swell > OUTLYING_ENERGY:
-            robust = robust if sample.every == 1 else estimate_huber(evidence)
+            robust = robust if sample.every == 1 else estimate_huber(data)
             reasons.append(
                 f"huber, since {100 * share:.2g} % of the torques are outliers and the variance of"
                 f" a joint is {swell:.3g} times the robust one"
             )
             estimate = robust
-    seen = replace(evidence, information=estimate.information or evidence.information, samples=None)
+    seen = replace(data, information=estimate.information or data.information, samples=None)
     solution = estimate.solution
-    if evidence.unexcited != "refuse" and (
+    if data.undetermined != "refuse" and (
         estimate.undetermined or solution.scaled_condition_number > ILL_CONDITIONED
     ):
         why = (
@@ -97,7 +97,7 @@ def estimate_auto(evidence: Evidence) -> Estimate:
         leaning = estimate_ridge(seen)
         reasons.append(f"{leaning.method}, since {why}")
         estimate = _joined(leaning, estimate)
-    if evidence.unexcited != "refuse" and not _possible(evidence, estimate):
+    if data.undetermined != "refuse" and not _possible(data, estimate):
         estimate, why = _real_bodies(seen, estimate)
         reasons.append(why)
     if not reasons:
@@ -120,26 +120,26 @@ def _joined(later: Estimate, earlier: Estimate) -> Estimate:
     )
 
 
-def _possible(evidence: Evidence, estimate: Estimate) -> bool:
+def _possible(data: EstimationData, estimate: Estimate) -> bool:
     """Return whether real bodies and passive drives can have the estimate.
 
     True where that cannot be decided.
     """
-    if pushing_drives(evidence.base, estimate.beta):
+    if non_passive_drives(data.base, estimate.beta):
         return False
     try:
-        return margin_is_consistent(consistency_margin(evidence.base, estimate.beta), estimate.beta)
+        return margin_is_consistent(consistency_margin(data.base, estimate.beta), estimate.beta)
     except AsbuiltError:
         return True
 
 
-def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
+def _real_bodies(seen: EstimationData, free: Estimate) -> tuple[Estimate, str]:
     """Return the fit of real bodies, or the free one where that predicts held-out blocks better by
     more than one standard error, and why.
     """
     information, prior = seen.information, cad_prior(seen.model, seen.base.drive)
-    pushing = pushing_drives(seen.base, free.beta)
-    who = f"{', '.join(pushing)} would push with" if pushing else "no real bodies have"
+    non_passive = non_passive_drives(seen.base, free.beta)
+    who = f"{', '.join(non_passive)} would push with" if non_passive else "no real bodies have"
     energy, n = information.residual_energy(free.beta), information.n_samples
     sigma = np.maximum(
         np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
@@ -189,7 +189,7 @@ def _real_bodies(seen: Evidence, free: Estimate) -> tuple[Estimate, str]:
         f"No real bodies have the values of {free.method}, and real bodies predict worse by more"
         f" than one standard error, {on} ({'; '.join(told)}), so these values were kept. {CURE}"
     )
-    kept = replace(free, warnings=(*free.warnings, ("bodies_refused", refused)))
+    kept = replace(free, warnings=(*free.warnings, ("consistent_fit_rejected", refused)))
     return (
         kept,
         (
@@ -236,7 +236,7 @@ def _strained(
         f"Real bodies follow the data used with {100 * strain:.0f} % more torque error, in noise of"
         f" the joints, than the values of {free.method}, which no bodies have. {CURE}"
     )
-    return replace(real, warnings=(*real.warnings, ("bodies_strained", message)))
+    return replace(real, warnings=(*real.warnings, ("consistent_fit_costly", message)))
 
 
 def _held_out(

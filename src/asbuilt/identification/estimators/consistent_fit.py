@@ -17,7 +17,7 @@ from asbuilt.identification.bodies.body_bounds import (
     non_negative_drives,
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
-from asbuilt.identification.bodies.conic_fit import TINY_PULL, RealBodies, fit_real_bodies
+from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem, fit_consistent_bodies
 from asbuilt.identification.bodies.entropic_fit import (
     DRIVE_RIDGE,
     Coordinates,
@@ -35,7 +35,7 @@ from asbuilt.identification.estimators.prior_weight import WEIGHTS, choose_weigh
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 if TYPE_CHECKING:
-    from asbuilt.identification.information.estimation_data import Evidence
+    from asbuilt.identification.information.estimation_data import EstimationData
 
 Metric = Literal["entropic", "euclidean"]
 
@@ -76,28 +76,28 @@ class ConsistentEstimate(Estimate):
     belief: float = 0.0
 
 
-def estimate_consistent(evidence: Evidence) -> ConsistentEstimate:
+def estimate_consistent(data: EstimationData) -> ConsistentEstimate:
     """Estimate the real bodies and passive drives that fit best.
 
     The conic program, with the tiniest pull to CAD.
     """
-    return fit_consistent(evidence.information, _prior(evidence))
+    return fit_consistent(data.information, _prior(data))
 
 
-def estimate_entropic(evidence: Evidence) -> ConsistentEstimate:
+def estimate_entropic(data: EstimationData) -> ConsistentEstimate:
     """Estimate with an entropic prior around CAD, its weight chosen by held-out time blocks."""
-    return fit_toward_cad(evidence.information, _prior(evidence), metric="entropic")
+    return fit_toward_cad(data.information, _prior(data), metric="entropic")
 
 
-def estimate_euclidean(evidence: Evidence) -> ConsistentEstimate:
+def estimate_euclidean(data: EstimationData) -> ConsistentEstimate:
     """Estimate with a quadratic prior around CAD, its weight chosen by held-out time blocks."""
-    return fit_toward_cad(evidence.information, _prior(evidence), metric="euclidean")
+    return fit_toward_cad(data.information, _prior(data), metric="euclidean")
 
 
-def _prior(evidence: Evidence) -> CadPrior:
-    if evidence.unexcited == "refuse":
-        fit_least_squares(evidence.information, unexcited="refuse")
-    return cad_prior(evidence.model, evidence.base.drive)
+def _prior(data: EstimationData) -> CadPrior:
+    if data.undetermined == "refuse":
+        fit_least_squares(data.information, undetermined="refuse")
+    return cad_prior(data.model, data.base.drive)
 
 
 def fit_consistent(
@@ -116,7 +116,7 @@ def fit_consistent(
     """
     limits = generous_bounds(prior) if bounds is None else bounds
     with one_blas_thread():
-        problem = RealBodies.of(prior, information.base.regrouping, limits)
+        problem = ConicProblem.of(prior, information.base.regrouping, limits)
         w, rounds = _joint_weights(information, problem, weights)
         fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
@@ -133,7 +133,7 @@ def fit_consistent(
             prior,
             w,
             fit.chi,
-            TINY_PULL,
+            TINY_WEIGHT,
             rounds,
             notes,
             lambda factor: problem.fit(factor).chi,
@@ -168,7 +168,7 @@ def fit_toward_cad(
     )
 
     with one_blas_thread():
-        conic = RealBodies.of(prior, base.regrouping, limits)
+        conic = ConicProblem.of(prior, base.regrouping, limits)
         w, rounds = _joint_weights(information, conic, weights)
         path = _EntropicPath(
             EntropicProblem(prior, Coordinates.of(base), limits), _inside(prior, limits)
@@ -249,7 +249,7 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     tighter = BodyBounds(bounds.rows, bounds.offsets - room, bounds.labels)
     p = len(prior.parameters)
     nothing = np.zeros((p + 1, p + 1))
-    return fit_real_bodies(
+    return fit_consistent_bodies(
         prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2
     ).chi
 
@@ -264,7 +264,7 @@ def quietest_noise(information: SquareRootInformation) -> Array:
 
 
 def _joint_weights(
-    information: SquareRootInformation, problem: RealBodies, weights: Array | None
+    information: SquareRootInformation, problem: ConicProblem, weights: Array | None
 ) -> tuple[Array, int]:
     """Return weights per joint, 1 / sigma_k of a consistent fit, and how many rounds it took."""
     if weights is not None:
@@ -321,7 +321,7 @@ def _estimate(
         prior,
         weights,
         chi,
-        WEAKEST_BELIEF if prior_weight <= TINY_PULL else prior_weight,
+        WEAKEST_BELIEF if prior_weight <= TINY_WEIGHT else prior_weight,
     )
     n_rows = information.n_samples * information.n_joints
     factor = information.stacked(weights)

@@ -10,7 +10,7 @@ from scipy.special import fdtri
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.least_squares import Estimate, Weighted, estimate_wls
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.triangular import triangular_factor
 
 SIGNIFICANCE = 0.05
@@ -18,7 +18,7 @@ SIGNIFICANCE = 0.05
 MOST_LISTED = 12
 
 
-def estimate_essential(evidence: Evidence) -> Estimate:
+def estimate_essential(data: EstimationData) -> Estimate:
     """Estimate by weighted least squares, then set parameters to zero one by one, that of least
     effect first, while an F-test allows it.
 
@@ -28,8 +28,8 @@ def estimate_essential(evidence: Evidence) -> Estimate:
     Automation 6, 1990; Hocking, Biometrics 32, 1976 (backward elimination). Weights are those of
     the full fit.
     """
-    information, base = evidence.information, evidence.base
-    start = estimate_wls(evidence)
+    information, base = data.information, data.base
+    start = estimate_wls(data)
     effective = block_uncertainty(information, start).effective_samples
     share = min(1.0, effective / information.n_samples)
     n_rows = information.n_samples * information.n_joints

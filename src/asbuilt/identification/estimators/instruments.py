@@ -20,7 +20,7 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
     solve_factor,
 )
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (
@@ -52,7 +52,7 @@ CONVERGENCE = 1e-2
 """Change of the estimate, in standard errors, at which simulating again is of no use."""
 
 
-def estimate_iv(evidence: Evidence) -> Estimate:
+def estimate_iv(data: EstimationData) -> Estimate:
     """Estimate beta with `Z^T (tau - W beta) = 0`, Z the regressor along a simulated motion, rows
     weighted joint by joint.
 
@@ -66,16 +66,15 @@ def estimate_iv(evidence: Evidence) -> Estimate:
     motion. Noise below it stays in Z: of the bias that part remains. Simulated and estimated in
     turn until the estimate rests.
     """
-    information, base = evidence.information, evidence.base
-    start = estimate_wls(evidence)
+    information, base = data.information, data.base
+    start = estimate_wls(data)
     estimate, moves, iterations = start, np.inf, 0
-    hertz = max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in evidence.batches))
+    hertz = max(LOWEST, BANDWIDTHS * max(_bandwidth(samples) for samples in data.batches))
     while moves > CONVERGENCE and iterations < MOST_ITERATIONS:
         simulated = [
-            follow(evidence.model, base, estimate.beta, samples, hertz)
-            for samples in evidence.batches
+            follow(data.model, base, estimate.beta, samples, hertz) for samples in data.batches
         ]
-        renewed = _instrumented(evidence, start, evidence.rows_of(simulated))
+        renewed = _instrumented(data, start, data.rows_of(simulated))
         moves = float(
             np.max(
                 np.abs(renewed.beta - estimate.beta)
@@ -199,11 +198,11 @@ def _bandwidth(samples: Samples) -> float:
     )
 
 
-def _instrumented(evidence: Evidence, start: Estimate, instruments: Rows) -> Estimate:
+def _instrumented(data: EstimationData, start: Estimate, instruments: Rows) -> Estimate:
     """Return the estimate by two-stage least squares: W projected on Z, then the torque on that."""
-    information, rows, base = evidence.information, evidence.rows, evidence.base
+    information, rows, base = data.information, data.rows, data.base
     p, n, weights = base.n_base, information.n_joints, start.weights
-    prior = None if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+    prior = None if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
     with one_blas_thread():
         growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
         for z, block in zip(instruments, rows, strict=True):
@@ -239,7 +238,7 @@ def _instrumented(evidence: Evidence, start: Estimate, instruments: Rows) -> Est
         solved = reduce_rows(base, information.joint_names, [np.arange(p)] * n, projected())
     return replace(
         fit_least_squares(
-            solved, weights=weights, prior=evidence.prior, unexcited=evidence.unexcited
+            solved, weights=weights, prior=data.prior, undetermined=data.undetermined
         ),
         information=solved,
     )

@@ -19,7 +19,7 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 if TYPE_CHECKING:
-    from asbuilt.identification.information.estimation_data import Evidence
+    from asbuilt.identification.information.estimation_data import EstimationData
 
 Weighting = Literal["joint"]
 Refit = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -243,7 +243,7 @@ def fit_least_squares(
     *,
     weights: Weighting | ArrayLike | None = None,
     prior: ArrayLike | None = None,
-    unexcited: Literal["toward_prior", "refuse"] = "toward_prior",
+    undetermined: Literal["toward_prior", "refuse"] = "toward_prior",
 ) -> Estimate:
     """Estimate beta with `min sum_k weights_k^2 |tau_k - W_k beta|^2`.
 
@@ -253,7 +253,7 @@ def fit_least_squares(
 
     Directions that the recording does not excite are resolved toward `prior` (p,), NaN counting as
     0: the smallest change from it in parameters scaled to equal torque. Raises
-    `IdentifiabilityError`, naming them, where there is no prior or `unexcited` is `"refuse"`, and
+    `IdentifiabilityError`, naming them, where there is no prior or `undetermined` is `"refuse"`, and
     where rows are fewer than parameters.
     """
     n, rows = information.n_joints, information.n_samples
@@ -286,7 +286,7 @@ def fit_least_squares(
             w = renewed
         solution = solve_factor(information.stacked(w), rows * n, toward)
         sigma = _deviation(information, solution.x, solution.inverse_root, w)
-    if solution.rank < information.base.n_base and (toward is None or unexcited == "refuse"):
+    if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
         raise IdentifiabilityError(_refusal(information, solution))
     variance = solution.residual_energy / max(rows * n - solution.rank, 1)
     return Estimate(
@@ -305,17 +305,15 @@ def fit_least_squares(
     )
 
 
-def estimate_ols(evidence: Evidence) -> Estimate:
+def estimate_ols(data: EstimationData) -> Estimate:
     """Estimate by ordinary least squares: every torque counts alike."""
-    return fit_least_squares(
-        evidence.information, prior=evidence.prior, unexcited=evidence.unexcited
-    )
+    return fit_least_squares(data.information, prior=data.prior, undetermined=data.undetermined)
 
 
-def estimate_wls(evidence: Evidence) -> Estimate:
+def estimate_wls(data: EstimationData) -> Estimate:
     """Estimate by least squares with a weight per joint."""
     return fit_least_squares(
-        evidence.information, weights="joint", prior=evidence.prior, unexcited=evidence.unexcited
+        data.information, weights="joint", prior=data.prior, undetermined=data.undetermined
     )
 
 

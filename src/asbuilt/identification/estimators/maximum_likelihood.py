@@ -15,7 +15,7 @@ from asbuilt.identification.estimators.least_squares import (
     noise_floor,
     solve_factor,
 )
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (
@@ -28,7 +28,7 @@ CONVERGENCE = 1e-8
 MOST_ITERATIONS = 100
 
 
-def estimate_ml(evidence: Evidence) -> Estimate:
+def estimate_ml(data: EstimationData) -> Estimate:
     """Estimate beta and the covariance Omega (n, n) of the joints' noise together.
 
     `min N log det Omega + sum_t e_t^T Omega^-1 e_t`.
@@ -39,8 +39,8 @@ def estimate_ml(evidence: Evidence) -> Estimate:
     Source: Zellner, JASA 57, 1962 (seemingly unrelated regressions); Oberhofer & Kmenta,
     Econometrica 42, 1974 (iterated: maximum likelihood).
     """
-    information, rows, base = evidence.information, evidence.rows, evidence.base
-    start = estimate_wls(evidence)
+    information, rows, base = data.information, data.rows, data.base
+    start = estimate_wls(data)
     n, p, n_samples = information.n_joints, base.n_base, information.n_samples
     floor = noise_floor(information)
     every = np.arange(p)
@@ -56,7 +56,7 @@ def estimate_ml(evidence: Evidence) -> Estimate:
             first += len(support) + 1
         stack = np.array(joints)
         beta, whitener, iterations, converged = start.beta, np.eye(n), 0, False
-        prior = None if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
+        prior = None if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
         while not converged and iterations < MOST_ITERATIONS:
             errors = stack @ np.append(-beta, 1.0)
             covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
@@ -84,7 +84,7 @@ def estimate_ml(evidence: Evidence) -> Estimate:
 
         solved = reduce_rows(base, information.joint_names, [every] * n, mixed())
     fitted = fit_least_squares(
-        solved, weights=np.ones(n), prior=evidence.prior, unexcited=evidence.unexcited
+        solved, weights=np.ones(n), prior=data.prior, undetermined=data.undetermined
     )
     deviation = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(deviation, deviation) - np.eye(n)

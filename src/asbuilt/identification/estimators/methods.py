@@ -10,7 +10,7 @@ from asbuilt.errors import UsageError
 
 if TYPE_CHECKING:
     from asbuilt.identification.estimators.least_squares import Estimate
-    from asbuilt.identification.information.estimation_data import Evidence
+    from asbuilt.identification.information.estimation_data import EstimationData
 
 Needs = Literal["information", "samples", "simulation"]
 
@@ -31,15 +31,15 @@ class Method:
     needs: Needs
     home: str
 
-    def estimate(self, evidence: Evidence) -> Estimate:
-        """Return the estimate from the evidence.
+    def estimate(self, data: EstimationData) -> Estimate:
+        """Return the estimate from the data.
 
         Raises `IdentifiabilityError` where that does not suffice.
         """
         module, function = self.home.split(":")
         estimate: Estimate = getattr(
             import_module(f"asbuilt.identification.estimators.{module}"), function
-        )(evidence)
+        )(data)
         return estimate
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.estimators.least_squares import Estimate, Weighted, estimate_wls
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
@@ -16,7 +16,7 @@ RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
 MOST_FOLDS = 8
 
 
-def estimate_ridge(evidence: Evidence) -> Estimate:
+def estimate_ridge(data: EstimationData) -> Estimate:
     """Estimate beta with `min |(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`, D the
     lengths of the weighted columns.
 
@@ -24,13 +24,9 @@ def estimate_ridge(evidence: Evidence) -> Estimate:
     blocks together; none where that predicts best. Parameters on which the description is silent
     are drawn toward zero. Source: Hoerl & Kennard, Technometrics 12, 1970.
     """
-    information = evidence.information
-    start = estimate_wls(evidence)
-    prior = (
-        np.zeros(evidence.base.n_base)
-        if evidence.prior is None
-        else np.nan_to_num(evidence.prior, nan=0.0)
-    )
+    information = data.information
+    start = estimate_wls(data)
+    prior = np.zeros(data.base.n_base) if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
     errors = np.zeros(len(RIDGES))
     with one_blas_thread():
         for learnt, judged in folds(information):

@@ -15,7 +15,7 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
     noise_floor,
 )
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 
@@ -73,7 +73,7 @@ def bisquare_loss(threshold: float = BISQUARE) -> Loss:
     return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
 
 
-def estimate_huber(evidence: Evidence) -> Estimate:
+def estimate_huber(data: EstimationData) -> Estimate:
     """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss,
     by iteratively reweighted least squares.
 
@@ -83,24 +83,24 @@ def estimate_huber(evidence: Evidence) -> Estimate:
     s is less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints
     turn back.
     """
-    return _robust(evidence, "huber", huber_loss(), estimate_wls(evidence))
+    return _robust(data, "huber", huber_loss(), estimate_wls(data))
 
 
-def estimate_bisquare(evidence: Evidence) -> Estimate:
+def estimate_bisquare(data: EstimationData) -> Estimate:
     """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale.
 
     Gross outliers count for nothing.
 
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
-    start = estimate_huber(evidence)
-    return _robust(evidence, "bisquare", bisquare_loss(), start, scale=start.sigma)
+    start = estimate_huber(data)
+    return _robust(data, "bisquare", bisquare_loss(), start, scale=start.sigma)
 
 
 def _robust(
-    evidence: Evidence, name: str, loss: Loss, start: Estimate, scale: Array | None = None
+    data: EstimationData, name: str, loss: Loss, start: Estimate, scale: Array | None = None
 ) -> Estimate:
-    information, rows = evidence.information, evidence.rows
+    information, rows = data.information, data.rows
     root, beta = start.solution.inverse_root / start.weights.max(), start.beta
     floor = noise_floor(information)
     sigma, iterations, converged = start.sigma if scale is None else scale, 0, False
@@ -145,9 +145,9 @@ def _robust(
                     )
                 yield RowBlock(tuple(made), block.time, block.seconds)
 
-        solved = reduce_rows(evidence.base, information.joint_names, rows.support, pseudo())
+        solved = reduce_rows(data.base, information.joint_names, rows.support, pseudo())
     fitted = fit_least_squares(
-        solved, weights=np.sqrt(slope) / sigma, prior=evidence.prior, unexcited=evidence.unexcited
+        solved, weights=np.sqrt(slope) / sigma, prior=data.prior, undetermined=data.undetermined
     )
     outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
     worst = int(np.argmax(outlying))
@@ -197,13 +197,13 @@ def _slope_where_it_counts(
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
-def outlying_share(evidence: Evidence, robust: Estimate) -> tuple[float, float]:
+def outlying_share(data: EstimationData, robust: Estimate) -> tuple[float, float]:
     """Return the share of torques beyond 4 robust standard deviations, and the largest residual
     variance of a joint in robust variances.
     """
     standard = [
         np.concatenate(e) / s
-        for e, s in zip(_residuals(evidence.rows, robust.beta), robust.sigma, strict=True)
+        for e, s in zip(_residuals(data.rows, robust.beta), robust.sigma, strict=True)
     ]
     share = float(np.mean([np.mean(np.abs(r) > OUTLYING) for r in standard]))
     return share, max(float(np.mean(r**2)) for r in standard)

@@ -7,7 +7,7 @@ import numpy as np
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls, rank_tolerance
-from asbuilt.identification.information.estimation_data import Evidence
+from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.triangular import triangular_factor
 
 LARGEST_SHARE = 0.9
@@ -16,10 +16,10 @@ LARGEST_SHARE = 0.9
 1 would be no solution at all.
 """
 EXACT_TERMS = ("Fo",)
-"""Letters of the drive terms whose columns are constants, known without error."""
+"""Symbols of the drive terms whose columns are constants, known without error."""
 
 
-def estimate_total(evidence: Evidence) -> Estimate:
+def estimate_total(data: EstimationData) -> Estimate:
     """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows
     weighted joint by joint, D the column lengths.
 
@@ -31,11 +31,9 @@ def estimate_total(evidence: Evidence) -> Estimate:
     order. Raises `IdentifiabilityError` where torque errors are as large as what the weakest column
     combination adds.
     """
-    information, base = evidence.information, evidence.base
-    start = estimate_wls(evidence)
-    prior = (
-        np.zeros(base.n_base) if evidence.prior is None else np.nan_to_num(evidence.prior, nan=0.0)
-    )
+    information, base = data.information, data.base
+    start = estimate_wls(data)
+    prior = np.zeros(base.n_base) if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
     with one_blas_thread():
         factor = information.stacked(start.weights)
         length = np.linalg.norm(factor[:, :-1], axis=0)

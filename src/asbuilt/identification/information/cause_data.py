@@ -19,7 +19,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import gravity_torque
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import Stretch, stretches
+from asbuilt.identification.information.rows import SampleBlock, sample_blocks
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 
 RICHER_TERMS = ("load_friction", "quadratic", "stribeck")
-"""Friction beyond the plain one whose columns need no fitted shape, or do with the usual one."""
+"""Friction beyond the plain one whose columns need no fitted nonlinear parameter, or do with the usual one."""
 TILTS = ("tilt 1", "tilt 2")
 HELD_BACK = 3
 """Where no recording is held out, every so many blocks of the data used judge what the others say."""
 
 
 @dataclass(frozen=True, eq=False)
-class CauseEvidence:
+class CauseData:
     """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of the data fitted and of
     the data judged by.
 
@@ -84,7 +84,7 @@ class CauseEvidence:
         missing = [name for name in names if name not in index]
         if missing:
             raise ResultError(
-                f"the evidence has no column {missing[0]!r}; identify again with this version"
+                f"the cause data has no column {missing[0]!r}; identify again with this version"
             )
         return np.array([index[name] for name in names], dtype=np.int64)
 
@@ -128,7 +128,7 @@ class CauseEvidence:
         }
 
     @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> CauseEvidence:
+    def from_dict(cls, fields: Mapping[str, Any]) -> CauseData:
         """Rebuild from `as_dict`; raises `ResultError` where that is damaged."""
         try:
             support = tuple(np.array(places, dtype=np.int64) for places in fields["support"])
@@ -155,20 +155,19 @@ class CauseEvidence:
             if isinstance(problem, ResultError):
                 raise
             raise ResultError(
-                f"the evidence of causes is damaged ({type(problem).__name__} {problem}); identify"
-                " again"
+                f"the cause data is damaged ({type(problem).__name__} {problem}); identify again"
             ) from problem
 
 
-def gather_evidence(
+def gather_cause_data(
     model: RobotModel,
     base: BaseParameters,
     fitted: Iterable[Samples],
     judged: Iterable[Samples] = (),
     *,
     block_seconds: float | None = None,
-) -> CauseEvidence:
-    """Go through the samples once more and reduce them to the evidence of causes.
+) -> CauseData:
+    """Go through the samples once more and reduce them to the cause data.
 
     `base` are the base parameters of the result, whose drive terms are all among the columns.
     Without samples to judge by, every third time block of the others is put aside for it. Raises
@@ -196,10 +195,10 @@ def gather_evidence(
     two = _Reduction(plan), _Reduction(plan)
     sources: dict[str, None] = {}
     with one_blas_thread():
-        for stretch in stretches(model, judged, block_seconds):
+        for stretch in sample_blocks(model, judged, block_seconds):
             sources[stretch.samples.source] = None
             two[1].add(stretch, tilted)
-        for number, stretch in enumerate(stretches(model, fitted, block_seconds)):
+        for number, stretch in enumerate(sample_blocks(model, fitted, block_seconds)):
             two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(
                 stretch, tilted
             )
@@ -210,7 +209,7 @@ def gather_evidence(
             f" {two[1].n_samples} to judge by"
         )
     tilts = np.arange(len(names), len(names) + len(TILTS))
-    return CauseEvidence(
+    return CauseData(
         drive=drive,
         joint_names=model.joint_names,
         names=(*names, *TILTS),
@@ -234,13 +233,13 @@ class _Reduction:
         ]
         self.n_samples = 0
 
-    def add(self, stretch: Stretch, tilted: list[RobotModel]) -> None:
+    def add(self, stretch: SampleBlock, tilted: list[RobotModel]) -> None:
         self.n_samples += stretch.n_outputs
         q = stretch.samples.q
-        for piece in stretch.pieces(
+        for chunk in stretch.chunks(
             self._plan, beside=lambda span: [gravity_torque(model, q[span]) for model in tilted]
         ):
-            for growing, rows in zip(self._growing, piece, strict=True):
+            for growing, rows in zip(self._growing, chunk, strict=True):
                 growing.append(rows)
 
     def factors(self) -> tuple[Array, ...]:

@@ -17,18 +17,18 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-Unexcited = Literal["toward_prior", "refuse"]
+Undetermined = Literal["toward_prior", "refuse"]
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class EstimationData:
     """Hold all that an estimator may use.
 
     The robot, the square-root information, the samples behind it and the values by design.
 
     `samples` can be gone through again and again; None where only the information is at hand.
     `prior` (p,) are the base parameters by design, NaN where the description is silent; directions
-    that nothing excites are resolved toward it, or refused (`unexcited`). `every` n gives the rows
+    that nothing excites are resolved toward it, or refused (`undetermined`). `every` n gives the rows
     of each n-th time block alone. `loading` is the robot whose rigid-body torque loads friction
     that depends on it, where that is not `model`.
     """
@@ -37,7 +37,7 @@ class Evidence:
     information: SquareRootInformation
     samples: Iterable[Samples] | None = None
     prior: Array | None = None
-    unexcited: Unexcited = "toward_prior"
+    undetermined: Undetermined = "toward_prior"
     block_seconds: float | None = None
     every: int = 1
     loading: RobotModel | None = None

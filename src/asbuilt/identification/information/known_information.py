@@ -22,7 +22,7 @@ The covariance holds nothing there.
 """
 
 
-def told_directions(result: IdentificationResult) -> tuple[Array, Array, Array]:
+def determined_directions(result: IdentificationResult) -> tuple[Array, Array, Array]:
     """Return scale (p,), variances (r,) and directions V (p, r) of what a result knows.
 
     `information = D V diag(1 / variances) V^T D`, D = diag(scale).
@@ -53,7 +53,7 @@ def known_information(result: IdentificationResult) -> Array:
     which were set and not measured: a further motion may tell them. The standard errors allow for
     correlated residuals, so the information does, too.
     """
-    scale, variances, directions = told_directions(result)
+    scale, variances, directions = determined_directions(result)
     inverse = (directions / variances) @ directions.T
     information: Array = inverse * np.outer(scale, scale)
     return information

@@ -49,7 +49,7 @@ class TimeBlock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
+class SampleBlock:
     """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`, a time
     block of about `seconds` [s].
     """
@@ -75,7 +75,7 @@ class Stretch:
             self.samples.source, float(t[self.first]), float(t[self.last - 1]), self.n_outputs
         )
 
-    def pieces(
+    def chunks(
         self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
     ) -> Iterator[tuple[Array, ...]]:
         """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a
@@ -99,9 +99,9 @@ class Stretch:
             yield tuple(parallel.apply(columns) if parallel else columns for columns in rows)
 
 
-def stretches(
+def sample_blocks(
     model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None
-) -> Iterator[Stretch]:
+) -> Iterator[SampleBlock]:
     """Yield the time blocks of samples, each within one contiguous run.
 
     Raises `IdentifiabilityError` where the joints are others.
@@ -134,7 +134,7 @@ def stretches(
                 continue
             edges = np.linspace(0, n, max(1, round(n / rate / seconds)) + 1).round().astype(int)
             for first, last in pairwise(edges.tolist()):
-                yield Stretch(samples, start, stop, first, last, seconds)
+                yield SampleBlock(samples, start, stop, first, last, seconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,11 +178,14 @@ class Rows:
         kept: list[RowBlock] | None = []
         size = 0
         for stretch in islice(
-            stretches(self._plan.model, self._samples, self._block_seconds), 0, None, self._every
+            sample_blocks(self._plan.model, self._samples, self._block_seconds),
+            0,
+            None,
+            self._every,
         ):
-            pieces = [tuple(rows.copy() for rows in piece) for piece in stretch.pieces(self._plan)]
+            chunks = [tuple(rows.copy() for rows in chunk) for chunk in stretch.chunks(self._plan)]
             block = RowBlock(
-                tuple(np.hstack(parts) for parts in zip(*pieces, strict=True)),
+                tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
                 stretch.time,
                 stretch.seconds,
             )

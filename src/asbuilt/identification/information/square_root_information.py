@@ -25,7 +25,7 @@ from asbuilt.dynamics.batches import available_cores, chosen_threads
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
-from asbuilt.identification.information.rows import RowBlock, Stretch, TimeBlock, stretches
+from asbuilt.identification.information.rows import RowBlock, SampleBlock, TimeBlock, sample_blocks
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
@@ -285,12 +285,12 @@ def accumulate_stream(
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> SquareRootInformation:
-    """Reduce any number of samples, recordings or pieces of one, while they are being read.
+    """Reduce any number of samples, recordings or chunks of one, while they are being read.
 
     Memory does not grow with their number.
 
-    A piece is reduced on its own, so a parallel filter leaves out its margin at the ends of each
-    piece. Beyond 256 blocks, neighbours are merged. Raises `IdentifiabilityError` where nothing is
+    A chunk is reduced on its own, so a parallel filter leaves out its margin at the ends of each
+    chunk. Beyond 256 blocks, neighbours are merged. Raises `IdentifiabilityError` where nothing is
     left after filtering, or the joints are others.
     """
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
@@ -298,7 +298,7 @@ def accumulate_stream(
     pending: deque[Future[_Reduced]] = deque()
     workers = chosen_threads(threads, available_cores())
     with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
-        for stretch in stretches(model, stream, block_seconds):
+        for stretch in sample_blocks(model, stream, block_seconds):
             pending.append(pool.submit(_reduced, plan, stretch))
             gathered.seconds = max(gathered.seconds, stretch.seconds)
             if len(pending) > 2 * workers:
@@ -347,14 +347,14 @@ class _Reduced:
     time: TimeBlock
 
 
-def _reduced(plan: RegressorPlan, stretch: Stretch) -> _Reduced:
+def _reduced(plan: RegressorPlan, stretch: SampleBlock) -> _Reduced:
     growing = [
         GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, stretch.n_outputs))
         for columns in plan.support
     ]
     torque_sum = np.zeros(plan.model.n_joints)
-    for piece in stretch.pieces(plan):
-        for k, rows in enumerate(piece):
+    for chunk in stretch.chunks(plan):
+        for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
             growing[k].append(rows)
     return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, stretch.time)

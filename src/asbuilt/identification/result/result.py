@@ -20,7 +20,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_para
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.identification.errors.error_basis import ErrorBasis
-from asbuilt.identification.information.cause_data import CauseEvidence
+from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.free_values import FreeValues
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.summary import Summary, summarise
@@ -108,7 +108,7 @@ class IdentificationResult:
     | `physically_consistent`, `consistency_margin` | whether any real bodies and passive drives have these base parameters, and how far inside the bodies are; None if unknown |
     | `warnings`, `provenance` | what to know, and how the samples were made |
     | `notes` | what the estimator decided, in sentences |
-    | `evidence` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |
+    | `cause_data` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |
     | `free` | the parameters by weighted least squares alone, by which two results are compared; None where `method` is that |
     """
 
@@ -137,7 +137,7 @@ class IdentificationResult:
     warnings: tuple[IdentificationWarning, ...]
     provenance: tuple[str, ...]
     notes: tuple[str, ...] = ()
-    evidence: CauseEvidence | None = None
+    cause_data: CauseData | None = None
     errors: ErrorBasis = field(default_factory=ErrorBasis)
     free: FreeValues | None = None
 
@@ -290,7 +290,7 @@ class IdentificationResult:
             name: getattr(self, name).tolist()
             for name in ("singular_values", "covariance", "textbook_covariance")
         }
-        whole |= {"evidence": None if self.evidence is None else self.evidence.as_dict()}
+        whole |= {"cause_data": None if self.cause_data is None else self.cause_data.as_dict()}
         whole |= {"free": None if self.free is None else self.free.as_dict()}
         return (
             json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1)
@@ -358,10 +358,10 @@ class IdentificationResult:
                 warnings=tuple(IdentificationWarning(**warning) for warning in whole["warnings"]),
                 provenance=tuple(whole["provenance"]),
                 notes=tuple(whole.get("notes", ())),
-                evidence=(
+                cause_data=(
                     None
-                    if whole.get("evidence") is None
-                    else CauseEvidence.from_dict(whole["evidence"])
+                    if whole.get("cause_data") is None
+                    else CauseData.from_dict(whole["cause_data"])
                 ),
                 errors=ErrorBasis.from_dict(whole.get("errors") or {}),
                 free=None if whole.get("free") is None else FreeValues.from_dict(whole["free"]),

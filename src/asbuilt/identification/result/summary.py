@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.identification.bodies.consistency import pushing_drives
+from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
 from asbuilt.tables import (
@@ -100,8 +100,8 @@ def summarise(result: IdentificationResult) -> Summary:
         if result.validation
         else ""
     )
-    pushing = ", ".join(pushing_drives(result.base, result.estimates))
-    impossible = f"{pushing} BELOW ZERO" if pushing else "IMPOSSIBLE FOR REAL BODIES"
+    non_passive = ", ".join(non_passive_drives(result.base, result.estimates))
+    impossible = f"{non_passive} BELOW ZERO" if non_passive else "IMPOSSIBLE FOR REAL BODIES"
     consistency = {True: "OK", False: impossible, None: "not decided"}[result.physically_consistent]
     condition = (
         f"{significant(result.condition_number)} (scaled"

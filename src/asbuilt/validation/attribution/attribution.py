@@ -272,20 +272,20 @@ def attribute(result: IdentificationResult, cad: RobotModel | None = None) -> At
     joint's squared error is divided by the Shapley value (Shapley, 1953) over the orders that take
     a special cause before the general one that contains it (Faigle & Kern, Int. J. Game Theory 21,
     1992). Tilt and gain are linearised at CAD. Raises `ResultError` where the result carries no
-    evidence.
+    cause data.
     """
-    if result.evidence is None:
+    if result.cause_data is None:
         raise ResultError(
-            f"this result of {result.robot} carries no evidence of causes, which `asbuilt identify`"
+            f"this result of {result.robot} carries no cause data, which `asbuilt identify`"
             " and `run_study` gather from recordings of some seconds at least; identify again with"
             " either"
         )
     with one_blas_thread():
-        return _attributed(CauseFits(result, result.evidence, cad), result)
+        return _attributed(CauseFits(result, result.cause_data, cad), result)
 
 
 def _attributed(fits: CauseFits, result: IdentificationResult) -> Attribution:
-    e = fits.evidence
+    e = fits.cause_data
     weighed = fits.weighed
     cad, whole = fits.fit(frozenset()), fits.chosen
     energy = np.maximum(cad.rms, np.finfo(float).tiny) ** 2

@@ -14,7 +14,7 @@ from scipy.special import fdtrc
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.identification.information.cause_data import TILTS, CauseEvidence
+from asbuilt.identification.information.cause_data import TILTS, CauseData
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.validation.attribution.causes import BEFORE, CAUSE_OF_TERM, CAUSES, Subset
 from asbuilt.validation.prediction import design_values
@@ -95,38 +95,40 @@ class CauseFits:
     """Fit combinations of causes, each once."""
 
     def __init__(
-        self, result: IdentificationResult, evidence: CauseEvidence, cad: RobotModel | None
+        self, result: IdentificationResult, cause_data: CauseData, cad: RobotModel | None
     ) -> None:
-        self.result, self.evidence = result, evidence
+        self.result, self.cause_data = result, cause_data
         self.model = result.model if cad is None else cad
-        n, p = evidence.n_joints, len(evidence.names)
+        n, p = cause_data.n_joints, len(cause_data.names)
         base = result.base
         design = np.nan_to_num(
             result.cad_values if cad is None else design_values(result, cad), nan=0.0
         )
         x = np.zeros(p)
-        x[evidence.places(base.names)] = design
+        x[cause_data.places(base.names)] = design
         self.design = np.concatenate([x, np.zeros(n + 10)])
         links = [name for name, j in zip(base.names, base.columns, strict=True) if j < 10 * n]
-        self.rigid = evidence.places(links)
+        self.rigid = cause_data.places(links)
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
         self.non_negative: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self.names = (
-            *evidence.names,
+            *cause_data.names,
             *(f"gain {k + 1}" for k in range(n)),
             *(f"payload {i}" for i in range(10)),
         )
         self.fitted, self.judged = (
-            [self._widened(factor, x, K, k) for k, factor in enumerate(evidence.whole(factors))]
-            for factors in (evidence.fitted, evidence.judged)
+            [self._widened(factor, x, K, k) for k, factor in enumerate(cause_data.whole(factors))]
+            for factors in (cause_data.fitted, cause_data.judged)
         )
         floor = NOISE_FLOOR * np.sqrt(
-            [float(f[:, -1] @ f[:, -1]) / evidence.n_fitted for f in evidence.fitted]
+            [float(f[:, -1] @ f[:, -1]) / cause_data.n_fitted for f in cause_data.fitted]
         )
         self.floor = np.maximum(floor, np.finfo(float).tiny)
         self.weights = 1.0 / np.maximum(result.sigma, self.floor)
-        self.independent = evidence.n_fitted * min(1.0, result.effective_samples / result.n_samples)
-        self.independent_judged = self.independent * evidence.n_judged / evidence.n_fitted
+        self.independent = cause_data.n_fitted * min(
+            1.0, result.effective_samples / result.n_samples
+        )
+        self.independent_judged = self.independent * cause_data.n_judged / cause_data.n_fitted
         stacked = triangular_factor(
             np.vstack([w * rows for w, rows in zip(self.weights, self.fitted, strict=True)])
         )
@@ -138,7 +140,7 @@ class CauseFits:
             1.0 / USUAL_GAIN,
             1.0 / USUAL_TILT,
         )
-        belief = self.belief * np.sqrt(evidence.n_fitted / self.independent)
+        belief = self.belief * np.sqrt(cause_data.n_fitted / self.independent)
         self.length = np.where(self.present, np.hypot(length, belief), 1.0)
         scaled, belief = stacked[:, :-1] / self.length, belief / self.length
         self.gram, self.right = scaled.T @ scaled + np.diag(belief**2), scaled.T @ stacked[:, -1]
@@ -146,33 +148,33 @@ class CauseFits:
         self._known: dict[Subset, CauseModel] = {}
 
     def _widened(self, rows: Array, x: Array, K: Array, joint: int) -> Array:
-        """Columns of the evidence, a gain per joint, ten of a payload.
+        """Columns of the cause data, a gain per joint, ten of a payload.
 
         Last the torque less that of CAD.
         """
         A = rows[:, :-1]
-        n = self.evidence.n_joints
+        n = self.cause_data.n_joints
         gains = np.zeros((len(rows), n))
         gains[:, joint] = A @ x
         return np.hstack([A, gains, A[:, self.rigid] @ K, (rows[:, -1] - A @ x)[:, None]])
 
     def _columns(self) -> dict[str, Indices]:
-        n, names = self.evidence.n_joints, list(self.names)
+        n, names = self.cause_data.n_joints, list(self.names)
         found: dict[str, list[int]] = {cause: [] for cause in CAUSES}
         found["links"] = self.rigid.tolist()
-        for term in self.evidence.drive.terms:
-            letters = [f"{letter}{k + 1}" for k in range(n) for letter in term.letters]
+        for term in self.cause_data.drive.terms:
+            symbols = [f"{symbol}{k + 1}" for k in range(n) for symbol in term.symbols]
             found[CAUSE_OF_TERM.get(term.key, "richer friction")] += [
-                names.index(letter) for letter in letters
+                names.index(symbol) for symbol in symbols
             ]
         found["mounting"] = [names.index(name) for name in TILTS]
         found["gain"] = [names.index(f"gain {k + 1}") for k in range(n)]
         found["payload"] = [names.index(f"payload {i}") for i in range(10)]
         self.non_negative = np.zeros(len(names), dtype=bool)
-        for term in self.evidence.drive.terms:
+        for term in self.cause_data.drive.terms:
             if CAUSE_OF_TERM.get(term.key) in ("friction", "armature"):
                 self.non_negative[
-                    [names.index(f"{letter}{k + 1}") for k in range(n) for letter in term.letters]
+                    [names.index(f"{symbol}{k + 1}") for k in range(n) for symbol in term.symbols]
                 ] = True
         return {cause: np.array(sorted(places), dtype=np.int64) for cause, places in found.items()}
 
@@ -211,7 +213,7 @@ class CauseFits:
         return self._known[causes]
 
     def _judged(self, causes: Subset, x: Array, spread: Array, rank: int, told: int) -> CauseModel:
-        e = self.evidence
+        e = self.cause_data
         rms_fitted = _rms(self.fitted, x, e.n_fitted)
         n_rows = self.independent * e.n_joints
         energy = (
@@ -252,7 +254,7 @@ class CauseFits:
         causes not yet taken up do not hide it.
         """
         models = [self.fit(frozenset(self.causes[:place])) for place in range(len(self.causes) + 1)]
-        n_rows = self.independent * self.evidence.n_joints
+        n_rows = self.independent * self.cause_data.n_joints
         whole = next((model for model in reversed(models) if model.told < n_rows), models[0])
         left = n_rows - whole.told
         found = [Step("CAD", models[0].rms, models[0].rms_fitted, 0, models[0].bic, np.nan, np.nan)]
@@ -386,13 +388,13 @@ class CauseFits:
         of the drop |e|^2 - |e - sum_S y|^2 is y_i . (e + r).
         """
         sizes = self.sizes(weighed)
-        found = {cause: np.zeros(self.evidence.n_joints) for cause in weighed}
+        found = {cause: np.zeros(self.cause_data.n_joints) for cause in weighed}
         for k, rows in enumerate(self.judged):
             torque = {cause: rows[:, :-1] @ size for cause, size in sizes.items()}
             e = rows[:, -1]
             both = 2.0 * e - np.sum(list(torque.values()), axis=0) if torque else e
             for cause, y in torque.items():
-                found[cause][k] = float(y @ both) / self.evidence.n_judged
+                found[cause][k] = float(y @ both) / self.cause_data.n_judged
         return found
 
     def alike(self, shares: Mapping[str, Array]) -> tuple[tuple[str, str], ...]:

@@ -59,7 +59,7 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
         ]
         turned = " and ".join(
             f"{tilt} about {_axis(axis)}"
-            for tilt, axis in zip(tilts, fits.evidence.tilt_axes, strict=True)
+            for tilt, axis in zip(tilts, fits.cause_data.tilt_axes, strict=True)
         )
         sure = np.any(
             np.abs(fits.chosen.values[place]) >= SIGNIFICANT_SIGMAS * fits.chosen.std_errors[place]
@@ -70,7 +70,7 @@ def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, 
     if "gain" in weighed:
         told = [
             (name, 100 * fits.chosen.values[j], 100 * fits.chosen.std_errors[j])
-            for name, j in zip(fits.evidence.joint_names, fits.columns["gain"], strict=True)
+            for name, j in zip(fits.cause_data.joint_names, fits.columns["gain"], strict=True)
         ]
         listed = ", ".join(
             f"{name} {g:+.1f} +/- {e:.1f} %"
@@ -134,7 +134,7 @@ def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) 
     """
     unit = torque_units(fits.result.model)[k]
     head = (
-        f"{fits.evidence.joint_names[k]}: CAD is off by"
+        f"{fits.cause_data.joint_names[k]}: CAD is off by"
         f" {significant(float(fits.fit(frozenset()).rms[k]))} {unit} RMS"
     )
     return f"{head}; {reason(fits, k, shares, left)}."
@@ -178,8 +178,8 @@ def _amount(fits: CauseFits, cause: str, k: int) -> str:
     unit = torque_units(fits.result.model)[k]
     size = fits.sizes(fits.weighed)[cause]
 
-    def value(letter: str) -> float:
-        name = f"{letter}{k + 1}"
+    def value(symbol: str) -> float:
+        name = f"{symbol}{k + 1}"
         return float(size[names.index(name)]) if name in names else 0.0
 
     if cause == "payload":

@@ -39,7 +39,7 @@ class ComparedParameter:
     `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery`
     (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque` is what the
     difference costs every joint on the motion judged by, RMS, `torque_total` all joints together,
-    `torque_own` the part that no other parameter could make up for; None without evidence.
+    `torque_own` the part that no other parameter could make up for; None without cause data.
     `matters` says whether some joint would notice that part; where it would notice only the whole,
     `shared_with` names the parameters that could make up for the rest, which the recording hardly
     tells apart. `"dropped"` is one that the estimator set to zero as needless: it has no error and

@@ -11,7 +11,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.identification.information.cause_data import CauseEvidence
+from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant, stacked
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
@@ -246,7 +246,7 @@ def compare(
     the same geometry.
 
     `validation` gives the torque errors to put side by side (made with the same `cad`); without it
-    the result's own metrics serve, or for another `cad` those of the evidence that the result
+    the result's own metrics serve, or for another `cad` those of the cause data that the result
     carries. A parameter differs where its false discovery rate is at most `level`. `tolerance` is
     what CAD is believed to know.
     """
@@ -261,13 +261,13 @@ def compare(
     discovery, strict = benjamini_hochberg(p_values), holm(p_values)
     cost = (
         None
-        if result.evidence is None
-        else torque_cost(result.evidence, result.base, result.estimates - values)
+        if result.cause_data is None
+        else torque_cost(result.cause_data, result.base, result.estimates - values)
     )
     left = (
         None
-        if result.evidence is None
-        else result.evidence.error_of(result.base.names, result.estimates)
+        if result.cause_data is None
+        else result.cause_data.error_of(result.base.names, result.estimates)
     )
     words = in_words(result.base)
     compared, place = [], 0
@@ -348,7 +348,7 @@ def compare(
         tolerance_needed=None if held is None else held.needed,
         beyond_tolerance=() if held is None else held.beyond,
         errors=result.errors_sentence,
-        judged_by="" if result.evidence is None else recording_name(result.evidence.judged_by),
+        judged_by="" if result.cause_data is None else recording_name(result.cause_data.judged_by),
     )
 
 
@@ -383,11 +383,13 @@ def _paired(
             (result.cad if metrics.source == result.cad.source else None, metrics)
             for metrics in measured
         )
-    if result.evidence is None or not result.validation:
+    if result.cause_data is None or not result.validation:
         return tuple((None, metrics) for metrics in measured)
     return (
         (
-            _evident_metrics(result, result.evidence, np.nan_to_num(values, nan=0.0), measured[0]),
+            _evident_metrics(
+                result, result.cause_data, np.nan_to_num(values, nan=0.0), measured[0]
+            ),
             measured[0],
         ),
         *((None, m) for m in measured[1:]),
@@ -395,21 +397,21 @@ def _paired(
 
 
 def _evident_metrics(
-    result: IdentificationResult, evidence: CauseEvidence, beta: Array, like: TorqueMetrics
+    result: IdentificationResult, cause_data: CauseData, beta: Array, like: TorqueMetrics
 ) -> TorqueMetrics:
     """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell
     them.
     """
-    rms = evidence.error_of(result.base.names, beta)
-    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in evidence.judged]) / np.sqrt(
-        evidence.n_judged
+    rms = cause_data.error_of(result.base.names, beta)
+    torque = np.array([np.linalg.norm(factor[:, -1]) for factor in cause_data.judged]) / np.sqrt(
+        cause_data.n_judged
     )
     unknown = np.full(len(rms), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         return TorqueMetrics(
             source=like.source,
             joint_names=like.joint_names,
-            n_samples=evidence.n_judged,
+            n_samples=cause_data.n_judged,
             rms=rms,
             max_abs=unknown,
             r_squared=unknown,

@@ -62,7 +62,7 @@ class ParameterChange:
     """One base parameter in two results.
 
     Values, errors, their difference in its standard errors, tests, and the RMS torque it makes
-    (None without evidence).
+    (None without cause data).
 
     `changed` says that it did beyond doubt, `matters` that some joint notices what of its change no
     other parameter could make up for; where a joint notices only the whole, `shared_with` names the
@@ -95,7 +95,7 @@ class ParameterChange:
 class Drift:
     """Hold what changed from one result to another of the same robot.
 
-    `sentences` say it joint by joint, `joints` what it does to the torque (empty without evidence).
+    `sentences` say it joint by joint, `joints` what it does to the torque (empty without cause data).
 
     `of_models` says that the two are models of one robot at one time, which differ where those of
     two dates have changed.
@@ -296,11 +296,11 @@ def compare_results(
     tests[:, tested] = sigmas, p_values, benjamini_hochberg(p_values), holm(p_values)
     cost = left = None
     joints: tuple[JointChange, ...] = ()
-    if after.evidence is not None:
+    if after.cause_data is not None:
         whole = np.zeros(after.n_base)
         whole[two] = difference
-        cost = torque_cost(after.evidence, after.base, whole)
-        left = after.evidence.error_of(after.base.names, after.estimates)
+        cost = torque_cost(after.cause_data, after.base, whole)
+        left = after.cause_data.error_of(after.base.names, after.estimates)
         joints = joint_changes(after, names, difference, covariance)
     words = in_words(after.base)
     changed = tests[2] <= level
@@ -366,7 +366,7 @@ def compare_results(
 def _other_drives(
     before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Say first of all where the two have other drive terms, or the same with other shapes or at
+    """Say first of all where the two have other drive terms, or the same with other nonlinear parameters or at
     other joints: each makes up for what it lacks with what it has.
     """
     one, two = (
@@ -379,15 +379,15 @@ def _other_drives(
         for label, own, others in zip(labels, (one, two), (two, one), strict=True)
     ]
     parts = [f"only {label} has {', '.join(keys)}" for label, keys in alone if keys]
-    reshaped = [key for key, term in one.items() if two.get(key, term) != term]
+    changed = [key for key, term in one.items() if two.get(key, term) != term]
     parts += (
-        [f"both have {', '.join(reshaped)}, with other shapes or at other joints"]
-        if reshaped
+        [f"both have {', '.join(changed)}, with other nonlinear parameters or at other joints"]
+        if changed
         else []
     )
     left_out = (
         "Terms that only one has are left out here, and the others make up for them"
-        if len(parts) > len(reshaped[:1])
+        if len(parts) > len(changed[:1])
         else "The other terms make up for that"
     )
     richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
@@ -426,8 +426,8 @@ def _friction(
     found = []
     for k, joint in enumerate(result.joint_names):
         parts = []
-        for letter, what in words.items():
-            change = by_name.get(f"{letter}{k + 1}")
+        for symbol, what in words.items():
+            change = by_name.get(f"{symbol}{k + 1}")
             if change is None or not change.changed:
                 continue
             growth = (

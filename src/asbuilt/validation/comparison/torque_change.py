@@ -48,17 +48,15 @@ def joint_changes(
     """Return what differences of named parameters, of that covariance, do to the torque of every
     joint on the motion that a result was judged by.
 
-    Raises ResultError where the result carries no evidence.
+    Raises ResultError where the result carries no cause data.
     """
-    evidence = result.evidence
-    if evidence is None:
-        raise ResultError(
-            f"the result of {result.robot} carries no evidence of its recordings; identify again"
-        )
-    places = evidence.places(names)
+    cause_data = result.cause_data
+    if cause_data is None:
+        raise ResultError(f"the result of {result.robot} carries no cause data; identify again")
+    places = cause_data.places(names)
     rows = [
-        factor[:, [*places, -1]] / np.sqrt(evidence.n_judged)
-        for factor in evidence.whole(evidence.judged)
+        factor[:, [*places, -1]] / np.sqrt(cause_data.n_judged)
+        for factor in cause_data.whole(cause_data.judged)
     ]
     spreads = [row[:, :-1] @ covariance @ row[:, :-1].T for row in rows]
     chances = [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.identification.information.cause_data import CauseEvidence
+from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.information.triangular import triangular_factor
 
 if TYPE_CHECKING:
@@ -76,12 +76,12 @@ class TorqueCost:
         return (tuple(names[k] for k in self.partners[j]) or (SEVERAL,)) if shared else ()
 
 
-def torque_cost(evidence: CauseEvidence, base: BaseParameters, difference: Array) -> TorqueCost:
+def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) -> TorqueCost:
     """Return what differences (p,) of base parameters cost; NaN counts as none."""
-    places = evidence.places(base.names)
+    places = cause_data.places(base.names)
     d = np.nan_to_num(difference, nan=0.0)
-    rows = [factor[:, places] for factor in evidence.whole(evidence.judged)]
-    n = evidence.n_judged
+    rows = [factor[:, places] for factor in cause_data.whole(cause_data.judged)]
+    n = cause_data.n_judged
     torque = np.array([np.linalg.norm(W, axis=0) for W in rows]).T * np.abs(d)[:, None] / np.sqrt(n)
     stacked = triangular_factor(np.vstack(rows))
     length = np.linalg.norm(stacked, axis=0)

@@ -24,7 +24,7 @@ ASKEW = np.deg2rad(0.5)
 """Tilt of the mounting [rad] from which it is said so."""
 RELIEF = 0.02
 """Part of the torque residual that a tilt found has to take away to be spoken of."""
-BADLY_FITTING = ("bodies_strained", "bodies_refused")
+BADLY_FITTING = ("consistent_fit_costly", "consistent_fit_rejected")
 """Warnings of an automatic choice where something acts that real bodies cannot follow,"""
 SEARCHED = 30_000
 """for which, up to so many samples, it is looked whether the robot stands askew, and for springs."""
@@ -76,7 +76,7 @@ def _mounting(
 def _mounting_doubted(
     result: IdentificationResult, tilt: float, stands: Mounting | None
 ) -> IdentificationResult:
-    if stands is not None and stands.is_askew and stands.relief > RELIEF:
+    if stands is not None and stands.is_tilted and stands.relief > RELIEF:
         message = (
             f"The robot seems to stand askew by {np.rad2deg(stands.angle):.1f} deg, which values"
             f" that no bodies have imitate and real bodies cannot follow: {stands.sentence}. Check"
@@ -105,7 +105,7 @@ def _springs_suspected(
     """Say where springs that no file describes would explain what real bodies cannot follow, on a
     robot that stands as it was found to.
     """
-    askew = stands is not None and stands.is_askew
+    askew = stands is not None and stands.is_tilted
     model = stands.model if stands is not None and askew else result.model
     springs = suspected_springs(model, learning, drive, block_seconds=block_seconds)
     if not springs:

@@ -74,15 +74,15 @@ def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> Ro
 def _torque_information(result: IdentificationResult) -> Array:
     """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used.
 
-    From the evidence, or else the inverse of the textbook covariance.
+    From the cause data, or else the inverse of the textbook covariance.
     """
-    if result.evidence is not None:
-        places = result.evidence.places(result.base.names)
+    if result.cause_data is not None:
+        places = result.cause_data.places(result.base.names)
         quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
         rows = [
             factor[:, places] / max(float(sigma), quietest)
             for factor, sigma in zip(
-                result.evidence.whole(result.evidence.fitted), result.sigma, strict=True
+                result.cause_data.whole(result.cause_data.fitted), result.sigma, strict=True
             )
         ]
         return np.asarray(sum(R.T @ R for R in rows))
@@ -99,7 +99,7 @@ def _torque_information(result: IdentificationResult) -> Array:
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
     """Return a robot with other standard parameters (n_standard,), and these drive terms with their
-    values and shapes in place of its own; friction that is below zero by rounding is zero.
+    values and nonlinear parameters in place of its own; friction that is below zero by rounding is zero.
     """
     rigid = 10 * model.n_joints
     robot = model.with_parameters(parameters[:rigid])
@@ -116,12 +116,12 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
         plain: dict[str, float] = {}
         terms: dict[str, dict[str, float]] = {}
         for term in drive.at(k).terms:
-            own, left = left[: len(term.letters)], left[len(term.letters) :]
+            own, left = left[: len(term.symbols)], left[len(term.symbols) :]
             if term.key in PLAIN_TERMS and term.is_at(k):
                 plain[term.key] = own[0]
             elif term.is_at(k) and (turned[k] or not term.of_motor):
-                terms[term.key] = dict(zip(term.letters, own, strict=True)) | {
-                    shape.name: term.value(shape.name) for shape in term.shapes
+                terms[term.key] = dict(zip(term.symbols, own, strict=True)) | {
+                    parameter.name: term.value(parameter.name) for parameter in term.nonlinear
                 }
         joints.append(
             replace(

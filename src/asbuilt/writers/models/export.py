@@ -41,7 +41,7 @@ class Export:
 
     `cost` holds a model that is only the nearest possible against the identified one, on the
     recordings; None where the identified torques are kept exactly, or the result carries no
-    evidence. `beyond` says how far apart the two are where no recording was.
+    cause data. `beyond` says how far apart the two are where no recording was.
     """
 
     robot: str

@@ -13,7 +13,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.errors import InertiaError
 from asbuilt.identification.bodies.cad_prior import cad_prior
-from asbuilt.identification.bodies.inconsistency import why_impossible
+from asbuilt.identification.bodies.inconsistency import find_inconsistency
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import SIGNIFICANT_SIGMAS, significant
 from asbuilt.validation.comparison.significance import chi_square
@@ -48,11 +48,11 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
                 }[name]
                 reasons.append(f"joint {number}: {what} is {value:.4g}; it must not be negative")
         reasons += [
-            f"joint {number}: {key} {letter} is {numbers[letter]:.4g}; it must not be negative"
+            f"joint {number}: {key} {symbol} is {numbers[symbol]:.4g}; it must not be negative"
             for key, numbers in joint.drive.terms.items()
             if (term := available_terms().get(key)) is not None and term.non_negative
-            for letter in term.letters
-            if numbers.get(letter, 0.0) < 0.0
+            for symbol in term.symbols
+            if numbers.get(symbol, 0.0) < 0.0
         ]
     return tuple(reasons)
 
@@ -142,7 +142,7 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
     covariance[dropped, dropped] = (
         UNKNOWN * (np.abs(result.base.regrouping) @ np.abs(prior.parameters))[dropped]
     ) ** 2
-    proof = why_impossible(result.base, prior, result.estimates, covariance)
+    proof = find_inconsistency(result.base, prior, result.estimates, covariance)
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
     zero = (
@@ -156,7 +156,7 @@ def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn
     """Raise `InertiaError` where the nearest possible robot, of base parameters beta (p,), predicts
     the recordings badly.
 
-    `cost` says so joint by joint; without it, as the result carries no evidence, the growth of the
+    `cost` says so joint by joint; without it, as the result carries no cause data, the growth of the
     error on the data used does.
     """
     head = (

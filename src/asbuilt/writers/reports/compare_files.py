@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 class CadVerdict:
     """Hold a result against CAD.
 
-    The comparison, why CAD is off (None without evidence) and what the recording determines.
+    The comparison, why CAD is off (None without cause data) and what the recording determines.
     """
 
     comparison: Comparison
@@ -65,7 +65,7 @@ class CadVerdict:
 def write_comparison(
     folder: Path, result: IdentificationResult, verdict: CadVerdict
 ) -> dict[str, Path]:
-    """Write comparison.csv, comparison.txt, comparison.html and, where the evidence allows,
+    """Write comparison.csv, comparison.txt, comparison.html and, where the cause data allows,
     attribution.csv and the figures; returns their paths by kind.
     """
     files = {

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 UNTOLD = (
     "Why CAD is off, and what differences cost in torque, is not told: the result carries no"
-    " evidence of its recordings (too short, or identified without a study)."
+    " cause data (too short, or identified without a study)."
 )
 """Said where there is no attribution."""
 

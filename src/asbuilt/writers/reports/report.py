@@ -82,12 +82,12 @@ def report_html(
 
     `validations` are predictions of data not used for fitting, by which the model is judged;
     `fitted` are predictions of the data used, which the plots show too. `attribution` says why CAD
-    is off; it is worked out where none is given and the result carries the evidence. `payload` is
+    is off; it is worked out where none is given and the result carries the cause data. `payload` is
     what the flange carries, where that was identified too. `command` is the command line that
     repeats the identification.
     """
     comparison = compare(result, validation=validations or None)
-    if attribution is None and result.evidence is not None:
+    if attribution is None and result.cause_data is not None:
         attribution = attribute(result)
     shown = [*validations, *fitted]
     analyses = [item.residuals() for item in shown]

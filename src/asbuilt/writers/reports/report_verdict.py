@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from asbuilt.identification.bodies.consistency import pushing_drives
+from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share, significant
@@ -106,7 +106,7 @@ def _consistency(result: IdentificationResult) -> Finding:
             "physically",
             "Rigid bodies with these parameters exist, so a simulator can use the model.",
         )
-    pushing = ", ".join(pushing_drives(result.base, result.estimates))
+    pushing = ", ".join(non_passive_drives(result.base, result.estimates))
     who = (
         f"Drives would push: {pushing} {'are' if ',' in pushing else 'is'} below zero"
         if pushing

@@ -99,8 +99,7 @@ def _gain_notes(payload: Payload) -> list[str]:
         ""
         if payload.gains_by_evidence
         else (
-            " The result kept no evidence of its recordings, so what gains do to the centre may"
-            " come out too small."
+            " The result kept no cause data, so what gains do to the centre may come out too small."
         )
     )
     leading = [joints[k] for k in np.argsort(-weight)[:3] if weight[k] > 0.25 * weight.max()]
