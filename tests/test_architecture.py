@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tomllib
 from graphlib import TopologicalSorter
+from importlib import import_module
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -144,26 +145,40 @@ def test_every_package_that_is_imported_is_declared() -> None:
             )
 
 
-def test_public_names_are_the_same_for_readers_checkers_and_importers() -> None:
-    """The imports that type checkers see, the table that loads a name on first use, and `__all__`,
-    which documents it.
-    """
-    told: dict[str, str] = {}
-    for node in ast.walk(ast.parse((SOURCE / "__init__.py").read_text())):
-        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("asbuilt."):
-            told |= {alias.name: str(node.module).removeprefix("asbuilt.") for alias in node.names}
-    assert told == asbuilt._HOME
-    assert asbuilt.__all__ == sorted(told)
-    for name, home in told.items():
-        value = getattr(asbuilt, name)
-        assert value.__module__ == f"asbuilt.{home}"
+def public_names(package: str) -> dict[str, str]:
+    """Public names of a package and the module that owns each, from its stub."""
+    stub = SOURCE.joinpath(*package.split(".")[1:], "__init__.pyi")
+    names: dict[str, str] = {}
+    for node in ast.parse(stub.read_text()).body:
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 1
+            for alias in node.names:
+                assert alias.asname == alias.name, f"{stub}: write {alias.name} as {alias.name}"
+                names[alias.name] = f"{package}.{node.module}"
+    return names
+
+
+@pytest.mark.parametrize("package", ["asbuilt", *(f"asbuilt.{stage}" for stage in STAGES)])
+def test_public_names_load_from_the_modules_of_the_stub(package: str) -> None:
+    loaded, names = import_module(package), public_names(package)
+    assert loaded.__all__ == sorted(names)
+    for name, home in names.items():
+        value = getattr(loaded, name)
+        assert value.__module__ == home
         assert value.__doc__
+
+
+def test_stage_names_that_asbuilt_exposes_are_public_in_their_stage() -> None:
+    for name, home in public_names("asbuilt").items():
+        if home.split(".")[1] in STAGES:
+            assert public_names(".".join(home.split(".")[:2])).get(name) == home, name
+
+
+def test_version_is_one() -> None:
     project = SOURCE.parents[1]
-    assert (
-        asbuilt.__version__
-        == tomllib.loads((project / "pyproject.toml").read_text())["project"]["version"]
-    )
-    assert f"version: {asbuilt.__version__}\n" in (project / "CITATION.cff").read_text()
+    declared = tomllib.loads((project / "pyproject.toml").read_text())["project"]["version"]
+    assert asbuilt.__version__ == declared
+    assert f"version: {declared}\n" in (project / "CITATION.cff").read_text()
 
 
 @pytest.mark.parametrize(

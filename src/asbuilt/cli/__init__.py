@@ -1,3 +1,1 @@
-"""The command line: one file per group of commands, the demonstration and the reproduction of the
-2015 paper.
-"""
+"""The command line: one file per group of commands, the demonstration and the 2015 paper."""

@@ -1,4 +1,5 @@
-"""What is true before any measurement.
+"""Equations of motion, their regressor, base parameters and drives: before any measurement."""
 
-Equations of motion, their regressor, drives and base parameters.
-"""
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

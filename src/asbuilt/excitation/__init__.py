@@ -1,1 +1,5 @@
-"""How to move: motions, their limits and their files."""
+"""How to move: motions, their limits, and the design of the most informative one."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

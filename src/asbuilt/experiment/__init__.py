@@ -1,1 +1,5 @@
-"""From motion to samples."""
+"""From motion to samples: recordings, their checks, the signal chain and virtual robots."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
-"""Find the base parameters from samples, with their errors and their verdict."""
+"""From samples to numbers: estimates with standard errors, and what can be calibrated."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

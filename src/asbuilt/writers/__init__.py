@@ -1,1 +1,5 @@
-"""Tell the world: figures, the HTML report, tables as CSV and JSON, robot files."""
+"""Files of results: models, programs, reports, tables, figures and pictures."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

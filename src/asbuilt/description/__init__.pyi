@@ -1,0 +1,15 @@
+from .cad.meshes import link_from_meshes as link_from_meshes
+from .cad.meshes import mesh_inertia as mesh_inertia
+from .cad.table import read_cad_table as read_cad_table
+from .catalogue import bundled_robot as bundled_robot
+from .catalogue import robot_names as robot_names
+from .formats.dh import DHRow as DHRow
+from .formats.dh import robot_from_dh as robot_from_dh
+from .inertia import LinkInertia as LinkInertia
+from .load import load_robot as load_robot
+from .model import Frame as Frame
+from .model import Geometry as Geometry
+from .model import Joint as Joint
+from .model import JointLimits as JointLimits
+from .model import Link as Link
+from .model import RobotModel as RobotModel

@@ -1,0 +1,14 @@
+from .attribution.attribution import Attribution as Attribution
+from .attribution.attribution import attribute as attribute
+from .comparison.cad_tolerance import CadTolerance as CadTolerance
+from .comparison.comparison import Comparison as Comparison
+from .comparison.comparison import compare as compare
+from .comparison.drift import Drift as Drift
+from .comparison.drift import compare_results as compare_results
+from .prediction import Validation as Validation
+from .prediction import validate as validate
+from .prediction import validate_description as validate_description
+from .recovery import Recovery as Recovery
+from .recovery import compare_with_truth as compare_with_truth
+from .residuals import ResidualAnalysis as ResidualAnalysis
+from .residuals import analyse_residual as analyse_residual

@@ -1,0 +1,9 @@
+from .controller_model import ControllerComparison as ControllerComparison
+from .controller_model import compare_with_controller as compare_with_controller
+from .cutoff_sweep import CutoffSweep as CutoffSweep
+from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .information_efficiency import recorded_information as recorded_information
+from .payload_study import run_payload_study as run_payload_study
+from .study import Study as Study
+from .study import StudyOptions as StudyOptions
+from .study import run_study as run_study
