@@ -8,11 +8,10 @@
 stored too. CMD is how to run the program, such as `env PYTHONPATH=OLD/src python -m asbuilt.cli`
 for an earlier state of the code; by default it is the `asbuilt` beside this Python.
 
-`compare` goes through two such folders. Numbers agree where `|a - b| <= 1e-12 max(|a|, |b|)`, or
-both are nothing; truths, exit statuses and the texts under `WORDS_THAT_COUNT` (names, methods,
-verdicts, ...) agree where they are equal. All other texts are passed over, and so are the fields of
-`NEVER_THE_SAME` (paths, wall-clock seconds). An item of a list goes by its name, code or id where
-all have one. Fields that only AFTER has are listed and do no harm: the contract allows them. The
+`compare` goes through two such folders. Numbers agree where `|a - b| <= 1e-12 max(|a|, |b|)`;
+truths, exit statuses and the texts under `WORDS_THAT_COUNT` (names, methods, statuses, ...) agree
+where they are equal. All other texts are passed over, and so are the fields of `NEVER_THE_SAME`
+(paths, wall-clock seconds). An item of a list goes by its name, code or id where all have one. Fields that only AFTER has are listed and do no harm: the contract allows them. The
 exit status is 1 where anything differs that FILE does not expect:
 
     [[expected]]
@@ -53,8 +52,15 @@ SHOWN = 5
 
 NEVER_THE_SAME = frozenset({"command", "stderr", "files", "seconds", "solve_seconds"})
 """Fields that are passed over, with all that is in them."""
-WORDS_THAT_COUNT = frozenset({"name", "id", "code", "method", "status"})
-"""Fields whose texts, alone or in a list, are compared."""
+WORDS_THAT_COUNT = frozenset(
+    """
+    name names id code key unit joint joints expression symbolic drive side torque_source
+    method kind status severity criterion parametrisation assumed_limits
+    determined not_determined dropped well fairly hardly negligible not_at_all
+    moved_too_little beyond_tolerance shared_with cause chosen
+    """.split()
+)
+"""Fields whose texts, alone or in a list, are compared; `verdict` is a sentence here and there."""
 LABELS = ("name", "code", "id", "key")
 """What an item of a list goes by, the first of these that all items have."""
 
@@ -191,7 +197,7 @@ OF_BUNDLED_ROBOTS = tuple(
         Case(f"{robot}/check", f"check {robot} @{robot}/lab/log.csv @{robot}/factory/log.csv"),
         Case(
             f"{robot}/auto",
-            f"identify {robot} @{robot}/lab/log.csv --holdout blocks:1s:3 --out $OUT",
+            f"identify {robot} @{robot}/lab/log.csv --holdout last:0.3 --out $OUT",
         ),
         Case(f"{robot}/as-built", f"show @{robot}/auto/robot.toml"),
         Case(
@@ -226,6 +232,14 @@ OF_MOTIONS = (
         " --out $OUT/log.csv",
     ),
     Case("motions/exact-wls", "identify scara @motions/exact/log.csv --method wls"),
+    Case(
+        "motions/parquet",
+        "simulate scara --preset factory --duration 20 --seed 1 --out $OUT/log.parquet",
+    ),
+    Case(
+        "motions/parquet-auto",
+        "identify scara @motions/parquet/log.parquet --holdout blocks:2s:3",
+    ),
 )
 OF_TWO_CHANNELS = (
     Case(
@@ -238,7 +252,9 @@ OF_TWO_CHANNELS = (
         "simulate scara @scara/motion/motion.csv --preset lab --set torque=motor --seed 5"
         " --out $OUT/log.csv",
     ),
-    Case("channels/both", "channels scara @channels/sensor/log.csv --motor @channels/motor/log.csv"),
+    Case(
+        "channels/both", "channels scara @channels/sensor/log.csv --motor @channels/motor/log.csv"
+    ),
     Case(
         "channels/rokae",
         "channels $ROKAE $ROKAE_SENSOR --motor $ROKAE_MOTOR --motor-gain $ROKAE_GAIN",
@@ -307,10 +323,6 @@ OF_LWR4 = (
     Case("lwr4/validate-cad", "validate $LWR4 $LWR4_3"),
     Case("lwr4/compare", "compare @lwr4/auto/result.json"),
     Case("lwr4/compare-tolerance", "compare @lwr4/wls/result.json --cad-tolerance 5%"),
-    Case(
-        "lwr4/compare-cogimon",
-        "compare @lwr4/auto/result.json --cad $MODELS/kuka_lwr4_cogimon.urdf",
-    ),
     Case("lwr4/compare-later", "compare @lwr4/auto/result.json --with @lwr4/wls/result.json"),
 )
 OF_MED7 = (
@@ -344,6 +356,10 @@ OF_MED7 = (
     Case("med7/alike", "identify $MED7 $MED7_ALIKE --flip-torque --holdout blocks:5s:3"),
     Case("med7/validate", "validate @med7/slow/result.json $MED7_FAST $MED7_READ"),
     Case("med7/compare", "compare @med7/slow/result.json"),
+    Case(
+        "med7/compare-iiwa7",
+        "compare @med7/slow/result.json --cad $MODELS/lbrstack_iiwa7.urdf",
+    ),
     Case(
         "med7/controller",
         "compare @med7/slow/result.json --controller $MED7_SLOW $MED7_READ",
@@ -402,8 +418,7 @@ OF_UR10E = (
     ),
     Case(
         "ur10e-logs/gains",
-        "gains $UR10E $UR10E_BARE --loaded $UR10E_LOAD --mass 2.805"
-        " --sheet $SCRATCH/ur10e.toml",
+        "gains $UR10E $UR10E_BARE --loaded $UR10E_LOAD --mass 2.805 --sheet $SCRATCH/ur10e.toml",
     ),
     Case(
         "ur10e-logs/validate",
@@ -431,6 +446,8 @@ OF_UR10 = (
         }.items()
     ),
     Case("ur10/compare", "compare @ur10/wls/result.json"),
+    Case("ur10/nearest", "export @ur10/wls/result.json --nearest --mjcf $OUT/a.xml"),
+    Case("ur10/as-built", "show @ur10/nearest/a.xml"),
 )
 OF_AIRBOT = (
     Case("airbot/check-1", "check $AIRBOT $AIRBOT_GA $AIRBOT_OPT $AIRBOT_READ"),
@@ -519,7 +536,8 @@ def record(
                 failed.append(f"  {case.name}: {status}  {answer['stderr'][-200:].strip()}")
     print(f"{len(cases)} documents in {time.perf_counter() - begun:.0f} s: {out}")
     if failed:
-        print(f"{len(failed)} commands did not end with 0, which is recorded, too:", *failed, sep="\n")
+        print(f"{len(failed)} commands did not end with 0; that is recorded, too:")
+        print("\n".join(failed))
 
 
 def with_needs(cases: Sequence[Case]) -> list[Case]:
@@ -560,6 +578,7 @@ def answer_of(
     """Return the command, its exit status and document; of an error the exit status alone."""
     (scratch / case.name).mkdir(parents=True, exist_ok=True)
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    status: int | str
     begun = time.perf_counter()
     try:
         run = subprocess.run(
@@ -709,8 +728,8 @@ def compare(before: Path, after: Path, *, only: str, tolerance: float) -> Compar
     for name in sorted(folders[0] | folders[1]):
         paths = [folder.get(name) for folder in folders]
         if paths[0] is None or paths[1] is None:
-            sides = ["recorded" if path else GONE for path in paths]
-            found.differences.append(Difference(name, "document", *sides, math.inf))
+            had, has = ("recorded" if path else GONE for path in paths)
+            found.differences.append(Difference(name, "document", had, has, math.inf))
         else:
             found.add(name, *(json.loads(path.read_text()) for path in paths if path))
     return found
@@ -729,6 +748,8 @@ def expectations(file: Path | None) -> dict[str, str]:
     if file is None:
         return {}
     tables = tomllib.loads(file.read_text()).get("expected", [])
+    if not all({"path", "reason"} <= table.keys() for table in tables):
+        raise SystemExit(f"{file}: every [[expected]] has a path and a reason")
     return {table["path"]: table["reason"] for table in tables}
 
 
@@ -745,8 +766,8 @@ def told(found: Comparison, expected: Mapping[str, str], *, full: bool) -> tuple
     for pattern, count in reasons.items():
         lines.append(f"expected, {count} times: {pattern} ({expected[pattern]})")
     if found.new_fields:
-        shown = found.new_fields if full else found.new_fields[:SHOWN]
-        lines.append(f"{len(found.new_fields)} new fields, which is allowed: {', '.join(shown)} ...")
+        lines.append(f"{len(found.new_fields)} new fields, which are allowed")
+        lines += [f"  {each}" for each in found.new_fields[: None if full else SHOWN]]
     lines += grouped(surprises, full=full)
     verdict = f"{len(surprises)} DIFFERENCES" if surprises else "all equal"
     but = f" but for {sum(reasons.values())} expected differences" if sum(reasons.values()) else ""

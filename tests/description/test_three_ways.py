@@ -30,7 +30,7 @@ def rows_of(model: RobotModel, *, parents: list[int] | None = None) -> list[DHRo
     for i, (joint, link) in enumerate(zip(model.joints, model.links, strict=True)):
         alpha = np.arctan2(joint.after[2, 1], joint.after[2, 2])
         theta = np.arctan2(joint.before[1, 0], joint.before[0, 0])
-        a, b = (model.lengths.get(f"{letter}{i + 1}", 0.0) for letter in "ab")
+        a, b = (model.lengths.get(f"{symbol}{i + 1}", 0.0) for symbol in "ab")
         parent = joint.parent if parents is None else parents[i]
         rows.append(
             DHRow(
@@ -183,4 +183,4 @@ def test_bundled_dh_robots_survive_being_taken_apart():
         for joint, copy in zip(model.joints, again.joints, strict=True):
             assert np.array_equal(joint.before, copy.before)
             assert np.array_equal(joint.after, copy.after)
-            assert joint.after_letters == copy.after_letters
+            assert joint.after_symbols == copy.after_symbols

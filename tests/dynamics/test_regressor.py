@@ -107,7 +107,7 @@ def test_drive_columns_follow_the_links_joint_by_joint():
 class LoadFriction(DriveTerm):
     key = "load"
     position = 35
-    letters = ("Fl",)
+    symbols = ("Fl",)
     revolute_units = prismatic_units = ("1",)
     needs_load = True
 

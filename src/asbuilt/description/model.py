@@ -15,8 +15,8 @@ from asbuilt.description.rotation import checked_placement
 from asbuilt.errors import DescriptionError
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
-Letters = tuple[tuple[tuple[float, str], ...], ...]
-"""A translation with letters for lengths: for x, y and z a sum of (factor, letter), e.g.
+Symbols = tuple[tuple[tuple[float, str], ...], ...]
+"""A translation with symbols for lengths: for x, y and z a sum of (factor, symbol), e.g.
 
 `(((1.0, "a2"),), (), ((1.0, "b2"),))`.
 """
@@ -70,7 +70,7 @@ class DriveValues:
 
     All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint
     (rad per m where it slides), and takes them to the motor's. `terms` are further terms of the
-    drive by key, each with its parameters by letter and its shapes by name: `{"stribeck": {"Fs":
+    drive by key, each with its parameters by symbol and its nonlinear parameters by name: `{"stribeck": {"Fs":
     0.3, "velocity": 0.05, "power": 2.0}}`.
     """
 
@@ -98,8 +98,8 @@ class Joint:
     after: Array
     limits: JointLimits = JointLimits()
     drive: DriveValues = DriveValues()
-    before_letters: Letters | None = None
-    after_letters: Letters | None = None
+    before_symbols: Symbols | None = None
+    after_symbols: Symbols | None = None
 
     def __post_init__(self) -> None:
         kinds = get_args(JointKind)
@@ -180,7 +180,7 @@ class RobotModel:
     Fixed joints are already merged.
 
     `gravity` is the acceleration of free fall in the root frame [m/s^2]. `lengths` gives the value
-    of each letter that the joints use. `drives_by_design` is False where the joints' drive values
+    of each symbol that the joints use. `drives_by_design` is False where the joints' drive values
     are settings for a simulator (URDF, MJCF) rather than facts of the design. `motor_coupling` T
     (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of

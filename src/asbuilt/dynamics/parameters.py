@@ -41,7 +41,7 @@ def parameter_units(model: RobotModel, drive: DriveSet = NO_DRIVE) -> tuple[str,
 def parameter_values(model: RobotModel, drive: DriveSet = NO_DRIVE) -> Array:
     """Return the values the description gives, shape (n_standard,).
 
-    NaN for a drive value on which it is silent, or gives with other shapes.
+    NaN for a drive value on which it is silent, or gives with other parameters.
     """
     drives = [
         value for k, joint in enumerate(model.joints) for value in drive.at(k).values(joint.drive)

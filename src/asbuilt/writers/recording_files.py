@@ -33,7 +33,7 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     if suffix not in (".csv", ".parquet"):
         raise UsageError(f"a recording is written as .csv or .parquet, not as {Path(path).name!r}")
     columns: dict[str, Any] = {"t": recording.t}
-    for letter, values in (
+    for symbol, values in (
         ("q", recording.q),
         ("qd", recording.qd),
         ("qdd", recording.qdd),
@@ -41,7 +41,7 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     ):
         if values is not None:
             columns |= {
-                f"{letter}_{name}": np.ascontiguousarray(values[:, k])
+                f"{symbol}_{name}": np.ascontiguousarray(values[:, k])
                 for k, name in enumerate(recording.joint_names)
             }
     content = io.BytesIO()
@@ -72,7 +72,7 @@ def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
     """Return the robot behind a recording with the drive values that its logged torques contain."""
     model, drive = simulated.model, simulated.drive
     values = simulated.truth[len(model.parameters) :].reshape(model.n_joints, -1)
-    keys = [term.key for term in drive.terms for _ in term.letters]
+    keys = [term.key for term in drive.terms for _ in term.symbols]
     joints = []
     for joint, own in zip(model.joints, values, strict=True):
         plain = {

@@ -29,7 +29,7 @@ def test_standard_and_modified_are_the_textbook_products():
 
 
 @pytest.mark.parametrize("convention", ["standard", "modified"])
-def test_letters_stand_for_the_translations(convention):
+def test_symbols_stand_for_the_translations(convention):
     origin = placement(rotation_x(0.3))
     rows = [
         DHRow(a=0.1, b=0.4, alpha=np.pi / 2, origin=origin),
@@ -40,21 +40,21 @@ def test_letters_stand_for_the_translations(convention):
     model = robot_from_dh(rows, convention=convention)
     assert dict(model.lengths) == {"a1": 0.1, "b1": 0.4, "b2": 0.4, "a3": -0.3}
     for joint in model.joints:
-        for letters, T in (
-            (joint.before_letters, joint.before),
-            (joint.after_letters, joint.after),
+        for symbols, T in (
+            (joint.before_symbols, joint.before),
+            (joint.after_symbols, joint.after),
         ):
-            if letters is None:
+            if symbols is None:
                 assert not T[:3, 3].any()
             else:
-                assert np.allclose(length_values(letters, model.lengths), T[:3, 3], atol=1e-16)
+                assert np.allclose(length_values(symbols, model.lengths), T[:3, 3], atol=1e-16)
 
 
 def test_an_origin_with_plain_numbers_leaves_numbers():
     model = robot_from_dh(
         [DHRow(a=0.1, origin=placement(translation=(1, 2, 3)))], convention="modified"
     )
-    assert model.joints[0].before_letters is None
+    assert model.joints[0].before_symbols is None
     assert np.array_equal(model.joints[0].before[:3, 3], [1.1, 2, 3])
 
 

@@ -24,8 +24,8 @@ def test_a_robot_survives_its_document(name):
     assert again.joint_names == model.joint_names
     assert [joint.limits for joint in again.joints] == [joint.limits for joint in model.joints]
     assert [joint.drive for joint in again.joints] == [joint.drive for joint in model.joints]
-    assert [joint.before_letters for joint in again.joints] == [
-        joint.before_letters for joint in model.joints
+    assert [joint.before_symbols for joint in again.joints] == [
+        joint.before_symbols for joint in model.joints
     ]
     assert np.array_equal(again.parameters, model.parameters)
     for one, other in zip(model.joints, again.joints, strict=True):

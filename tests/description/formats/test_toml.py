@@ -99,23 +99,23 @@ def test_every_field_arrives():
     assert model.frames[0].placement[2, 3] == 0.4
 
 
-def test_named_lengths_become_letters_and_numbers_beside_them_get_one():
+def test_named_lengths_become_symbols_and_numbers_beside_them_get_one():
     model = robot_from_toml(ARM)
     assert dict(model.lengths) == {"L1": 0.4, "L2": 0.25, "y1": 0.1}
     for joint in model.joints[:2]:
-        for letters, T in (
-            (joint.before_letters, joint.before),
-            (joint.after_letters, joint.after),
+        for symbols, T in (
+            (joint.before_symbols, joint.before),
+            (joint.after_symbols, joint.after),
         ):
-            if letters is not None:
-                assert np.allclose(length_values(letters, model.lengths), T[:3, 3], atol=1e-16)
-    assert model.joints[0].before_letters == (
+            if symbols is not None:
+                assert np.allclose(length_values(symbols, model.lengths), T[:3, 3], atol=1e-16)
+    assert model.joints[0].before_symbols == (
         ((1.0, "L1"),),
         ((1.0, "y1"),),
         ((0.5, "L1"), (-1.0, "L2")),
     )
-    assert model.joints[1].after_letters == (((1.0, "L2"),), (), ())
-    assert model.joints[2].before_letters is None
+    assert model.joints[1].after_symbols == (((1.0, "L2"),), (), ())
+    assert model.joints[2].before_symbols is None
 
 
 def test_dh_rows_may_stand_on_a_named_origin():
@@ -130,7 +130,7 @@ def test_dh_rows_may_stand_on_a_named_origin():
     dh = { d = 0.2 }
     """
     model = robot_from_toml(text)
-    assert model.joints[0].before_letters == ((), (), ((1.0, "H"), (1.0, "b1")))
+    assert model.joints[0].before_symbols == ((), (), ((1.0, "H"), (1.0, "b1")))
     assert np.isclose(model.joints[0].before[2, 3], 1.0)
 
 
@@ -217,12 +217,12 @@ BROKEN = {
         link('origin = { xyz = ["L", 0, 0] }'),
         r"uses 'L', which is not among the named lengths \(none\)",
     ),
-    "clash of letters": (
+    "clash of symbols": (
         (
             'name = "r"\nconvention = "standard"\n[lengths]\na1 = 2\n[[links]]\nname = "a"\ndh = {'
             " a = 1 }"
         ),
-        r"named length a1 = 2.0 is also the letter",
+        r"named length a1 = 2.0 is also the symbol",
     ),
     "two links of one name": (
         link("dh = {}\n[[links]]\nname = 'a'\ndh = {}"),

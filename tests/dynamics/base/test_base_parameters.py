@@ -1,6 +1,6 @@
 """Base parameters of known robots.
 
-The paper's Table 2, published counts, letters, and files of other people.
+The paper's Table 2, published counts, symbols, and files of other people.
 """
 
 from __future__ import annotations
@@ -171,7 +171,7 @@ def _decimals(text: str) -> int:
     return len(mantissa.partition(".")[2]) - int(exponent or 0)
 
 
-def test_letters_of_the_iiwa_read_as_in_the_paper() -> None:
+def test_symbols_of_the_iiwa_read_as_in_the_paper() -> None:
     base = find_base_parameters(iiwa())
     symbolic = dict(zip(base.names, base.symbolic, strict=True))
     numbers = dict(zip(base.names, base.expressions, strict=True))
@@ -187,12 +187,12 @@ def test_letters_of_the_iiwa_read_as_in_the_paper() -> None:
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_letters_hold_for_other_lengths(arm: str) -> None:
+def test_symbols_hold_for_other_lengths(arm: str) -> None:
     model, _ = ARMS[arm]
     drive = DriveSet.parse("armature,offset")
     base = find_base_parameters(model, drive)
     rng = np.random.default_rng(3)
-    lengths = {letter: float(rng.uniform(0.1, 1.0)) for letter in model.lengths}
+    lengths = {symbol: float(rng.uniform(0.1, 1.0)) for symbol in model.lengths}
     other = find_base_parameters(same_build(model, lengths), drive)
     chi = random_parameters(base, rng)
     beta = other.values(list(chi.values()))
@@ -205,7 +205,7 @@ def test_letters_hold_for_other_lengths(arm: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ["franka-panda", "puma-560"])
-def test_offsets_along_a_joints_own_axis_keep_their_letters(robot: str) -> None:
+def test_offsets_along_a_joints_own_axis_keep_their_symbols(robot: str) -> None:
     base = find_base_parameters(bundled_robot(robot).with_gravity((0.0, 0.0, 0.0)))
     assert not re.search(r"\d\.\d", " ".join(base.symbolic))
     assert any(
@@ -220,11 +220,11 @@ def test_a_weight_that_never_changes_is_an_offset() -> None:
     np.testing.assert_allclose(base.values([0.0] * 9 + [2.0, 0.5, 9.81]), [3.0, -0.5], rtol=1e-12)
 
 
-def test_sympy_agrees_on_the_letters() -> None:
+def test_sympy_agrees_on_the_symbols() -> None:
     sympy = pytest.importorskip("sympy")
     base = find_base_parameters(iiwa())
     symbols = {name: sympy.Symbol(name) for name in (*base.standard_names, "b1", "b3", "b5", "b7")}
-    lengths = {symbols[letter]: sympy.nsimplify(value) for letter, value in iiwa().lengths.items()}
+    lengths = {symbols[symbol]: sympy.nsimplify(value) for symbol, value in iiwa().lengths.items()}
     for text, row in zip(base.symbolic, base.regrouping, strict=True):
         expected = sum(
             sympy.nsimplify(round(value, 12)) * symbols[base.standard_names[j]]

@@ -23,7 +23,7 @@ class LoadFriction(DriveTerm):
     width: float = 0.1
     key = "load"
     position = 35
-    letters = ("Fl", "Fq")
+    symbols = ("Fl", "Fq")
     revolute_units = ("1", "N m s^2/rad^2")
     prismatic_units = ("1", "N s^2/m^2")
     needs_load = True
@@ -123,11 +123,11 @@ def test_a_new_term_brings_columns_parameters_and_load():
 def test_what_a_gear_does_to_a_parameter_is_what_it_does_to_speed_and_torque(key):
     """`f(q) = N^(1 - p) f(N q)` for a term whose parameter is divided by N^p.
 
-    Shapes in units of speed and position are those of the joint.
+    Nonlinear parameters in units of speed and position are those of the joint.
     """
     term, ratio = available_terms()[key], 50.0
     q, qd, qdd, load = np.random.default_rng(4).normal(size=(4, 30))
-    at_joint, at_motor = np.zeros((2, len(term.letters), 30))
+    at_joint, at_motor = np.zeros((2, len(term.symbols), 30))
     term.evaluate(q, qd, qdd, load, at_joint)
     term.evaluate(ratio * q, ratio * qd, ratio * qdd, load / ratio, at_motor)
     powers = np.array(term.powers_of_ratio())[:, None]

@@ -53,7 +53,7 @@ def test_both_sides_come_back(channels):
     sensor, motor, links, truth = channels
     found = identify_two_channels(ROBOT, sensor, motor)
     assert len(found.names) == find_base_parameters(ROBOT, LINK_SIDE).n_base + 28
-    named = [f"{letter}{k + 1}" for k in range(7) for letter in ("Iam", "Fvm", "Fcm", "Fom")]
+    named = [f"{symbol}{k + 1}" for k in range(7) for symbol in ("Iam", "Fvm", "Fcm", "Fom")]
     errors = np.array([found.value(name) for name in named]) - truth
     sigmas = np.array([found.std_errors[found.names.index(name)] for name in named])
     assert np.sqrt(np.mean((errors / sigmas) ** 2)) < 1.6
@@ -127,7 +127,7 @@ def test_channels_of_different_instants_are_refused(channels):
         identify_two_channels(ROBOT, sensor, replace(motor, t=motor.t + 0.5))
     with pytest.raises(UsageError, match="both channels"):
         identify_two_channels(ROBOT, [sensor, sensor], motor)
-    with pytest.raises(UsageError, match="shapes that are stated"):
+    with pytest.raises(UsageError, match="nonlinear parameters that are stated"):
         identify_two_channels(ROBOT, sensor, motor, link_side=DriveSet.parse("stribeck"))
     with pytest.raises(UsageError, match="load"):
         identify_two_channels(ROBOT, sensor, motor, motor_side=DriveSet.parse("load_friction"))

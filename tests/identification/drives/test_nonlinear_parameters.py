@@ -1,4 +1,4 @@
-"""Shapes of drive terms and their choice, on simulated drives whose friction is known, and on
+"""Nonlinear parameters of drive terms and their choice, on simulated drives whose friction is known, and on
 recordings of real ones.
 """
 
@@ -27,7 +27,7 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
 from asbuilt.identification.drives.drive_choice import choose_drive, settle_drive
 from asbuilt.identification.drives.motor_side import motor_side_parameters
-from asbuilt.identification.drives.nonlinear_parameters import fit_shapes
+from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.identify import identify
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import validate
@@ -66,29 +66,29 @@ def test_a_stribeck_velocity_comes_back_joint_by_joint():
     model = elbow()
     truth = DriveSet.parse("viscous,coulomb,stribeck:velocity=0.05/0.1/0.2,offset")
     samples = recorded(model, truth, np.tile([0.5, 1.0, 1.5, 0.2], 3))
-    found = fit_shapes(model, DriveSet.parse("viscous,coulomb,stribeck,offset"), [samples])
-    assert found.drive.is_shaped
-    np.testing.assert_allclose(found.shapes[0].values, [0.05, 0.1, 0.2], rtol=0.1)
-    assert np.all(found.shapes[0].told)
+    found = fit_nonlinear(model, DriveSet.parse("viscous,coulomb,stribeck,offset"), [samples])
+    assert found.drive.is_linear
+    np.testing.assert_allclose(found.nonlinear[0].values, [0.05, 0.1, 0.2], rtol=0.1)
+    assert np.all(found.nonlinear[0].told)
     assert "fitted by variable projection" in found.sentences(model.joint_names)[0]
 
 
-def test_two_shapes_come_back_together():
+def test_two_nonlinear_parameters_come_back_together():
     model = elbow()
     truth = DriveSet.parse("smooth_coulomb:width=0.1,power:exponent=1.8,offset")
     samples = recorded(model, truth, np.tile([2.0, 0.5, 0.2], 3), noise=0.005)
-    found = fit_shapes(model, DriveSet.parse("smooth_coulomb,power,offset"), [samples])
-    values = {shape.term: shape.values for shape in found.shapes}
+    found = fit_nonlinear(model, DriveSet.parse("smooth_coulomb,power,offset"), [samples])
+    values = {parameter.term: parameter.values for parameter in found.nonlinear}
     np.testing.assert_allclose(values["smooth_coulomb"], 0.1, rtol=0.1)
     np.testing.assert_allclose(values["power"], 1.8, rtol=0.1)
 
 
-def test_a_shape_that_the_data_do_not_tell_keeps_its_default():
+def test_a_nonlinear_parameter_that_the_data_do_not_tell_keeps_its_default():
     model = elbow()
     samples = recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3))
-    found = fit_shapes(model, PLAIN.with_term(DriveSet.parse("stribeck").terms[0]), [samples])
-    assert not found.shapes[0].told.any()
-    assert found.shapes[0].values == (0.1, 0.1, 0.1)
+    found = fit_nonlinear(model, PLAIN.with_term(DriveSet.parse("stribeck").terms[0]), [samples])
+    assert not found.nonlinear[0].told.any()
+    assert found.nonlinear[0].values == (0.1, 0.1, 0.1)
     judged = settle_drive(model, [samples], DriveSet.parse("viscous,coulomb,stribeck,offset"))
     assert any("held-out blocks" in sentence for sentence in judged.sentences)
 
@@ -141,7 +141,7 @@ def test_nothing_is_chosen_where_the_defaults_leave_nothing(scale):
 
 
 @pytest.mark.parametrize("key", ["stribeck", "power"])
-def test_a_recording_shorter_than_the_filter_tells_no_shapes(key):
+def test_a_recording_shorter_than_the_filter_determines_no_nonlinear_parameters(key):
     model, drive = elbow(), DriveSet.parse(f"coulomb,{key},offset")
     few = replace(
         recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3), duration=0.5),
@@ -151,8 +151,8 @@ def test_a_recording_shorter_than_the_filter_tells_no_shapes(key):
     with pytest.raises(
         IdentifiabilityError,
         match=(
-            rf"no samples of elbow are left to fit the shapes of coulomb,{key},offset to: .* or"
-            r" state the shapes"
+            rf"no samples of elbow are left to fit the nonlinear parameters of coulomb,{key},offset to: .* or"
+            r" state the nonlinear parameters"
         ),
     ):
         settle_drive(model, [few], drive)
@@ -164,7 +164,7 @@ def test_what_fades_at_speed_is_no_stribeck_friction(velocity, at_bound):
     asked = DriveSet.parse("viscous,coulomb,stribeck,offset")
     truth = DriveSet.parse(f"viscous,coulomb,stribeck:velocity={velocity},offset")
     samples = recorded(model, truth, np.tile([0.5, 1.0, 1.5, 0.2], 3))
-    found = fit_shapes(model, asked, [samples]).shapes[0]
+    found = fit_nonlinear(model, asked, [samples]).nonlinear[0]
     assert not found.told.any()
     assert found.at_bound.all() == at_bound
     np.testing.assert_allclose(found.highest, 0.3)
@@ -181,7 +181,7 @@ def test_the_choice_finds_what_was_put_in_and_where():
     values = np.tile([0.5, 1.0, 2.0, 0.2, 0.2], 3)
     choice = choose_drive(model, [recorded(model, truth, values, noise=0.05)])
     assert {
-        str(replace(term, **{shape.name: None for shape in term.shapes}))
+        str(replace(term, **{parameter.name: None for parameter in term.nonlinear}))
         for term in choice.drive.terms
     } == {
         "viscous",

@@ -108,7 +108,7 @@ def test_other_shapes_of_a_term_are_said() -> None:
         compare_results(one, two)
         .sentences[0]
         .startswith(
-            "DIFFERENT DRIVE TERMS: both have stribeck, with other shapes or at other joints. The"
+            "DIFFERENT DRIVE TERMS: both have stribeck, with other nonlinear parameters or at other joints. The"
             " other terms"
         )
     )

@@ -238,7 +238,7 @@ def test_load_that_counts_an_armature_is_said(tmp_path: Path) -> None:
     assert not export_result(result, toml=tmp_path / "robot.toml").notes
 
 
-def test_unknown_terms_and_letters_of_a_robot_file_are_refused(tmp_path: Path) -> None:
+def test_unknown_terms_and_symbols_of_a_robot_file_are_refused(tmp_path: Path) -> None:
     text = robot_toml(
         replace(
             bundled_robot("two-link"),
@@ -361,8 +361,8 @@ def test_friction_of_the_description_is_not_counted_beside_what_was_identified_i
     )
     exported = export_result(result, mjcf=tmp_path / "robot.xml", urdf=tmp_path / "robot.urdf")
     forwards, backwards = (
-        np.array([chi[names.index(f"{letter}{k + 1}")] for k in range(model.n_joints)])
-        for letter in ("Fcp", "Fcn")
+        np.array([chi[names.index(f"{symbol}{k + 1}")] for k in range(model.n_joints)])
+        for symbol in ("Fcp", "Fcn")
     )
     damping = np.full(model.n_joints, 10.0)  # the description's, where nothing was identified
     damping[:2] = 0.0, chi[names.index("Fv2")]

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.lengths import NO_LETTERS, added_letters, named, rotated_letters
+from asbuilt.description.lengths import NO_SYMBOLS, added_symbols, named, rotated_symbols
 from asbuilt.description.model import (
     ROOT,
     USUAL_GRAVITY,
@@ -20,9 +20,9 @@ from asbuilt.description.model import (
     Joint,
     JointKind,
     JointLimits,
-    Letters,
     Link,
     RobotModel,
+    Symbols,
 )
 from asbuilt.description.rotation import composed, placement, rotation_x, rotation_z, straightened
 from asbuilt.errors import DescriptionError
@@ -74,7 +74,7 @@ def robot_from_dh(
     Standard (Denavit and Hartenberg, 1955; Spong): `T = RotZ(theta) TransZ(b) TransX(a)
     RotX(alpha)`, the joint turns about z of the parent frame. Modified (Craig; Khalil and
     Kleinfinger, 1986): `T = RotX(alpha) TransX(a) RotZ(theta) TransZ(b)`, the joint turns about z
-    of its own frame. Non-zero lengths get the letters `a<i>` and `b<i>` of their row i, also in the
+    of its own frame. Non-zero lengths get the symbols `a<i>` and `b<i>` of their row i, also in the
     modified convention, where textbooks count `a` one lower. Angles within 1e-5 rad of a right
     angle become exact, with a note where this moves them by more than 1e-9.
 
@@ -119,10 +119,10 @@ def robot_from_dh(
 
 
 def dh_lengths(row: DHRow, index: int) -> dict[str, float]:
-    """Return the letters of the non-zero lengths of a row and their values [m]."""
+    """Return the symbols of the non-zero lengths of a row and their values [m]."""
     return {
-        letter: value
-        for letter, value in ((f"a{index + 1}", row.a), (f"b{index + 1}", row.b))
+        symbol: value
+        for symbol, value in ((f"a{index + 1}", row.a), (f"b{index + 1}", row.b))
         if value != 0.0
     }
 
@@ -152,18 +152,18 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
     along_x = ((1.0, f"a{number}"),) if row.a != 0.0 else ()
     along_z = ((1.0, f"b{number}"),) if row.b != 0.0 else ()
     tilt = rotation_x(alpha)
-    before_letters: Letters | None = None
-    after_letters: Letters | None = None
+    before_symbols: Symbols | None = None
+    after_symbols: Symbols | None = None
     if convention == "standard":
         before = placement(rotation_z(theta))
         after = placement(tilt, (row.a, 0.0, row.b))
-        after_letters = (along_x, (), along_z)
+        after_symbols = (along_x, (), along_z)
     else:
         before = composed(
             placement(tilt, (row.a, 0.0, 0.0)), placement(rotation_z(theta), (0.0, 0.0, row.b))
         )
         after = np.eye(4)
-        before_letters = added_letters((along_x, (), ()), rotated_letters(tilt, ((), (), along_z)))
+        before_symbols = added_symbols((along_x, (), ()), rotated_symbols(tilt, ((), (), along_z)))
     joint = Joint(
         name=row.joint or f"joint_{number}",
         kind=row.kind,
@@ -172,23 +172,23 @@ def dh_joint(row: DHRow, index: int, convention: Convention, notes: list[str]) -
         after=after,
         limits=row.limits,
         drive=row.drive,
-        before_letters=named(before_letters),
-        after_letters=named(after_letters),
+        before_symbols=named(before_symbols),
+        after_symbols=named(after_symbols),
     )
     return joint if row.origin is None else joint_on_origin(joint, row.origin)
 
 
-def joint_on_origin(joint: Joint, origin: Array, origin_letters: Letters | None = None) -> Joint:
+def joint_on_origin(joint: Joint, origin: Array, origin_symbols: Symbols | None = None) -> Joint:
     """Return the joint with a placement (4, 4) in front of it.
 
-    Letters survive where both translations are zero or have letters.
+    Symbols survive where both translations are zero or have symbols.
     """
     before = composed(origin, joint.before)
-    local = joint.before_letters or (None if joint.before[:3, 3].any() else NO_LETTERS)
-    ahead = origin_letters or (None if origin[:3, 3].any() else NO_LETTERS)
-    letters = (
+    local = joint.before_symbols or (None if joint.before[:3, 3].any() else NO_SYMBOLS)
+    ahead = origin_symbols or (None if origin[:3, 3].any() else NO_SYMBOLS)
+    symbols = (
         None
         if local is None or ahead is None
-        else added_letters(ahead, rotated_letters(origin[:3, :3], local))
+        else added_symbols(ahead, rotated_symbols(origin[:3, :3], local))
     )
-    return replace(joint, before=before, before_letters=named(letters))
+    return replace(joint, before=before, before_symbols=named(symbols))

@@ -18,9 +18,9 @@ from asbuilt.description.model import (
     Frame,
     Joint,
     JointLimits,
-    Letters,
     Link,
     RobotModel,
+    Symbols,
 )
 from asbuilt.errors import DescriptionError
 
@@ -65,7 +65,7 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
                 Frame(str(item["name"]), int(item["link"]), _array(item["placement"]))
                 for item in document["frames"]
             ),
-            lengths={str(letter): float(value) for letter, value in document["lengths"].items()},
+            lengths={str(symbol): float(value) for symbol, value in document["lengths"].items()},
             drives_by_design=bool(document["drives_by_design"]),
             motor_coupling=(
                 None
@@ -100,8 +100,8 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
             if item.name != "terms"
         },
         "drive_terms": {key: dict(numbers) for key, numbers in joint.drive.terms.items()},
-        "before_letters": joint.before_letters,
-        "after_letters": joint.after_letters,
+        "before_symbols": joint.before_symbols,
+        "after_symbols": joint.after_symbols,
     }
 
 
@@ -126,8 +126,8 @@ def _joint(document: Mapping[str, Any]) -> Joint:
         after=_array(document["after"]),
         limits=JointLimits(**limits),
         drive=DriveValues(**drive, terms=terms),
-        before_letters=_letters(document["before_letters"]),
-        after_letters=_letters(document["after_letters"]),
+        before_symbols=_symbols(document["before_symbols"]),
+        after_symbols=_symbols(document["after_symbols"]),
     )
 
 
@@ -151,12 +151,12 @@ def _link(document: Mapping[str, Any]) -> Link:
     )
 
 
-def _letters(document: Any) -> Letters | None:
+def _symbols(document: Any) -> Symbols | None:
     return (
         None
         if document is None
         else tuple(
-            tuple((float(factor), str(letter)) for factor, letter in axis) for axis in document
+            tuple((float(factor), str(symbol)) for factor, symbol in axis) for axis in document
         )
     )
 

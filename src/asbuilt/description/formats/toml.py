@@ -22,8 +22,8 @@ from asbuilt.description.formats.toml_tables import (
     checked_file,
 )
 from asbuilt.description.inertia import LinkInertia
-from asbuilt.description.lengths import length_values, parsed_length, rotated_letters
-from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, Letters, Link, RobotModel
+from asbuilt.description.lengths import length_values, parsed_length, rotated_symbols
+from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, Link, RobotModel, Symbols
 from asbuilt.description.rotation import (
     composed,
     placement,
@@ -85,10 +85,10 @@ class _Reading:
             )
         return known.index(name)
 
-    def placed(self, table: PlacementTable, what: str, index: int) -> tuple[Array, Letters | None]:
-        """Return the 4 x 4 matrix and, where at least one length is named, letters for all.
+    def placed(self, table: PlacementTable, what: str, index: int) -> tuple[Array, Symbols | None]:
+        """Return the 4 x 4 matrix and, where at least one length is named, symbols for all.
 
-        Numbers among them get letters such as `x3`.
+        Numbers among them get symbols such as `x3`.
         """
         if table.rotation is not None:
             R = snapped(table.rotation)
@@ -102,21 +102,21 @@ class _Reading:
             )
         if not any(isinstance(value, str) for value in table.xyz):
             return placement(R, np.array(table.xyz, dtype=np.float64)), None
-        letters: Letters = tuple(
-            self.letters(value, f"{axis}{index + 1}")
+        symbols: Symbols = tuple(
+            self.symbols(value, f"{axis}{index + 1}")
             for axis, value in zip("xyz", table.xyz, strict=True)
         )
-        return placement(R, length_values(letters, self.lengths)), letters
+        return placement(R, length_values(symbols, self.lengths)), symbols
 
-    def letters(self, value: float | str, letter: str) -> tuple[tuple[float, str], ...]:
+    def symbols(self, value: float | str, symbol: str) -> tuple[tuple[float, str], ...]:
         if isinstance(value, str):
             return parsed_length(value, self.lengths)
         if value == 0.0:
             return ()
-        while letter in self.lengths:
-            letter += "_"
-        self.lengths[letter] = value
-        return ((1.0, letter),)
+        while symbol in self.lengths:
+            symbol += "_"
+        self.lengths[symbol] = value
+        return ((1.0, symbol),)
 
     def joint(self, link: LinkTable, index: int, parent: int) -> Joint:
         return (
@@ -137,14 +137,14 @@ class _Reading:
             limits=self.limits(link),
             drive=link.drive.values,
         )
-        joint, letters = (
+        joint, symbols = (
             dh_joint(row, index, self.file.convention or "standard", self.notes),
             dh_lengths(row, index),
         )
-        for letter, value in letters.items():
-            if self.lengths.setdefault(letter, value) != value:
+        for symbol, value in symbols.items():
+            if self.lengths.setdefault(symbol, value) != value:
                 raise DescriptionError(
-                    f"the named length {letter} = {self.lengths[letter]} is also the letter of link"
+                    f"the named length {symbol} = {self.lengths[symbol]} is also the symbol of link"
                     f" {link.name!r}, where it is {value}; give it another name"
                 )
         if link.origin is not None:
@@ -154,10 +154,10 @@ class _Reading:
         return joint
 
     def placed_joint(self, link: LinkTable, index: int, parent: int) -> Joint:
-        before, before_letters = self.placed(
+        before, before_symbols = self.placed(
             link.origin or PlacementTable(), f"origin of link {link.name!r}", index
         )
-        after, after_letters = self.placed(
+        after, after_symbols = self.placed(
             link.after or PlacementTable(), f"after of link {link.name!r}", index
         )
         onto = (
@@ -173,9 +173,9 @@ class _Reading:
             after=composed(placement(onto.T), after),
             limits=self.limits(link),
             drive=link.drive.values,
-            before_letters=before_letters,
-            after_letters=(
-                rotated_letters(onto.T, after_letters) if after_letters is not None else None
+            before_symbols=before_symbols,
+            after_symbols=(
+                rotated_symbols(onto.T, after_symbols) if after_symbols is not None else None
             ),
         )
 

@@ -189,7 +189,7 @@ class DriveTable(_Table):
     Armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side,
     the gear ratio, and further terms.
 
-    `terms` names terms of `asbuilt drives`, each with its parameters by letter and its shapes by
+    `terms` names terms of `asbuilt drives`, each with its parameters by symbol and its nonlinear parameters by
     name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
     """
 

@@ -11,30 +11,30 @@ from dataclasses import replace
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.lengths import added_letters, length_values, rotated_letters
-from asbuilt.description.model import Letters, RobotModel
+from asbuilt.description.lengths import added_symbols, length_values, rotated_symbols
+from asbuilt.description.model import RobotModel, Symbols
 from asbuilt.description.rotation import placement
 
 NUMBER = ""
-"""The letter that stands for 1, so that a plain length is a sum of letters, too."""
+"""The symbol that stands for 1, so that a plain length is a sum of symbols, too."""
 
 LENGTH_TOLERANCE = 1e-12
-"""Letters must stand for the lengths of a placement to this [m]."""
+"""Symbols must stand for the lengths of a placement to this [m]."""
 
 
-def lettered_translation(
-    transform: Array, letters: Letters | None, lengths: Mapping[str, float]
-) -> Letters:
-    """Return the letters of a placement's translation, or its numbers where it has none or they say
+def symbolic_translation(
+    transform: Array, symbols: Symbols | None, lengths: Mapping[str, float]
+) -> Symbols:
+    """Return the symbols of a placement's translation, or its numbers where it has none or they say
     something else.
     """
     translation = transform[:3, 3]
     if (
-        letters is not None
-        and np.abs(length_values(letters, {**lengths, NUMBER: 1.0}) - translation).max()
+        symbols is not None
+        and np.abs(length_values(symbols, {**lengths, NUMBER: 1.0}) - translation).max()
         < LENGTH_TOLERANCE
     ):
-        return letters
+        return symbols
     return tuple(((float(value), NUMBER),) if value else () for value in translation)
 
 
@@ -49,35 +49,35 @@ def nearest_origins(model: RobotModel) -> RobotModel:
     joints = []
     for joint in model.joints:
         z = joint.before[:3, 2]
-        before = lettered_translation(joint.before, joint.before_letters, model.lengths)
-        after = lettered_translation(joint.after, joint.after_letters, model.lengths)
-        before_slid = added_letters(before, rotated_letters(-np.outer(z, z), before))
-        after_slid = added_letters(after, rotated_letters(np.vstack([np.zeros((2, 3)), z]), before))
+        before = symbolic_translation(joint.before, joint.before_symbols, model.lengths)
+        after = symbolic_translation(joint.after, joint.after_symbols, model.lengths)
+        before_slid = added_symbols(before, rotated_symbols(-np.outer(z, z), before))
+        after_slid = added_symbols(after, rotated_symbols(np.vstack([np.zeros((2, 3)), z]), before))
         joints.append(
             replace(
                 joint,
                 before=placement(joint.before[:3, :3], length_values(before_slid, values)),
                 after=placement(joint.after[:3, :3], length_values(after_slid, values)),
-                before_letters=before_slid,
-                after_letters=after_slid,
+                before_symbols=before_slid,
+                after_symbols=after_slid,
             )
         )
     return replace(model, joints=tuple(joints))
 
 
 def same_build(model: RobotModel, lengths: Mapping[str, float]) -> RobotModel:
-    """Return the robot with other values for the letters of its joints."""
+    """Return the robot with other values for the symbols of its joints."""
     values = {**lengths, NUMBER: 1.0}
     joints = []
     for joint in model.joints:
         before, after = (
             placement(
                 transform[:3, :3],
-                length_values(lettered_translation(transform, letters, model.lengths), values),
+                length_values(symbolic_translation(transform, symbols, model.lengths), values),
             )
-            for transform, letters in (
-                (joint.before, joint.before_letters),
-                (joint.after, joint.after_letters),
+            for transform, symbols in (
+                (joint.before, joint.before_symbols),
+                (joint.after, joint.after_symbols),
             )
         )
         joints.append(replace(joint, before=before, after=after))

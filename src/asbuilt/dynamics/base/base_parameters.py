@@ -11,7 +11,7 @@ from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.identifiability import StandardParameter, parameter_verdicts
 from asbuilt.dynamics.base.observation_rank import ObservationRank, observation_rank
-from asbuilt.dynamics.base.regrouping import lettered_regrouping, structural_regrouping
+from asbuilt.dynamics.base.regrouping import structural_regrouping, symbolic_regrouping
 from asbuilt.dynamics.base.symbols import Polynomial, Row, written
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
@@ -27,7 +27,7 @@ class BaseParameters:
 
     `columns` (n_base,) are the first independent columns in id order, counted from 0, `ids =
     columns + 1`; `regrouping` has shape (n_base, n_standard). `expressions` have numbers for
-    lengths, `symbolic` letters where the description names lengths.
+    lengths, `symbolic` has symbols where the description names lengths.
     """
 
     robot: str
@@ -113,7 +113,7 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
         numeric = observation_rank(model, drive)
         if numeric.rank != len(found.columns):
             raise IdentifiabilityError(_disagreement(model, drive, len(found.columns), numeric))
-        lettered = lettered_regrouping(model, drive, found)
+        symbolic = symbolic_regrouping(model, drive, found)
     names = parameter_names(model, drive)
     return BaseParameters(
         robot=model.name,
@@ -130,7 +130,7 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
         ),
         symbolic=tuple(
             _written(row, column, names)
-            for row, column in zip(lettered, found.columns, strict=True)
+            for row, column in zip(symbolic, found.columns, strict=True)
         ),
         standard=parameter_verdicts(model, drive, found, names),
     )

@@ -71,17 +71,17 @@ def parameter_verdicts(
         status: Status = "unidentifiable" if not members else "identifiable" if alone else "grouped"
         shown = _shown_in(found, names, j, rows) if status == "grouped" else ""
         if j < 10 * model.n_joints:
-            link, letter = j // 10, PARAMETER_NAMES[j % 10]
+            link, symbol = j // 10, PARAMETER_NAMES[j % 10]
             if status == "unidentifiable":
-                reason = _never(model, views[link], letter)
+                reason = _never(model, views[link], symbol)
             elif status == "identifiable":
-                reason = _alone(views[link], letter)
+                reason = _alone(views[link], symbol)
             else:
-                reason = _in_sums(model, found, views, j, letter) + shown
+                reason = _in_sums(model, found, views, j, symbol) + shown
         else:
             joint, position = divmod(j - 10 * model.n_joints, drive.columns_per_joint)
             reason = _of_richer_drive(drive, joint, position, status) or _of_drive(
-                model, views, joint, letter=drive.letters[position], status=status
+                model, views, joint, symbol=drive.symbols[position], status=status
             )
             reason += shown
         verdicts.append(StandardParameter(j + 1, name, status, members, f"{name}: {reason}"))
@@ -172,9 +172,9 @@ def _link_view(found: Regrouping, link: int) -> _LinkView:
     )
 
 
-def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
+def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
     weightless = not np.any(model.gravity)
-    if letter.startswith("I"):
+    if symbol.startswith("I"):
         if view.turns == 0:
             return f"{view.phrase}, so its moments of inertia never act"
         if view.turns == 1:
@@ -184,9 +184,9 @@ def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
             )
         return (
             f"{view.phrase}, but never so that this"
-            f" {'moment' if letter[1] == letter[2] else 'product'} of inertia acts"
+            f" {'moment' if symbol[1] == symbol[2] else 'product'} of inertia acts"
         )
-    if letter == "m":
+    if symbol == "m":
         still = (
             "the origin of its frame lies on that axis"
             if view.turns == view.screws == 1
@@ -195,7 +195,7 @@ def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
         return f"{view.phrase} and {still}, so a mass there needs no torque"
     if view.turns == 0:
         return f"{view.phrase}, so it makes no difference where in the link its mass sits"
-    component = np.array([letter == "mx", letter == "my", letter == "mz"], dtype=np.float64)
+    component = np.array([symbol == "mx", symbol == "my", symbol == "mz"], dtype=np.float64)
     if view.turns == 1 and abs(float(view.axis @ component)) > 1.0 - SMALL:
         return (
             f"{view.phrase}, so it makes no difference where along"
@@ -219,16 +219,16 @@ def _never(model: RobotModel, view: _LinkView, letter: str) -> str:
     return f"{view.phrase}, but the origin of its frame never moves and {work}"
 
 
-def _alone(view: _LinkView, letter: str) -> str:
-    if letter.startswith("I"):
-        what = "this product of inertia" if letter[1] != letter[2] else "this moment of inertia"
+def _alone(view: _LinkView, symbol: str) -> str:
+    if symbol.startswith("I"):
+        what = "this product of inertia" if symbol[1] != symbol[2] else "this moment of inertia"
     else:
-        what = "its mass" if letter == "m" else "this part of its first moment"
+        what = "its mass" if symbol == "m" else "this part of its first moment"
     return f"{view.phrase}, and no other parameter acts on the torques as {what} does"
 
 
 def _in_sums(
-    model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, letter: str
+    model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, symbol: str
 ) -> str:
     link = column // 10
     parent = model.joints[link].parent
@@ -248,7 +248,7 @@ def _in_sums(
                 " does"
             )
         return f"{views[link].phrase}, so it acts only through its inertia about that axis"
-    return _moved_to_parent(model, found, views, column, letter)
+    return _moved_to_parent(model, found, views, column, symbol)
 
 
 def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:
@@ -266,12 +266,12 @@ def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:
 
 
 def _moved_to_parent(
-    model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, letter: str
+    model: RobotModel, found: Regrouping, views: Sequence[_LinkView], column: int, symbol: str
 ) -> str:
     link = column // 10
     joint, number = model.joints[link], link + 1
     axis, parent = f"the axis of joint {number}", f"link {joint.parent + 1}"
-    kind = 0 if letter == "m" else 1 if letter.startswith("m") else 2
+    kind = 0 if symbol == "m" else 1 if symbol.startswith("m") else 2
     if not joint.is_revolute and kind == 2:
         return (
             f"joint {number} slides, so link {number} always turns with {parent} and their inertias"
@@ -295,7 +295,7 @@ def _moved_to_parent(
             if present:
                 return (
                     f"{what} acts as if it belonged to {parent}, and what else the {short} does, it"
-                    f" does as {letter}{number}"
+                    f" does as {symbol}{number}"
                 )
     if joint.is_revolute and axial[kind]:
         if kind == 0:
@@ -325,7 +325,7 @@ def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status)
     """Return the reason for a term that not all joints have or that shares its columns, empty where
     there is nothing of the kind to say.
     """
-    term = [term for term in drive.terms for _ in term.letters][position]
+    term = [term for term in drive.terms for _ in term.symbols][position]
     if not term.is_at(joint):
         return f"joint {joint + 1} is not among the joints that {term.key} was chosen for"
     if term.of_motor and status == "unidentifiable":
@@ -349,33 +349,33 @@ def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status)
 
 
 def _of_drive(
-    model: RobotModel, views: Sequence[_LinkView], joint: int, *, letter: str, status: Status
+    model: RobotModel, views: Sequence[_LinkView], joint: int, *, symbol: str, status: Status
 ) -> str:
     number = joint + 1
     parent = model.joints[joint].parent
     turns = model.joints[joint].is_revolute
-    if letter == "Fv":
+    if symbol == "Fv":
         return (
             f"its torque follows the speed of joint {number} alone and turns into heat, as that of"
             " no inertia does"
         )
-    if letter == "Fc":
+    if symbol == "Fc":
         return (
             f"its torque follows the direction in which joint {number} moves, and nothing else does"
         )
-    if letter == "Fo":
+    if symbol == "Fo":
         if status == "identifiable":
             return f"nothing else gives joint {number} a constant {'torque' if turns else 'force'}"
         return (
             f"joint {number} slides at a constant slope, so the weight it carries is as constant as"
             " the offset of its drive"
         )
-    if letter == "Ia" and status == "identifiable":
+    if symbol == "Ia" and status == "identifiable":
         return (
             f"it acts on joint {number} alone, while the inertia of link {number} also couples with"
             f" the motion of link {parent + 1}"
         )
-    if letter == "Ia":
+    if symbol == "Ia":
         ahead = (
             f"the axis of joint {number} is fixed"
             if parent == ROOT

@@ -15,10 +15,10 @@ from asbuilt.dynamics.base.axis_frames import nearest_origins, same_build
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
     LinkMotion,
-    TransferableDirections,
+    RegroupingRelations,
     characteristic_length,
+    regrouping_relations,
     reversed_echelon,
-    transferable_directions,
 )
 from asbuilt.dynamics.base.symbols import Polynomial, Row, dependent_columns, null_rows
 from asbuilt.dynamics.drives.selection import DriveSet
@@ -39,7 +39,7 @@ What a turn about z leaves as it is.
 """
 
 LETTER_TOLERANCE = 1e-9
-"""A factor in letters must equal the number it stands for to this, relative to the largest factor
+"""A factor in symbols must equal the number it stands for to this, relative to the largest factor
 in its row.
 """
 
@@ -59,7 +59,7 @@ class Regrouping:
 
     columns: Indices
     matrix: Array
-    directions: tuple[TransferableDirections, ...]
+    directions: tuple[RegroupingRelations, ...]
     motions: tuple[LinkMotion, ...]
     null_blocks: tuple[Array, ...]
     axial_blocks: tuple[Array, ...]
@@ -78,7 +78,7 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     structure = drive_structure(
         model, drive, np.array([1.0 if joint.is_revolute else size for joint in model.joints])
     )
-    directions, motions = transferable_directions(model, structure.imitable)
+    directions, motions = regrouping_relations(model, structure.imitable)
     to_link = [shift_matrix(inverted(_sized(joint.after, size))) for joint in model.joints]
     scales = _scales(model, drive)
     blocks = _null_blocks(model, drive, directions, to_link, structure, scales)
@@ -108,8 +108,8 @@ def structural_regrouping(model: RobotModel, drive: DriveSet) -> Regrouping:
     )
 
 
-def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
-    """Return the rows of the regrouping with letters for lengths, as sums over standard parameters.
+def symbolic_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -> list[Row]:
+    """Return the rows of the regrouping with symbols for lengths, as sums over standard parameters.
 
     Each row is checked against numbers, for the robot itself and for one of the same build with
     other lengths; a row that fails - its factors are no polynomials, or only right for these
@@ -124,7 +124,7 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
         return numbers
     pivots = np.setdiff1d(np.arange(n_standard), found.columns)
     combined = dependent_columns(
-        _lettered_null_rows(model, found), [int(pivot) for pivot in pivots]
+        _symbolic_null_rows(model, found), [int(pivot) for pivot in pivots]
     )
     if combined is None:
         return numbers
@@ -135,8 +135,8 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
         for b, factor in members.items():
             rows[b][j] = factor
     other = {
-        letter: value * (1.2 + 0.3 * np.sin(k + 1.0))
-        for k, (letter, value) in enumerate(model.lengths.items())
+        symbol: value * (1.2 + 0.3 * np.sin(k + 1.0))
+        for k, (symbol, value) in enumerate(model.lengths.items())
     }
     elsewhere = structural_regrouping(same_build(found.model, other), drive)
     if not np.array_equal(elsewhere.columns, found.columns):
@@ -144,17 +144,17 @@ def lettered_regrouping(model: RobotModel, drive: DriveSet, found: Regrouping) -
     checks = ((found.matrix, model.lengths), (elsewhere.matrix, other))
     return [
         (
-            lettered
-            if all(_agree(lettered, matrix[b], lengths) for matrix, lengths in checks)
+            symbolic
+            if all(_agree(symbolic, matrix[b], lengths) for matrix, lengths in checks)
             else numbers[b]
         )
-        for b, lettered in enumerate(dict(sorted(row.items())) for row in rows.values())
+        for b, symbolic in enumerate(dict(sorted(row.items())) for row in rows.values())
     ]
 
 
-def _agree(lettered: Row, row: Array, lengths: Mapping[str, float]) -> bool:
+def _agree(symbolic: Row, row: Array, lengths: Mapping[str, float]) -> bool:
     values = np.zeros(len(row))
-    for j, factor in lettered.items():
+    for j, factor in symbolic.items():
         values[j] = factor.value(lengths)
     return bool(np.abs(values - row).max() <= LETTER_TOLERANCE * np.abs(row).max())
 
@@ -164,8 +164,8 @@ def _without_noise(value: float) -> float:
     return float(f"{value:.14e}")
 
 
-def _lettered_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
-    """Return the null vectors with letters for lengths, in physical units."""
+def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
+    """Return the null vectors with symbols for lengths, in physical units."""
     first, strength = 10 * model.n_joints, float(np.linalg.norm(model.gravity))
     ways = found.structure.ways
     per = ways.shape[2]
@@ -213,7 +213,7 @@ def _scales(model: RobotModel, drive: DriveSet) -> Array:
     scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
     for k, joint in enumerate(model.joints):
         units = dict(zip(IMITABLE, _function_units(joint.is_revolute, size, strength), strict=True))
-        kinds = [term.key for term in drive.terms for _ in term.letters]
+        kinds = [term.key for term in drive.terms for _ in term.symbols]
         for kind, function in zip(kinds, drive.functions(k), strict=True):
             own = next((units[name] for name in IMITABLE if name in function), 1.0)
             scales.append(np.array([units["qdd"] if kind == "motor_armature" else own]))
@@ -223,7 +223,7 @@ def _scales(model: RobotModel, drive: DriveSet) -> Array:
 def _null_blocks(
     model: RobotModel,
     drive: DriveSet,
-    directions: Sequence[TransferableDirections],
+    directions: Sequence[RegroupingRelations],
     to_link: Sequence[Array],
     structure: DriveStructure,
     scales: Array,
@@ -254,7 +254,7 @@ def _null_blocks(
 def _realised(
     model: RobotModel,
     drive: DriveSet,
-    directions: list[TransferableDirections],
+    directions: list[RegroupingRelations],
     blocks: Sequence[Array],
     structure: DriveStructure,
 ) -> list[Array]:

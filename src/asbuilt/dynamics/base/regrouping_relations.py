@@ -204,7 +204,7 @@ class LinkMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class TransferableDirections:
+class RegroupingRelations:
     """Hold the k transferable directions of one link, in lengths divided by the robot's size.
 
     `child` (k, 10): change of the link's parameters in its joint frame (after the joint's motion);
@@ -249,9 +249,9 @@ def characteristic_length(model: RobotModel) -> float:
     return float(2.0 ** np.round(np.log2(largest))) if largest > 0.0 else 1.0
 
 
-def transferable_directions(
+def regrouping_relations(
     model: RobotModel, imitable: Sequence[Imitable]
-) -> tuple[list[TransferableDirections], list[LinkMotion]]:
+) -> tuple[list[RegroupingRelations], list[LinkMotion]]:
     """Return, link by link, all directions in which parameters move to the parent without a trace,
     and what each link can do.
 
@@ -269,7 +269,7 @@ def transferable_directions(
         np.zeros((0, 6)), np.zeros((0, 10)), row_space(gravity[None]), np.zeros((0, 6 + n))
     )
     motions: list[LinkMotion] = []
-    directions: list[TransferableDirections] = []
+    directions: list[RegroupingRelations] = []
     for c, joint in enumerate(model.joints):
         if joint.parent < 0:
             parent, fixed = root, joint.before
@@ -284,7 +284,7 @@ def transferable_directions(
             found[:, :10] @ shifts[0].T if joint.parent >= 0 else np.zeros((len(found), 10))
         )
         directions.append(
-            TransferableDirections(
+            RegroupingRelations(
                 c,
                 found[:, :10],
                 onto_parent,

@@ -1,4 +1,4 @@
-"""Polynomials in letters for lengths.
+"""Polynomials in symbols for lengths.
 
 The regrouping of parameters, written so that it holds for every robot of the same build.
 """
@@ -12,27 +12,27 @@ from math import prod
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.lengths import rotated_letters
-from asbuilt.description.model import Letters, RobotModel
-from asbuilt.dynamics.base.axis_frames import NUMBER, lettered_translation
+from asbuilt.description.lengths import rotated_symbols
+from asbuilt.description.model import RobotModel, Symbols
+from asbuilt.dynamics.base.axis_frames import NUMBER, symbolic_translation
 from asbuilt.dynamics.base.regrouping_relations import (
     LENGTH_EXPONENTS,
     SHIFT_LINEAR,
     SHIFT_SQUARE,
-    TransferableDirections,
+    RegroupingRelations,
     characteristic_length,
     shift_of_rotation,
 )
 
 Monomial = tuple[str, ...]
-"""The letters of a product, sorted; a square has its letter twice, the empty product is 1."""
+"""The symbols of a product, sorted; a square has its symbol twice, the empty product is 1."""
 
 COEFFICIENT_TOLERANCE = 1e-12
 """A coefficient below this is rounding; coefficients are plain numbers such as 1, 2 or a cosine."""
 
 
 class Polynomial:
-    """Hold a polynomial in letters: a factor for each product of letters.
+    """Hold a polynomial in symbols: a factor for each product of symbols.
 
     >>> (Polynomial.of("b3") + Polynomial.number(2.0)) * Polynomial.of("b3")
     b3**2 + 2*b3
@@ -53,9 +53,9 @@ class Polynomial:
         return cls({(): value})
 
     @classmethod
-    def of(cls, letter: str) -> Polynomial:
-        """Return a single letter."""
-        return cls({(letter,): 1.0})
+    def of(cls, symbol: str) -> Polynomial:
+        """Return a single symbol."""
+        return cls({(symbol,): 1.0})
 
     def __bool__(self) -> bool:
         return bool(self.terms)
@@ -80,7 +80,7 @@ class Polynomial:
 
     @property
     def constant(self) -> float | None:
-        """The value of a polynomial without letters, None where there are letters."""
+        """The value of a polynomial without symbols, None where there are symbols."""
         if any(self.terms):
             return None
         return self.terms.get((), 0.0)
@@ -88,7 +88,7 @@ class Polynomial:
     def value(self, lengths: Mapping[str, float]) -> float:
         """Return the value at given lengths."""
         return sum(
-            factor * prod(lengths[letter] for letter in monomial)
+            factor * prod(lengths[symbol] for symbol in monomial)
             for monomial, factor in self.terms.items()
         )
 
@@ -100,17 +100,17 @@ Row = dict[int, Polynomial]
 """A sparse vector over standard parameters."""
 
 
-def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -> list[Row]:
-    """Return the link parameters of all directions, in turn, with letters for lengths."""
+def null_rows(model: RobotModel, directions: Sequence[RegroupingRelations]) -> list[Row]:
+    """Return the link parameters of all directions, in turn, with symbols for lengths."""
     physical = characteristic_length(model) ** LENGTH_EXPONENTS
     rows: list[Row] = []
     for found in directions:
         joint = model.joints[found.link]
         R = joint.after[:3, :3]
-        back = rotated_letters(
-            -R.T, lettered_translation(joint.after, joint.after_letters, model.lengths)
+        back = rotated_symbols(
+            -R.T, symbolic_translation(joint.after, joint.after_symbols, model.lengths)
         )
-        there = lettered_translation(joint.before, joint.before_letters, model.lengths)
+        there = symbolic_translation(joint.before, joint.before_symbols, model.lengths)
         for k in range(len(found.child)):
             row = _shifted(found.child[k] * physical, R.T, back, 10 * found.link)
             if joint.parent >= 0:
@@ -121,15 +121,15 @@ def null_rows(model: RobotModel, directions: Sequence[TransferableDirections]) -
     return rows
 
 
-def _shifted(parameters: Array, rotation: Array, letters: Letters, first: int) -> Row:
-    """Return the ten parameters after a turn and a shift by letters, in columns `first` .
+def _shifted(parameters: Array, rotation: Array, symbols: Symbols, first: int) -> Row:
+    """Return the ten parameters after a turn and a shift by symbols, in columns `first` .
 
     `first + 9`.
     """
     turned = shift_of_rotation(rotation) @ parameters
     along = [
-        Polynomial({() if letter == NUMBER else (letter,): factor for factor, letter in axis})
-        for axis in letters
+        Polynomial({() if symbol == NUMBER else (symbol,): factor for factor, symbol in axis})
+        for axis in symbols
     ]
     total = [Polynomial.number(value) for value in turned]
 
@@ -150,7 +150,7 @@ def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, R
     """Return each dependent column as a sum of base columns, `column_j = sum_b result[j][b]
     column_b`, by elimination from the last pivot.
 
-    None where this takes a division by letters, or where the pivots are only right for special
+    None where this takes a division by symbols, or where the pivots are only right for special
     lengths.
     """
     waiting = [dict(row) for row in rows]
@@ -196,14 +196,14 @@ def number_text(value: float) -> str:
 def _product(monomial: Monomial) -> str:
     powers = Counter(monomial)
     return "*".join(
-        letter if power == 1 else f"{letter}**{power}" for letter, power in powers.items()
+        symbol if power == 1 else f"{symbol}**{power}" for symbol, power in powers.items()
     )
 
 
 def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
     """Write a sum of (name, factor).
 
-    Numbers first, then by falling degree in letters, equal factors gathered.
+    Numbers first, then by falling degree in symbols, equal factors gathered.
 
     >>> b3 = Polynomial.of("b3")
     >>> written([("Ixx2", Polynomial.number(1.0)), ("my3", b3.times(-2.0)), ("m3", b3 * b3), ("m4", b3 * b3)])
@@ -220,19 +220,19 @@ def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
             )
             groups.setdefault(key, []).append((value < 0, name))
     constants = [key for key in groups if not key[1]]
-    lettered = sorted((key for key in groups if key[1]), key=lambda key: (key[0], key[1]))
+    symbolic = sorted((key for key in groups if key[1]), key=lambda key: (key[0], key[1]))
     text = ""
-    for key in (*constants, *lettered):
+    for key in (*constants, *symbolic):
         members = groups[key]
         negative = members[0][0]
-        size, letters = key[2], _product(key[1])
+        size, symbols = key[2], _product(key[1])
         names = members[0][1]
         if len(members) > 1:
             rest = "".join(
                 f" {'-' if sign != negative else '+'} {name}" for sign, name in members[1:]
             )
             names = f"({names}{rest})"
-        factors = [part for part in ("" if size == "1" else size, letters, names) if part]
+        factors = [part for part in ("" if size == "1" else size, symbols, names) if part]
         product = "*".join(factors) or "1"
         text += (
             f" {'-' if negative else '+'} {product}"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues, JointKind
 from asbuilt.dynamics.drives import terms
-from asbuilt.dynamics.drives.term import DriveTerm, ShapeValue
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue
 from asbuilt.errors import UsageError
 
 NONE = "none"
@@ -66,9 +66,9 @@ class DriveSet:
 
         "none" and the empty list choose no term.
 
-        A key may state its shapes, `stribeck:velocity=0.05:power=1`, for all joints or, divided by
+        A key may state its nonlinear parameters, `stribeck:velocity=0.05:power=1`, for all joints or, divided by
         slashes, for each: `smooth_coulomb:width=0.02/0.01`; and the numbers of the joints that have
-        the term: `spring:joints=2/5`. Raises UsageError for terms, shapes and values that do not
+        the term: `spring:joints=2/5`. Raises UsageError for terms, nonlinear parameters and values that do not
         exist.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
@@ -108,18 +108,18 @@ class DriveSet:
 
     @property
     def specifications(self) -> tuple[str, ...]:
-        """The chosen terms with the shapes stated for them; `parse` gives the same set back."""
+        """The chosen terms with the nonlinear parameters stated for them; `parse` gives the same set back."""
         return tuple(str(term) for term in self.terms)
 
     @property
-    def letters(self) -> tuple[str, ...]:
+    def symbols(self) -> tuple[str, ...]:
         """Parameter names of one joint without its number."""
-        return tuple(letter for term in self.terms for letter in term.letters)
+        return tuple(symbol for term in self.terms for symbol in term.symbols)
 
     @property
     def columns_per_joint(self) -> int:
         """Number of drive parameters of one joint."""
-        return sum(len(term.letters) for term in self.terms)
+        return sum(len(term.symbols) for term in self.terms)
 
     @property
     def needs_load(self) -> bool:
@@ -129,15 +129,15 @@ class DriveSet:
     @property
     def of_motor(self) -> NDArray[np.bool_]:
         """Whether each column of a joint belongs to its motor, shape (columns_per_joint,)."""
-        return np.array([term.of_motor for term in self.terms for _ in term.letters], dtype=bool)
+        return np.array([term.of_motor for term in self.terms for _ in term.symbols], dtype=bool)
 
     @property
-    def is_shaped(self) -> bool:
-        """Whether every shape has a value: none is left to be fitted."""
-        return not any(term.free_shapes for term in self.terms)
+    def is_linear(self) -> bool:
+        """Whether every nonlinear parameter has a value: none is left to be fitted."""
+        return not any(term.free_nonlinear for term in self.terms)
 
     def at(self, joint: int) -> DriveSet:
-        """Return the set of one joint (counted from 0), with one number per shape."""
+        """Return the set of one joint (counted from 0), with one number per nonlinear parameter."""
         return DriveSet(tuple(term.at(joint) for term in self.terms))
 
     def with_term(self, term: DriveTerm) -> DriveSet:
@@ -161,13 +161,13 @@ class DriveSet:
         )
 
     def check_joints(self, n_joints: int) -> None:
-        """Raise UsageError where shapes are stated for another number of joints."""
+        """Raise UsageError where nonlinear parameters are stated for another number of joints."""
         for term in self.terms:
             term.check_joints(n_joints)
 
     def names(self, joint_number: int) -> tuple[str, ...]:
         """Return the parameter names of one joint; numbers count from 1."""
-        return tuple(f"{letter}{joint_number}" for letter in self.letters)
+        return tuple(f"{symbol}{joint_number}" for symbol in self.symbols)
 
     def units(self, kind: JointKind) -> tuple[str, ...]:
         """Return the parameter units of a joint of this kind."""
@@ -177,7 +177,7 @@ class DriveSet:
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
         """Return what the description says of each parameter of one joint (of a set `at` that
-        joint), None where it is silent or has other shapes.
+        joint), None where it is silent or has other parameters.
         """
         return tuple(value for term in self.terms for value in _described(term, drive))
 
@@ -196,7 +196,7 @@ class DriveSet:
         shape (n_samples,).
 
         `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory
-        for the result; `joint` (counted from 0) is needed where shapes are stated joint by joint;
+        for the result; `joint` (counted from 0) is needed where nonlinear parameters are stated joint by joint;
         `motor` is position, velocity and acceleration of a motor that several joints turn, without
         which the columns of terms `of_motor` are zero. Raises UsageError where a term needs a load
         and none is given.
@@ -211,7 +211,7 @@ class DriveSet:
         row = 0
         for shared in self.terms:
             term = shared if joint is None else shared.at(joint)
-            own = columns[row : row + len(term.letters)]
+            own = columns[row : row + len(term.symbols)]
             if joint is not None and not term.is_at(joint):
                 own[...] = 0.0
             elif not term.of_motor:
@@ -220,7 +220,7 @@ class DriveSet:
                 own[...] = 0.0
             else:
                 term.evaluate(*motor, None, own)
-            row += len(term.letters)
+            row += len(term.symbols)
         return columns
 
 
@@ -229,14 +229,15 @@ def _described(term: DriveTerm, drive: DriveValues) -> tuple[float | None, ...]:
     if numbers is None:
         return term.values(drive)
     if any(
-        numbers.get(shape.name, shape.default) != term.value(shape.name) for shape in term.shapes
+        numbers.get(parameter.name, parameter.default) != term.value(parameter.name)
+        for parameter in term.nonlinear
     ):
-        return (None,) * len(term.letters)
-    return tuple(numbers.get(letter) for letter in term.letters)
+        return (None,) * len(term.symbols)
+    return tuple(numbers.get(symbol) for symbol in term.symbols)
 
 
 def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
-    shapes: dict[str, ShapeValue] = {}
+    parameters: dict[str, NonlinearValue] = {}
     for option in options:
         name, equals, values = (part.strip() for part in option.partition("="))
         try:
@@ -256,8 +257,8 @@ def _stated(term: DriveTerm, options: Sequence[str]) -> DriveTerm:
                 )
             term = replace(term, joints=tuple(sorted({int(number) for number in numbers})))
         else:
-            shapes[name] = numbers[0] if len(numbers) == 1 else numbers
-    return term.with_shapes(shapes)
+            parameters[name] = numbers[0] if len(numbers) == 1 else numbers
+    return term.with_nonlinear(parameters)
 
 
 NO_DRIVE = DriveSet()

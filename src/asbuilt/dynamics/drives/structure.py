@@ -11,7 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.regrouping_relations import (
     Imitable,
-    TransferableDirections,
+    RegroupingRelations,
     null_space,
     reversed_echelon,
 )
@@ -19,7 +19,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 
 IMITABLE = ("qdd", "1", "sin q", "cos q")
 """Elementary functions that links can imitate, in the order of the changes of
-`TransferableDirections`.
+`RegroupingRelations`.
 """
 
 
@@ -61,7 +61,7 @@ def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
     coupled = np.abs(shares).max(axis=1) > 0.0
     of_motor = drive.of_motor
     armature_of_motor = np.array(
-        [term.key == "motor_armature" for term in drive.terms for _ in term.letters], dtype=bool
+        [term.key == "motor_armature" for term in drive.terms for _ in term.symbols], dtype=bool
     )
     for k in range(n):
         functions = drive.functions(k)
@@ -94,7 +94,7 @@ def drive_structure(model: RobotModel, drive: DriveSet, unit: Array) -> DriveStr
 
 
 def realisable(
-    directions: list[TransferableDirections], structure: DriveStructure
+    directions: list[RegroupingRelations], structure: DriveStructure
 ) -> tuple[Array, Array, Array]:
     """Return which sums of all directions the armatures at hand can make.
 

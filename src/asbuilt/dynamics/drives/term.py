@@ -1,4 +1,4 @@
-"""One term of a drive's torque, linear in its parameters; what enters otherwise is a shape."""
+"""One term of a drive's torque, linear in its parameters; what enters otherwise is a nonlinear parameter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues
 from asbuilt.errors import UsageError
 
-ShapeValue = float | tuple[float, ...] | None
+NonlinearValue = float | tuple[float, ...] | None
 """One number for all joints, one per joint, or None: to be fitted, the default until then."""
 
 ALL_SOURCES = ("sensor", "motor", "current", "unknown")
@@ -21,14 +21,14 @@ MOTOR_SOURCES = ("motor", "current")
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
+class NonlinearParameter:
     """A number that enters the columns of a term non-linearly.
 
     Its name, where a fit starts, and the range it may take.
 
     `lower` and `upper` bound what may be stated, `credible` where a fit looks: values for which the
     term is the physics that it is named after, as fractions of the joint's top speed where the
-    shape is a `speed`. `fitted` False keeps the default unless another value is stated. `typical`
+    nonlinear parameter is a `speed`. `fitted` False keeps the default unless another value is stated. `typical`
     is a value at which the columns stand out at speeds of some rad/s, for questions of structure;
     None where the value itself decides them.
     """
@@ -50,7 +50,7 @@ class DriveTerm(ABC):
 
     A term is one file in this package: a frozen dataclass without arguments in its simplest form.
     What enters the columns non-linearly (a Stribeck velocity, the width of a smooth sign) is
-    declared in `shapes` and is a field of the same name, None by default, so that
+    declared in `nonlinear` and is a field of the same name, None by default, so that
     `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters.
     `joints` are the numbers (from 1) of the joints that have the term, None for all; the parameters
     of the others never act.
@@ -63,13 +63,13 @@ class DriveTerm(ABC):
     """Name used to select the term."""
     position: ClassVar[int]
     """Place in the canonical order; smaller comes first."""
-    letters: ClassVar[tuple[str, ...]]
+    symbols: ClassVar[tuple[str, ...]]
     """One per column; the joint number follows it in parameter names."""
     revolute_units: ClassVar[tuple[str, ...]]
     prismatic_units: ClassVar[tuple[str, ...]]
     formula: ClassVar[str] = ""
-    """The torque, in letters."""
-    shapes: ClassVar[tuple[Shape, ...]] = ()
+    """The torque, in symbols."""
+    nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = ()
     default_for: ClassVar[tuple[str, ...]] = ()
     """Torque sources for which the term is among the defaults."""
     tried_for: ClassVar[tuple[str, ...]] = ()
@@ -107,7 +107,7 @@ class DriveTerm(ABC):
 
     @abstractmethod
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write the columns of one joint into `out`, shape (len(letters), n_samples).
+        """Write the columns of one joint into `out`, shape (len(symbols), n_samples).
 
         The inputs have shape (n_samples,).
 
@@ -123,8 +123,8 @@ class DriveTerm(ABC):
         terms apart.
         """
         return tuple(
-            {(self.key, letter, *(self.value(shape.name) for shape in self.shapes)): 1.0}
-            for letter in self.letters
+            {(self.key, symbol, *(self.value(parameter.name) for parameter in self.nonlinear)): 1.0}
+            for symbol in self.symbols
         )
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
@@ -134,29 +134,31 @@ class DriveTerm(ABC):
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
         """Return what the description says of each parameter, None where it is silent."""
         stated: float | None = getattr(drive, self.key, None)
-        return (stated,) if len(self.letters) == 1 else (None,) * len(self.letters)
+        return (stated,) if len(self.symbols) == 1 else (None,) * len(self.symbols)
 
     def powers_of_ratio(self) -> tuple[float, ...]:
         """Return by which power of the gear ratio N each parameter shrinks on its way to the motor,
         with `theta = N q` and `tau_joint = N tau_motor`.
         """
-        return self.ratio_powers or (1.0,) * len(self.letters)
+        return self.ratio_powers or (1.0,) * len(self.symbols)
 
     @property
-    def free_shapes(self) -> tuple[Shape, ...]:
-        """The shapes that a fit may move, since no value is stated."""
+    def free_nonlinear(self) -> tuple[NonlinearParameter, ...]:
+        """The nonlinear parameters that a fit may move, since no value is stated."""
         return tuple(
-            shape for shape in self.shapes if shape.fitted and getattr(self, shape.name) is None
+            parameter
+            for parameter in self.nonlinear
+            if parameter.fitted and getattr(self, parameter.name) is None
         )
 
     def value(self, name: str) -> float:
-        """Return the value of a shape: the stated one, or the default.
+        """Return the value of a nonlinear parameter: the stated one, or the default.
 
         A term with one value per joint must be taken `at` a joint first, or raises UsageError.
         """
-        stated: ShapeValue = getattr(self, name)
+        stated: NonlinearValue = getattr(self, name)
         if stated is None:
-            return next(shape.default for shape in self.shapes if shape.name == name)
+            return next(parameter.default for parameter in self.nonlinear if parameter.name == name)
         if isinstance(stated, tuple):
             raise UsageError(
                 f"{self} has one {name} per joint; say of which joint its columns are wanted"
@@ -168,8 +170,8 @@ class DriveTerm(ABC):
         return self.joints is None or joint + 1 in self.joints
 
     def at(self, joint: int) -> Self:
-        """Return the term of one joint (counted from 0), with one number per shape."""
-        own = {shape.name: getattr(self, shape.name) for shape in self.shapes}
+        """Return the term of one joint (counted from 0), with one number per nonlinear parameter."""
+        own = {parameter.name: getattr(self, parameter.name) for parameter in self.nonlinear}
         several = {name: values for name, values in own.items() if isinstance(values, tuple)}
         return (
             self._with({name: values[joint] for name, values in several.items()})
@@ -178,14 +180,18 @@ class DriveTerm(ABC):
         )
 
     def typical(self) -> Self:
-        """Return the term with shapes at which its columns stand out, where they do not decide its
+        """Return the term with nonlinear parameters at which its columns stand out, where they do not decide its
         structure.
         """
-        values = {shape.name: shape.typical for shape in self.shapes if shape.typical is not None}
+        values = {
+            parameter.name: parameter.typical
+            for parameter in self.nonlinear
+            if parameter.typical is not None
+        }
         return self._with(values) if values else self
 
     def check_joints(self, n_joints: int) -> None:
-        """Raise UsageError where a shape is given for another number of joints, or a joint does not
+        """Raise UsageError where a nonlinear parameter is given for another number of joints, or a joint does not
         exist.
         """
         outside = [number for number in self.joints or () if not 1 <= number <= n_joints]
@@ -193,32 +199,32 @@ class DriveTerm(ABC):
             raise UsageError(
                 f"{self} names joint {outside[0]}; the robot has joints 1 to {n_joints}"
             )
-        for shape in self.shapes:
-            stated = getattr(self, shape.name)
+        for parameter in self.nonlinear:
+            stated = getattr(self, parameter.name)
             if isinstance(stated, tuple) and len(stated) != n_joints:
                 raise UsageError(
-                    f"{self} states {len(stated)} values of {shape.name}, one per joint; the robot"
+                    f"{self} states {len(stated)} values of {parameter.name}, one per joint; the robot"
                     f" has {n_joints} joints"
                 )
 
-    def with_shapes(self, values: Mapping[str, ShapeValue]) -> Self:
-        """Return the term with these shapes stated.
+    def with_nonlinear(self, values: Mapping[str, NonlinearValue]) -> Self:
+        """Return the term with these nonlinear parameters stated.
 
         Raises UsageError for a name or a value that it does not take.
         """
-        known = {shape.name: shape for shape in self.shapes}
+        known = {parameter.name: parameter for parameter in self.nonlinear}
         for name, stated in values.items():
             if name not in known:
                 there = f"it has {', '.join(known)}" if known else "it has none"
                 raise UsageError(f"drive term {self.key!r} has no option {name!r}; {there}")
-            shape = known[name]
+            parameter = known[name]
             for number in (
                 () if stated is None else stated if isinstance(stated, tuple) else (stated,)
             ):
-                if not shape.lower <= number <= shape.upper:
+                if not parameter.lower <= number <= parameter.upper:
                     raise UsageError(
-                        f"{name} of drive term {self.key!r} must lie between {shape.lower:g} and"
-                        f" {shape.upper:g} {shape.unit}".rstrip()
+                        f"{name} of drive term {self.key!r} must lie between {parameter.lower:g} and"
+                        f" {parameter.upper:g} {parameter.unit}".rstrip()
                         + f", got {number:g}"
                     )
         return self._with(values)
@@ -230,10 +236,10 @@ class DriveTerm(ABC):
         parts = [self.key]
         if self.joints is not None:
             parts.append(f"joints={'/'.join(map(str, self.joints))}")
-        for shape in self.shapes:
-            stated = getattr(self, shape.name)
+        for parameter in self.nonlinear:
+            stated = getattr(self, parameter.name)
             if stated is not None:
                 parts.append(
-                    f"{shape.name}={'/'.join(map(repr, stated if isinstance(stated, tuple) else (stated,)))}"
+                    f"{parameter.name}={'/'.join(map(repr, stated if isinstance(stated, tuple) else (stated,)))}"
                 )
         return ":".join(parts)

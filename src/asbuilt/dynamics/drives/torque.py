@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm, ShapeValue
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import DescriptionError, UsageError
 
@@ -83,13 +83,13 @@ def drive_torque(
 
 
 def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
-    """Return the drive terms of which the description gives any value, with their shapes, and the
+    """Return the drive terms of which the description gives any value, with their nonlinear parameters, and the
     values joint by joint, zero where it is silent.
 
     Raises
     ------
     DescriptionError
-        If it names a term that does not exist, or a parameter or shape that a term does not have.
+        If it names a term that does not exist, or a parameter or nonlinear parameter that a term does not have.
     """
     known = available_terms()
     for joint in model.joints:
@@ -109,16 +109,16 @@ def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
 
 
 def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
-    """Return a term with the shapes and the joints (counted from 0) of a description."""
-    shapes: dict[str, ShapeValue] = {}
-    for shape in term.shapes:
+    """Return a term with the nonlinear parameters and the joints (counted from 0) of a description."""
+    parameters: dict[str, NonlinearValue] = {}
+    for parameter in term.nonlinear:
         numbers = tuple(
-            float(joint.drive.terms.get(term.key, {}).get(shape.name, shape.default))
+            float(joint.drive.terms.get(term.key, {}).get(parameter.name, parameter.default))
             for joint in model.joints
         )
-        shapes[shape.name] = numbers[0] if len(set(numbers)) == 1 else numbers
+        parameters[parameter.name] = numbers[0] if len(set(numbers)) == 1 else numbers
     joints = None if len(there) == model.n_joints else tuple(k + 1 for k in there)
-    return replace(term.with_shapes(shapes), joints=joints)
+    return replace(term.with_nonlinear(parameters), joints=joints)
 
 
 def _check_described(
@@ -128,7 +128,7 @@ def _check_described(
         raise DescriptionError(
             f"{where} has a term {key!r}, which does not exist; there are {', '.join(known)}"
         )
-    names = (*known[key].letters, *(shape.name for shape in known[key].shapes))
+    names = (*known[key].symbols, *(parameter.name for parameter in known[key].nonlinear))
     for name in numbers:
         if name not in names:
             raise DescriptionError(

@@ -49,9 +49,9 @@ class TorqueLimit(StateConstraint):
         self._finite = np.flatnonzero(np.isfinite(limit))
         self._drive, self._values = described_drive(self._model)
         self._differ = any(
-            isinstance(getattr(term, shape.name), tuple)
+            isinstance(getattr(term, parameter.name), tuple)
             for term in self._drive.terms
-            for shape in term.shapes
+            for parameter in term.nonlinear
         )
 
     def values(self, q: Array, qd: Array, qdd: Array) -> Array:

@@ -216,11 +216,11 @@ class Information:
 
     @cached_property
     def _differ(self) -> bool:
-        """Whether a term has a shape of its own for each joint."""
+        """Whether a term has a nonlinear parameter of its own for each joint."""
         return any(
-            isinstance(getattr(term, shape.name), tuple)
+            isinstance(getattr(term, parameter.name), tuple)
             for term in self.base.drive.terms
-            for shape in term.shapes
+            for parameter in term.nonlinear
         )
 
     def _state(self, q: Array, qd: Array, qdd: Array) -> list[Array]:

@@ -1,6 +1,4 @@
-"""What has to be known of every single sample before a recording is judged, gathered stretch by
-stretch, so that the recording need not be held.
-"""
+"""First pass over a recording: statistics of every sample, chunk by chunk."""
 
 from __future__ import annotations
 
@@ -8,27 +6,25 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.quality.running_statistics import Extremes, Furthest, Likeness
+from asbuilt.experiment.quality.running_statistics import Exceedance, Extremes, PositionMoments
 from asbuilt.experiment.recording import Recording, TorqueSource, median_rate, time_span
+from asbuilt.findings import Cure
 
 CREDIBLE = {"position": 1e6, "torque": 1e9, "velocity": 1e6, "acceleration": 1e9}
 """Largest value that any robot could log, in any unit of the quantity."""
 LIMIT_MARGIN = 0.01
-"""How far beyond its limits [rad or m] a joint may be logged."""
+"""Distance beyond its limits [rad or m] at which a joint counts as outside them."""
 FULL_TORQUE = 0.99
-"""Part of its limit from which a torque is said to reach it."""
+"""Share of its limit from which a torque counts as saturated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Missing:
-    """The rows in which the column of one quantity and joint holds no usable number, and what
-    stands in the first.
-    """
+    """Hold the rows in which one column has no usable number, and the value in the first."""
 
     quantity: str
     joint: int
@@ -37,32 +33,45 @@ class Missing:
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
-    """Hold what one pass over all samples of a recording tells of it.
+class FirstPass:
+    """Hold statistics over all samples of a recording.
 
-    `t` (N,) are its times; `fresh` (N,) says which samples differ from the one before in position
-    or torque, `heard` which have a time and torques, `usable` which have positions and, where
-    logged, velocities, too. `reach` has the extremes of the positions, `effort` those of fresh
-    torques; `beyond` counts positions outside the limits of the model, `loud` fresh torques that
-    reach theirs. Values that no robot could log count as missing.
+    Parameters
+    ----------
+    t
+        Times [s], shape (N,).
+    not_repeated
+        Whether position or torque differ from the sample before, shape (N,).
+    valid_torque
+        Whether time and torques are finite, shape (N,).
+    valid
+        Whether positions and, if logged, velocities are finite too, shape (N,).
+    missing
+        Columns with values that are not finite or that no robot could log.
+    position_range, torque_range
+        Extremes of the positions, and of the torques that are not repeated.
+    moments
+        Moments of the positions.
+    outside_limits, saturated
+        Positions outside the limits of the model, and torques that reach theirs.
     """
 
     source: str
     joint_names: tuple[str, ...]
     torque_source: TorqueSource
     notes: tuple[str, ...]
-    n_stretches: int
+    n_chunks: int
     first_torque: float
     t: Array
-    fresh: NDArray[np.bool_]
-    heard: NDArray[np.bool_]
-    usable: NDArray[np.bool_]
+    not_repeated: Mask
+    valid_torque: Mask
+    valid: Mask
     missing: tuple[Missing, ...]
-    reach: Extremes
-    likeness: Likeness
-    beyond: Furthest
-    effort: Extremes
-    loud: Furthest
+    position_range: Extremes
+    moments: PositionMoments
+    outside_limits: Exceedance
+    torque_range: Extremes
+    saturated: Exceedance
 
     @property
     def n_samples(self) -> int:
@@ -76,10 +85,7 @@ class Survey:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]: the inverse of the median positive time step.
-
-        NaN where there is none.
-        """
+        """Sampling rate [Hz]: the inverse of the median positive time step; NaN if there is none."""
         return median_rate(self.t)
 
     @property
@@ -88,85 +94,88 @@ class Survey:
         return time_span(self.t)
 
 
-def survey(model: RobotModel, stretches: Iterable[Recording]) -> Survey:
-    """Go once through the stretches of a recording in order, or through one that is held, a single
-    stretch.
+def first_pass(model: RobotModel, chunks: Iterable[Recording]) -> FirstPass:
+    """Read the consecutive chunks of a recording once (a recording in memory is one chunk).
 
-    Raises RecordingError where there is no stretch, or its joints are not those of the model.
+    Raises
+    ------
+    RecordingError
+        If there is no chunk, or the joints are not those of the model.
     """
     n = model.n_joints
     lower, upper = _position_limits(model)
     full = FULL_TORQUE * np.array([joint.limits.torque for joint in model.joints])
-    reach, effort, likeness, beyond, loud = (
-        Extremes.none(n),
-        Extremes.none(n),
-        Likeness.none(n),
-        Furthest.none(n),
-        Furthest.none(n),
-    )
+    positions, torques, moments = Extremes.none(n), Extremes.none(n), PositionMoments.none(n)
+    outside, saturated = Exceedance.none(n), Exceedance.none(n)
     times, flags, missing = [], [], list[Missing]()
     first = last = None
     begin = 0
-    for logged in stretches:
-        stretch = as_modelled(model, logged)
-        fresh = _fresh(stretch, last)
-        missing += _missing(stretch, begin)
-        last, stretch = stretch, believable(stretch)
-        first = first or stretch
-        q, tau = stretch.q, stretch.tau
-        heard = np.isfinite(stretch.t) & np.all(np.isfinite(tau), axis=1)
-        usable = (
-            heard
+    for logged in chunks:
+        chunk = as_modelled(model, logged)
+        not_repeated = _not_repeated(chunk, last)
+        missing += _missing(chunk, begin)
+        last, chunk = chunk, credible(chunk)
+        first = first or chunk
+        q, tau = chunk.q, chunk.tau
+        valid_torque = np.isfinite(chunk.t) & np.all(np.isfinite(tau), axis=1)
+        valid = (
+            valid_torque
             & np.all(np.isfinite(q), axis=1)
-            & (stretch.qd is None or np.all(np.isfinite(stretch.qd), axis=1))
+            & (chunk.qd is None or np.all(np.isfinite(chunk.qd), axis=1))
         )
-        times.append(np.array(stretch.t))
-        flags.append(np.stack([fresh, heard, usable]))
-        rows = np.arange(begin, begin + stretch.n_samples)
-        outside = np.maximum(lower - q, q - upper)
-        size = np.abs(tau[fresh])
-        reach, effort, likeness = (
-            reach.with_more(q),
-            effort.with_more(tau[fresh]),
-            likeness.with_more(q),
-        )
-        beyond = beyond.with_more(outside, outside > LIMIT_MARGIN, q, rows)
-        loud = loud.with_more(size, size >= full, tau[fresh], rows[fresh])
-        begin += stretch.n_samples
+        times.append(np.array(chunk.t))
+        flags.append(np.stack([not_repeated, valid_torque, valid]))
+        rows = np.arange(begin, begin + chunk.n_samples)
+        excess = np.maximum(lower - q, q - upper)
+        size = np.abs(tau[not_repeated])
+        positions, moments = positions.with_more(q), moments.with_more(q)
+        torques = torques.with_more(tau[not_repeated])
+        outside = outside.with_more(excess, excess > LIMIT_MARGIN, q, rows)
+        saturated = saturated.with_more(size, size >= full, tau[not_repeated], rows[not_repeated])
+        begin += chunk.n_samples
     if first is None:
-        raise RecordingError("a recording without a stretch holds no samples")
-    fresh, heard, usable = np.concatenate(flags, axis=1)
-    return Survey(
+        raise RecordingError("the recording holds no samples")
+    not_repeated, valid_torque, valid = np.concatenate(flags, axis=1)
+    return FirstPass(
         source=first.source,
         joint_names=first.joint_names,
         torque_source=first.torque_source,
         notes=first.notes,
-        n_stretches=len(times),
+        n_chunks=len(times),
         first_torque=float(first.tau[0, 0]),
         t=np.concatenate(times),
-        fresh=fresh,
-        heard=heard,
-        usable=usable,
-        missing=_united(missing),
-        reach=reach,
-        likeness=likeness,
-        beyond=beyond,
-        effort=effort,
-        loud=loud,
+        not_repeated=not_repeated,
+        valid_torque=valid_torque,
+        valid=valid,
+        missing=_merged(missing),
+        position_range=positions,
+        moments=moments,
+        outside_limits=outside,
+        torque_range=torques,
+        saturated=saturated,
     )
 
 
 def as_modelled(model: RobotModel, recording: Recording) -> Recording:
     """Return the recording with its joints in the order of the model.
 
-    Raises RecordingError where they are not those of the model.
+    Raises
+    ------
+    RecordingError
+        If the joints are not those of the model.
     """
     if recording.n_joints != model.n_joints:
         raise RecordingError(
             f"{recording.source} has {recording.n_joints} joints"
             f" ({', '.join(recording.joint_names)}) but {model.name} has {model.n_joints}"
-            f" ({', '.join(model.joint_names)}); choose the right robot, or read the recording with"
-            " model = ..."
+            f" ({', '.join(model.joint_names)})",
+            cure=Cure(
+                "choose the robot that was recorded, or read the recording with its model",
+                call="read_recording",
+            ),
+            file=recording.source,
+            value=recording.n_joints,
+            expected=model.n_joints,
         )
     if recording.joint_names != model.joint_names and set(recording.joint_names) == set(
         model.joint_names
@@ -175,10 +184,8 @@ def as_modelled(model: RobotModel, recording: Recording) -> Recording:
     return recording
 
 
-def believable(recording: Recording) -> Recording:
-    """Return the recording with NaN in place of values that no robot could log, so that no other
-    check stumbles over them.
-    """
+def credible(recording: Recording) -> Recording:
+    """Return the recording with NaN in place of values that no robot could log."""
 
     def cleaned(what: str, values: Array) -> Array:
         return np.where(np.abs(values) <= CREDIBLE[what], values, np.nan)
@@ -212,27 +219,27 @@ def _position_limits(model: RobotModel) -> tuple[Array, Array]:
     return lower, np.where(endless, np.inf, [joint.limits.upper for joint in model.joints])
 
 
-def _fresh(stretch: Recording, before: Recording | None) -> NDArray[np.bool_]:
-    """Say which samples differ from the one before, the first from the last of the stretch before."""
-    changed = np.any(np.diff(stretch.q, axis=0) != 0, axis=1) | np.any(
-        np.diff(stretch.tau, axis=0) != 0, axis=1
+def _not_repeated(chunk: Recording, before: Recording | None) -> Mask:
+    """Return which samples differ from the one before, the first from the last of `before`."""
+    changed = np.any(np.diff(chunk.q, axis=0) != 0, axis=1) | np.any(
+        np.diff(chunk.tau, axis=0) != 0, axis=1
     )
     first = before is None or bool(
-        np.any(stretch.q[0] != before.q[-1]) or np.any(stretch.tau[0] != before.tau[-1])
+        np.any(chunk.q[0] != before.q[-1]) or np.any(chunk.tau[0] != before.tau[-1])
     )
     return np.concatenate([[first], changed])
 
 
-def _missing(stretch: Recording, begin: int) -> Iterator[Missing]:
-    for what, values in _quantities(stretch):
+def _missing(chunk: Recording, begin: int) -> Iterator[Missing]:
+    for what, values in _quantities(chunk):
         bad = ~(np.abs(values) <= CREDIBLE[what])
         for k in np.flatnonzero(bad.any(axis=0)).tolist():
             rows = np.flatnonzero(bad[:, k])
             yield Missing(what, k, begin + rows, float(values[rows[0], k]))
 
 
-def _united(missing: list[Missing]) -> tuple[Missing, ...]:
-    """Return what is missing of each column once, quantity by quantity."""
+def _merged(missing: list[Missing]) -> tuple[Missing, ...]:
+    """Return one entry per column, quantity by quantity."""
     found: dict[tuple[int, int], list[Missing]] = {}
     for each in missing:
         found.setdefault((list(CREDIBLE).index(each.quantity), each.joint), []).append(each)

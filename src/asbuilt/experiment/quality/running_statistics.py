@@ -1,16 +1,12 @@
-"""What is known of the samples seen so far and takes in more of them.
-
-Extremes, the furthest, moments.
-"""
+"""Running statistics of the columns of a recording: extremes, largest exceedance, moments."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 
 IN_STEP = 0.995
 """Correlation of positions from which joints move in step."""
@@ -18,10 +14,7 @@ IN_STEP = 0.995
 
 @dataclass(frozen=True, eq=False)
 class Extremes:
-    """How many numbers a column held, the lowest and the highest of them, all (n,).
-
-    Infinite where it held none.
-    """
+    """Hold count, lowest and highest finite value of each column, all (n,); infinite if none."""
 
     count: Indices
     low: Array
@@ -29,23 +22,24 @@ class Extremes:
 
     @classmethod
     def none(cls, n: int) -> Extremes:
-        """Return what is known before the first sample."""
+        """Return the statistics of no sample."""
         return cls(np.zeros(n, dtype=np.int64), np.full(n, np.inf), np.full(n, -np.inf))
 
     def with_more(self, values: Array) -> Extremes:
-        """Take in further values (N, n), of which those that are not finite do not count."""
-        there = np.isfinite(values)
+        """Include further values (N, n); those that are not finite do not count."""
+        finite = np.isfinite(values)
         return Extremes(
-            self.count + there.sum(axis=0),
-            np.minimum(self.low, np.where(there, values, np.inf).min(axis=0, initial=np.inf)),
-            np.maximum(self.high, np.where(there, values, -np.inf).max(axis=0, initial=-np.inf)),
+            self.count + finite.sum(axis=0),
+            np.minimum(self.low, np.where(finite, values, np.inf).min(axis=0, initial=np.inf)),
+            np.maximum(self.high, np.where(finite, values, -np.inf).max(axis=0, initial=-np.inf)),
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Furthest:
-    """Of every joint: in how many samples something was too far, and amount, value and row of the
-    furthest, all (n,).
+class Exceedance:
+    """Hold for each column how many samples exceed a bound, and amount, value and row of the worst.
+
+    All are (n,).
     """
 
     count: Indices
@@ -54,41 +48,32 @@ class Furthest:
     row: Indices
 
     @classmethod
-    def none(cls, n: int) -> Furthest:
-        """Return what is known before the first sample."""
-        return cls(
-            np.zeros(n, dtype=np.int64),
-            np.full(n, -np.inf),
-            np.full(n, np.nan),
-            np.zeros(n, dtype=np.int64),
-        )
+    def none(cls, n: int) -> Exceedance:
+        """Return the statistics of no sample."""
+        zeros = np.zeros(n, dtype=np.int64)
+        return cls(zeros, np.full(n, -np.inf), np.full(n, np.nan), zeros)
 
-    def with_more(
-        self, amount: Array, too_far: NDArray[np.bool_], value: Array, rows: Indices
-    ) -> Furthest:
-        """Take in further samples: amounts, which of them are too far, values (N, n) and rows (N,).
-
-        Amounts may be NaN.
-        """
+    def with_more(self, amount: Array, exceeds: Mask, value: Array, rows: Indices) -> Exceedance:
+        """Include samples: amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
         if not len(rows):
             return self
         amount = np.where(np.isnan(amount), -np.inf, amount)
         place, columns = np.argmax(amount, axis=0), np.arange(amount.shape[1])
         worst = amount[place, columns]
-        further = worst > self.amount
-        return Furthest(
-            self.count + too_far.sum(axis=0),
-            np.where(further, worst, self.amount),
-            np.where(further, value[place, columns], self.value),
-            np.where(further, rows[place], self.row),
+        worse = worst > self.amount
+        return Exceedance(
+            self.count + exceeds.sum(axis=0),
+            np.where(worse, worst, self.amount),
+            np.where(worse, value[place, columns], self.value),
+            np.where(worse, rows[place], self.row),
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Likeness:
-    """Moments of the samples whose positions are all there.
+class PositionMoments:
+    """Hold first and second moments of complete samples of positions, about the first of them.
 
-    How many, their extremes (n,), sums (n,) and products (n, n) about the first of them.
+    `low`, `high`, `about` and `total` are (n,), `products` (n, n).
     """
 
     n_samples: int
@@ -99,23 +84,22 @@ class Likeness:
     products: Array
 
     @classmethod
-    def none(cls, n: int) -> Likeness:
-        """Return what is known before the first sample."""
-        return cls(
-            0, np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n), np.zeros(n), np.zeros((n, n))
-        )
+    def none(cls, n: int) -> PositionMoments:
+        """Return the moments of no sample."""
+        infinite = np.full(n, np.inf)
+        return cls(0, infinite, -infinite, np.zeros(n), np.zeros(n), np.zeros((n, n)))
 
-    def with_more(self, q: Array) -> Likeness:
-        """Take in further positions (N, n)."""
-        whole = q[np.all(np.isfinite(q), axis=1)]
-        if not len(whole):
+    def with_more(self, q: Array) -> PositionMoments:
+        """Include further positions (N, n); rows with a value that is not finite do not count."""
+        complete = q[np.all(np.isfinite(q), axis=1)]
+        if not len(complete):
             return self
-        about = self.about if self.n_samples else whole[0]
-        apart = whole - about
-        return Likeness(
-            self.n_samples + len(whole),
-            np.minimum(self.low, whole.min(axis=0)),
-            np.maximum(self.high, whole.max(axis=0)),
+        about = self.about if self.n_samples else complete[0]
+        apart = complete - about
+        return PositionMoments(
+            self.n_samples + len(complete),
+            np.minimum(self.low, complete.min(axis=0)),
+            np.maximum(self.high, complete.max(axis=0)),
             about,
             self.total + apart.sum(axis=0),
             self.products + apart.T @ apart,
@@ -123,7 +107,7 @@ class Likeness:
 
     @property
     def moving(self) -> list[int]:
-        """The joints that move at all."""
+        """Joints whose position varies."""
         return [int(k) for k in np.flatnonzero(self.high > self.low)]
 
     def correlations(self, joints: list[int]) -> Array:

@@ -1,7 +1,4 @@
-"""What can only be looked at once the extremes and the clock of a recording are known.
-
-A second pass, stretch by stretch.
-"""
+"""Second pass over a recording: segments to smooth, and torques that stay at their extremes."""
 
 from __future__ import annotations
 
@@ -12,20 +9,21 @@ import numpy as np
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
-from asbuilt.experiment.quality.first_pass import Survey, as_modelled, believable
+from asbuilt.experiment.quality.first_pass import FirstPass, as_modelled, credible
 from asbuilt.experiment.recording import Recording
 
 _FEW = 20
-"""Fewer fresh samples than this have no extremes to stay at."""
+"""Number of torques that are not repeated below which there is no plateau."""
 _NEAR = 0.05
-"""What is near an extreme, in parts of the span between both."""
+"""Distance from an extreme, as a share of the torque range, that counts as near it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plateau:
-    """How often a torque is at its extreme.
+    """Hold how often a torque is at one of its extremes, and how often near it.
 
-    The places among the fresh samples, how many are near it, and their different values.
+    `places` are indices among the torques that are not repeated; `near` are the different values
+    near the extreme.
     """
 
     extreme: float
@@ -35,7 +33,7 @@ class Plateau:
     near: Array = field(default_factory=lambda: np.zeros(0))
 
     def with_more(self, values: Array, begin: int) -> Plateau:
-        """Take in further fresh values (N,), the first of which is at place `begin`."""
+        """Include further torques (N,), the first of which has the index `begin`."""
         near = values[np.abs(values - self.extreme) < self.width]
         places = begin + np.flatnonzero(values == self.extreme)
         return replace(
@@ -47,65 +45,64 @@ class Plateau:
 
 
 @dataclass(frozen=True, eq=False)
-class CloserLook:
-    """Hold the samples of chosen pieces, the torques by which filters are found, and the plateaus
-    at both extremes of every joint, none where it hardly varies.
+class SecondPass:
+    """Hold the samples of chosen segments, the torques for spectra, and the plateaus of each joint.
+
+    A joint whose torque hardly varies has no plateaus, others one at each extreme.
     """
 
-    pieces: tuple[Recording, ...]
+    segments: tuple[Recording, ...]
     torques: tuple[Array, ...]
     plateaus: tuple[tuple[Plateau, ...], ...]
 
 
-def look_closer(
-    model: RobotModel, stretches: Iterable[Recording], known: Survey, rows: Sequence[Indices]
-) -> CloserLook:
-    """Go through the stretches again for pieces of consecutive `rows`, and for torques that stay at
-    their extremes.
+def second_pass(
+    model: RobotModel, chunks: Iterable[Recording], known: FirstPass, rows: Sequence[Indices]
+) -> SecondPass:
+    """Read the chunks again for segments of consecutive `rows` and for torques at their extremes.
 
-    The torques of a recording that is held are all of them, those of one in several stretches those
-    of the pieces.
+    The torques for spectra are all of those of one chunk, else those of the segments.
     """
     plateaus = [_plateaus(known, k) for k in range(known.n_joints)]
     parts: list[list[Recording]] = [[] for _ in rows]
     torques: list[Array] = []
     begin = place = 0
-    for logged in stretches:
-        stretch = believable(as_modelled(model, logged))
-        stop = begin + stretch.n_samples
-        fresh = stretch.tau[known.fresh[begin:stop]]
+    for logged in chunks:
+        chunk = credible(as_modelled(model, logged))
+        stop = begin + chunk.n_samples
+        changed = chunk.tau[known.not_repeated[begin:stop]]
         plateaus = [
-            tuple(each.with_more(fresh[:, k], place) for each in both)
+            tuple(each.with_more(changed[:, k], place) for each in both)
             for k, both in enumerate(plateaus)
         ]
         for wanted, part in zip(rows, parts, strict=True):
             here = wanted[np.searchsorted(wanted, begin) : np.searchsorted(wanted, stop)]
             if here.size:
-                part.append(_copied(stretch, here - begin))
-        if known.n_stretches == 1:
-            torques.append(stretch.tau[known.heard])
-        begin, place = stop, place + len(fresh)
-    pieces = tuple(_joined(part) for part in parts)
-    return CloserLook(
-        pieces, tuple(torques) or tuple(piece.tau for piece in pieces), tuple(plateaus)
+                part.append(_copied(chunk, here - begin))
+        if known.n_chunks == 1:
+            torques.append(chunk.tau[known.valid_torque])
+        begin, place = stop, place + len(changed)
+    segments = tuple(_joined(part) for part in parts)
+    return SecondPass(
+        segments, tuple(torques) or tuple(part.tau for part in segments), tuple(plateaus)
     )
 
 
-def _plateaus(known: Survey, joint: int) -> tuple[Plateau, ...]:
-    low, high = float(known.effort.low[joint]), float(known.effort.high[joint])
-    if known.effort.count[joint] < _FEW or high == low:
+def _plateaus(known: FirstPass, joint: int) -> tuple[Plateau, ...]:
+    low, high = float(known.torque_range.low[joint]), float(known.torque_range.high[joint])
+    if known.torque_range.count[joint] < _FEW or high == low:
         return ()
     return Plateau(high, _NEAR * (high - low)), Plateau(low, _NEAR * (high - low))
 
 
-def _copied(stretch: Recording, rows: Indices) -> Recording:
+def _copied(chunk: Recording, rows: Indices) -> Recording:
     return Recording(
-        t=stretch.t[rows],
-        q=stretch.q[rows],
-        tau=stretch.tau[rows],
-        qd=None if stretch.qd is None else stretch.qd[rows],
-        joint_names=stretch.joint_names,
-        source=stretch.source,
+        t=chunk.t[rows],
+        q=chunk.q[rows],
+        tau=chunk.tau[rows],
+        qd=None if chunk.qd is None else chunk.qd[rows],
+        joint_names=chunk.joint_names,
+        source=chunk.source,
     )
 
 

@@ -376,9 +376,9 @@ def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tupl
     described, stated = described_drive(model)
     whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
     n = model.n_joints
-    known = [dict(zip(described.letters, row, strict=True)) for row in stated.reshape(n, -1)]
+    known = [dict(zip(described.symbols, row, strict=True)) for row in stated.reshape(n, -1)]
     known = [
-        have | dict(zip(drive.letters, row, strict=True))
+        have | dict(zip(drive.symbols, row, strict=True))
         for have, row in zip(known, values, strict=True)
     ]
-    return whole, np.array([[have[letter] for letter in whole.letters] for have in known]).ravel()
+    return whole, np.array([[have[symbol] for symbol in whole.symbols] for have in known]).ravel()

@@ -249,5 +249,5 @@ def non_negative_columns(n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
     """Return the standard parameters of drives that no passive drive has below zero, as columns of
     the standard regressor.
     """
-    bounded = [term.non_negative for term in drive.terms for _ in term.letters] * n_joints
+    bounded = [term.non_negative for term in drive.terms for _ in term.symbols] * n_joints
     return 10 * n_joints + np.flatnonzero(bounded)

@@ -17,7 +17,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm, Shape
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import UsageError
 from asbuilt.identification.drives.drive_candidates import (
@@ -28,8 +28,8 @@ from asbuilt.identification.drives.drive_candidates import (
     candidates,
     chosen_drive,
 )
-from asbuilt.identification.drives.nonlinear_parameters import fit_shapes, thinned
-from asbuilt.identification.errors.nonlinear_errors import ShapePlace
+from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear, thinned
+from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.estimators.least_squares import fit_least_squares, noise_floor
 from asbuilt.identification.identify import LARGE_CONDITION
 from asbuilt.identification.information.square_root_information import accumulate_stream
@@ -103,13 +103,13 @@ class Addition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveChoice:
-    """The drive terms chosen, with shapes stated.
+    """The drive terms chosen, with nonlinear parameters stated.
 
     `sentences` say why, `warnings` what speaks against them.
 
     `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing
     was chosen among; `additions` are the terms that were looked at beside the defaults and seemed
-    to help; `fitted` are the shapes whose values the data told.
+    to help; `fitted` are the nonlinear parameters whose values the data told.
     """
 
     drive: DriveSet
@@ -117,7 +117,7 @@ class DriveChoice:
     warnings: tuple[str, ...] = ()
     gain: Gain | None = None
     additions: tuple[Addition, ...] = ()
-    fitted: tuple[ShapePlace, ...] = ()
+    fitted: tuple[NonlinearPlace, ...] = ()
 
 
 def settle_drive(
@@ -125,10 +125,10 @@ def settle_drive(
 ) -> DriveChoice:
     """Return the drive terms to identify with.
 
-    The usual ones of robot and torque source where `drive` is None, as given with its shapes
+    The usual ones of robot and torque source where `drive` is None, as given with its nonlinear parameters
     fitted, or chosen where it is text such as "auto".
 
-    "auto,spring:joints=2" has the terms beside auto in any case. Fitted shapes are judged on
+    "auto,spring:joints=2" has the terms beside auto in any case. Fitted nonlinear parameters are judged on
     held-out blocks against the set without them, and stay whatever comes of it; a warning says
     where they are worse.
     """
@@ -137,7 +137,7 @@ def settle_drive(
         return DriveChoice(default)
     if isinstance(drive, str):
         return choose_drive(model, samples, default=default_with(default, drive))
-    return DriveChoice(drive) if drive.is_shaped else _shaped(model, samples, drive)
+    return DriveChoice(drive) if drive.is_linear else _fitted_nonlinear(model, samples, drive)
 
 
 def is_auto(text: str) -> bool:
@@ -169,7 +169,7 @@ def choose_drive(
     torque source calls for.
 
     Credible are the terms that declare themselves so for the torque source (springs and balancers
-    never do: a robot has them or not), with shapes inside their credible range (where the best
+    never do: a robot has them or not), with nonlinear parameters inside their credible range (where the best
     value lies at its end, the term is not what its name says) and friction that brakes: every
     parameter of the term positive by two standard errors, and none of the others turned negative by
     two. The term must lower the joint's error and that of all joints by two standard errors from
@@ -183,7 +183,7 @@ def choose_drive(
     3.4 (one standard error); Varma and Simon, BMC Bioinformatics 7, 2006 (nested choice).
     """
     start = default if default is not None else usual_drive(model, samples[0].torque_source)
-    fit = None if start.is_shaped else fit_shapes(model, start, samples)
+    fit = None if start.is_linear else fit_nonlinear(model, start, samples)
     start, told = (start, ()) if fit is None else (fit.drive, fit.places)
     n_blocks = len(thinned(model, samples))
     if n_blocks < FEWEST_BLOCKS:
@@ -223,7 +223,7 @@ def choose_drive(
     chosen, untold, refined = _refined(loaded, samples, start, columns, choice)
     additions = [
         (
-            replace(each, taken=False, objection="its shape is not told")
+            replace(each, taken=False, objection="its nonlinear parameter is not told")
             if (each.joint, each.term) in untold
             else each
         )
@@ -263,12 +263,12 @@ def _best_at(
     taken = {term.key for term in there} | {term.stands_for for term in there if term.stands_for}
     best: tuple[float, Placed, str] | None = None
     for key in dict.fromkeys(each.key for each in columns.tried):
-        shaped = [c for c, each in enumerate(columns.tried) if each.key == key]
-        stands_for = columns.tried[shaped[0]].term.stands_for
+        nonlinear = [c for c, each in enumerate(columns.tried) if each.key == key]
+        stands_for = columns.tried[nonlinear[0]].term.stands_for
         if key in taken or stands_for in taken:
             continue
         placed = min(
-            ((joint, c) for c in shaped),
+            ((joint, c) for c in nonlinear),
             key=lambda at: float(np.log(folds.fit((*choice, at)).held_out).mean()),
         )
         after = folds.fit((*choice, placed))
@@ -300,8 +300,8 @@ def _objection(
     """
     candidate = columns.tried[placed[1]]
     if candidate.at_bound:
-        shape = candidate.term.free_shapes or candidate.term.shapes
-        return f"its best {shape[0].name} lies at an end of the credible range"
+        nonlinear = candidate.term.free_nonlinear or candidate.term.nonlinear
+        return f"its best {nonlinear[0].name} lies at an end of the credible range"
     if not np.all(surely_positive(after[:, columns.own_places(placed)])):
         return "its parameters do not come out positive"
     for term, places in columns.drive_places[placed[0]]:
@@ -377,20 +377,22 @@ def _concluded(
         f" torque error on held-out blocks: {added}; the choice made anew without the blocks that"
         f" judge it, all joints: {gain}"
     ]
-    shaped = [
-        f"{shape.name} of {term.key}"
-        f" {', '.join(_shape_at(term, shape, k, names) for k in range(len(names)) if term.is_at(k))}"
+    nonlinear = [
+        f"{parameter.name} of {term.key}"
+        f" {', '.join(_nonlinear_at(term, parameter, k, names) for k in range(len(names)) if term.is_at(k))}"
         for term in chosen.terms
-        for shape in term.shapes
+        for parameter in term.nonlinear
     ]
-    sentences += [f"fitted shapes: {'; '.join(shaped)}"] if shaped else []
+    sentences += [f"fitted parameters: {'; '.join(nonlinear)}"] if nonlinear else []
     return DriveChoice(chosen, (*sentences, *objections), (), gain, tuple(additions))
 
 
-def _shape_at(term: DriveTerm, shape: Shape, joint: int, names: Sequence[str]) -> str:
+def _nonlinear_at(
+    term: DriveTerm, parameter: NonlinearParameter, joint: int, names: Sequence[str]
+) -> str:
     return (
         f"{names[joint]}"
-        f" {term.at(joint).value(shape.name):.3g}{f' {shape.unit}' if shape.unit else ''}"
+        f" {term.at(joint).value(parameter.name):.3g}{f' {parameter.unit}' if parameter.unit else ''}"
     )
 
 
@@ -400,9 +402,9 @@ def _refined(
     start: DriveSet,
     columns: CandidateColumns,
     choice: Choice,
-) -> tuple[DriveSet, set[tuple[int, str]], tuple[ShapePlace, ...]]:
-    """Return the set of a choice with its shapes refined between the values tried, less the terms,
-    by joint and key, whose shape all blocks together do not tell; and the shapes told.
+) -> tuple[DriveSet, set[tuple[int, str]], tuple[NonlinearPlace, ...]]:
+    """Return the set of a choice with its nonlinear parameters refined between the values tried, less the terms,
+    by joint and key, whose nonlinear parameter all blocks together do not tell; and the nonlinear parameters told.
     """
     n = loaded.n_joints
     rough = chosen_drive(start, columns.tried, choice, n)
@@ -416,10 +418,10 @@ def _refined(
             for term in rough.terms
         )
     )
-    if free.is_shaped:
+    if free.is_linear:
         return rough, set(), ()
-    found_all = fit_shapes(loaded, free, samples)
-    fitted = found_all.shapes
+    found_all = fit_nonlinear(loaded, free, samples)
+    fitted = found_all.nonlinear
     untold = {
         (k, found.term)
         for found in fitted
@@ -435,7 +437,7 @@ def _refined(
     for found in fitted:
         for term in chosen.terms:
             if term.key == found.term:
-                chosen = chosen.with_term(term.with_shapes({found.shape.name: found.values}))
+                chosen = chosen.with_term(term.with_nonlinear({found.parameter.name: found.values}))
     return (
         chosen,
         untold,
@@ -443,16 +445,18 @@ def _refined(
     )
 
 
-def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> DriveChoice:
-    """Return a set with its shapes fitted, and what held-out blocks say of that against the set
+def _fitted_nonlinear(
+    model: RobotModel, samples: Sequence[Samples], drive: DriveSet
+) -> DriveChoice:
+    """Return a set with its nonlinear parameters fitted, and what held-out blocks say of that against the set
     without these terms.
     """
-    shaped = [term for term in drive.terms if term.free_shapes]
-    plain = drive.without(*(term.key for term in shaped))
-    for term in shaped:
+    nonlinear = [term for term in drive.terms if term.free_nonlinear]
+    plain = drive.without(*(term.key for term in nonlinear))
+    for term in nonlinear:
         if term.stands_for is not None and term.stands_for not in plain.keys:
             plain = plain.with_term(available_terms()[term.stands_for])
-    found = fit_shapes(model, drive, samples)
+    found = fit_nonlinear(model, drive, samples)
     warnings = found.warnings(model.joint_names)
     both = [_judged(model, samples, each) for each in (plain, found.drive)]
     if both[0] is None or both[1] is None:
@@ -464,10 +468,10 @@ def _shaped(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> D
         f"torque error on held-out blocks {-100 * gain.fraction:+.1f} % against {_named(plain)}"
     )
     if gain.fraction < 0:
-        listed = ", ".join(term.key for term in shaped)
+        listed = ", ".join(term.key for term in nonlinear)
         warnings = (
             *warnings,
-            f"Fitted {listed} do not pay: {change}. Leave them out, or state their shapes.",
+            f"Fitted {listed} do not pay: {change}. Leave them out, or state their parameters.",
         )
     return DriveChoice(
         found.drive,

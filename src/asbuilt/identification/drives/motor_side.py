@@ -53,10 +53,10 @@ def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParame
     }
     for joint, ratio in ratios.items():
         for term in drive.at(joint).terms:
-            for letter, unit, power in zip(
-                term.letters, term.units(revolute=True), term.powers_of_ratio(), strict=True
+            for symbol, unit, power in zip(
+                term.symbols, term.units(revolute=True), term.powers_of_ratio(), strict=True
             ):
-                parameter = known.get(f"{letter}{joint + 1}")
+                parameter = known.get(f"{symbol}{joint + 1}")
                 if parameter is None:
                     continue
                 shrunk = float(np.abs(ratio) ** power) * (

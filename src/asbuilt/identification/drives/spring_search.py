@@ -95,7 +95,7 @@ def suspected_springs(
         )
         own = Gain.between(plain.errors[:, joint], tried.errors[:, joint])
         together = Gain.between(plain.errors * plain.weights**2, tried.errors * plain.weights**2)
-        stiffness = tried.parameters[:, [tried.names.index(f"{Spring.letters[0]}{joint + 1}")]]
+        stiffness = tried.parameters[:, [tried.names.index(f"{Spring.symbols[0]}{joint + 1}")]]
         if (
             own.fraction > WORTH
             and own.exceeds(CERTAIN)

@@ -93,7 +93,7 @@ def free_values(
 
     What the recordings leave open lies `toward` (p,), NaN counting as zero, and is not determined.
 
-    `beside` (p, p) is the covariance that fitted shapes of drive terms add.
+    `beside` (p, p) is the covariance that fitted nonlinear parameters of drive terms add.
     """
     fitted = fit_least_squares(information, weights="joint", prior=toward)
     covariance = block_uncertainty(information, fitted).covariance + (

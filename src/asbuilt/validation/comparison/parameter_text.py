@@ -48,7 +48,7 @@ def in_words(base: BaseParameters) -> tuple[str, ...]:
 
 
 def drive_in_words(drive: DriveSet) -> str:
-    """Return the terms of a set for a reader: at which joints, with which shapes there.
+    """Return the terms of a set for a reader: at which joints, with which nonlinear parameters there.
 
     >>> drive_in_words(DriveSet.parse("viscous:joints=2/3,offset,power:joints=1/3:exponent=0.7/0.5/0.6,stribeck:velocity=0.1"))
     'viscous friction (joints 2, 3); stribeck (velocity 0.1); power (joint 1: exponent 0.7; joint 3: exponent 0.6); torque offset'
@@ -58,14 +58,14 @@ def drive_in_words(drive: DriveSet) -> str:
 
 def _term_in_words(term: DriveTerm) -> str:
     stated = {
-        shape.name: getattr(term, shape.name)
-        for shape in term.shapes
-        if getattr(term, shape.name) is not None
+        parameter.name: getattr(term, parameter.name)
+        for parameter in term.nonlinear
+        if getattr(term, parameter.name) is not None
     }
     several = [len(values) for values in stated.values() if isinstance(values, tuple)]
     if several:
         inside = "; ".join(
-            f"joint {number}: {_shapes(term.at(number - 1), stated)}"
+            f"joint {number}: {_nonlinear_text(term.at(number - 1), stated)}"
             for number in term.joints or range(1, several[0] + 1)
         )
     else:
@@ -74,11 +74,11 @@ def _term_in_words(term: DriveTerm) -> str:
             if term.joints is None
             else [f"joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))}"]
         )
-        inside = "; ".join([*where, *([_shapes(term, stated)] if stated else [])])
+        inside = "; ".join([*where, *([_nonlinear_text(term, stated)] if stated else [])])
     return _term_name(term) + (f" ({inside})" if inside else "")
 
 
-def _shapes(term: DriveTerm, names: Iterable[str]) -> str:
+def _nonlinear_text(term: DriveTerm, names: Iterable[str]) -> str:
     return ", ".join(f"{name} {term.value(name):.3g}" for name in names)
 
 
@@ -114,6 +114,6 @@ def _moment(name: str, own: set[str]) -> str:
 
 def _of_drive(base: BaseParameters, place: int) -> str:
     joint, column = divmod(place, base.drive.columns_per_joint)
-    term = [term for term in base.drive.terms for _ in term.letters][column]
-    letter = f" {base.drive.letters[column]}" if len(term.letters) > 1 else ""
-    return f"{_term_name(term)}{letter}, joint {joint + 1}"
+    term = [term for term in base.drive.terms for _ in term.symbols][column]
+    symbol = f" {base.drive.symbols[column]}" if len(term.symbols) > 1 else ""
+    return f"{_term_name(term)}{symbol}, joint {joint + 1}"

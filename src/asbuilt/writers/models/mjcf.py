@@ -68,8 +68,8 @@ def _add_motors(root: Element, model: RobotModel) -> None:
     tendons = Element("tendon")
     for joint, shares in zip(model.joints, model.motor_shares, strict=True):
         armature, viscous, coulomb = (
-            joint.drive.terms.get(f"motor_{what}", {}).get(letter, 0.0)
-            for what, letter in (("armature", "Iam"), ("viscous", "Fvm"), ("coulomb", "Fcm"))
+            joint.drive.terms.get(f"motor_{what}", {}).get(symbol, 0.0)
+            for what, symbol in (("armature", "Iam"), ("viscous", "Fvm"), ("coulomb", "Fcm"))
         )
         if not shares.any() or not any((armature, viscous, coulomb)):
             continue

@@ -15,11 +15,11 @@ import tomli_w
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values
-from asbuilt.description.model import PLAIN_TERMS, ROOT, Joint, Letters, Link, RobotModel
+from asbuilt.description.model import PLAIN_TERMS, ROOT, Joint, Link, RobotModel, Symbols
 from asbuilt.writers.files import atomic_write
 
 SAME_LENGTH = 1e-12
-"""Letters are written for a length where they give it to within this [m]."""
+"""Symbols are written for a length where they give it to within this [m]."""
 
 _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
@@ -38,7 +38,7 @@ def robot_toml(model: RobotModel) -> str:
         f"root_link = {_text(model.root_link)}",
         (
             "lengths ="
-            f" {{{', '.join(f'{_key(letter)} = {_float(value)}' for letter, value in model.lengths.items())}}}"
+            f" {{{', '.join(f'{_key(symbol)} = {_float(value)}' for symbol, value in model.lengths.items())}}}"
             if model.lengths
             else ""
         ),
@@ -83,11 +83,11 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         f"joint = {_text(joint.name)}",
         f"kind = {_text(joint.kind)}",
         f"parent = {_text(_link_name(model, joint.parent))}",
-        f"origin = {{{', '.join(_placement_fields(joint.before, joint.before_letters, model))}}}",
+        f"origin = {{{', '.join(_placement_fields(joint.before, joint.before_symbols, model))}}}",
     ]
-    if not np.array_equal(joint.after, np.eye(4)) or joint.after_letters is not None:
+    if not np.array_equal(joint.after, np.eye(4)) or joint.after_symbols is not None:
         lines.append(
-            f"after = {{{', '.join(_placement_fields(joint.after, joint.after_letters, model))}}}"
+            f"after = {{{', '.join(_placement_fields(joint.after, joint.after_symbols, model))}}}"
         )
     whole = (
         np.sum([inertia.parameters for _, inertia in link.parts], axis=0) if link.parts else None
@@ -132,16 +132,16 @@ def _inertia_fields(inertia: LinkInertia) -> list[str]:
     ]
 
 
-def _placement_fields(placement: Array, letters: Letters | None, model: RobotModel) -> list[str]:
+def _placement_fields(placement: Array, symbols: Symbols | None, model: RobotModel) -> list[str]:
     p, R = placement[:3, 3], placement[:3, :3]
     fields = []
     if (
-        letters is not None
-        and np.max(np.abs(length_values(letters, model.lengths) - p)) <= SAME_LENGTH
+        symbols is not None
+        and np.max(np.abs(length_values(symbols, model.lengths) - p)) <= SAME_LENGTH
     ):
         fields.append(
             "xyz ="
-            f" [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in letters)}]"
+            f" [{', '.join(_text(_length_sum(terms)) if terms else '0.0' for terms in symbols)}]"
         )
     elif np.any(p != 0.0):
         fields.append(f"xyz = {_numbers(p)}")
@@ -154,8 +154,8 @@ def _length_sum(terms: Sequence[tuple[float, str]]) -> str:
     text = " ".join(
         f"{'-' if factor < 0 else '+'} "
         + ("" if abs(factor) == 1.0 else f"{abs(factor)!r}*")
-        + letter
-        for factor, letter in terms
+        + symbol
+        for factor, symbol in terms
     )
     return text[2:] if text.startswith("+ ") else "-" + text[2:]
 

@@ -132,7 +132,7 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
             "smooth Coulomb friction is written as dry friction: the same torque where a joint"
             " moves faster than its width"
         )
-    for key, letter, unit in (
+    for key, symbol, unit in (
         ("armature", "Ia", "kg m^2, or kg where it slides"),
         ("offset", "Fo", "N m, or N where it slides"),
     ):
@@ -144,7 +144,7 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
         if values:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
             notes.append(
-                f"URDF has no place for the {key} of the drives, add it yourself ({letter}"
+                f"URDF has no place for the {key} of the drives, add it yourself ({symbol}"
                 f" [{unit}]: {said})"
             )
     notes += left_out_drives(plain, (), "URDF")

@@ -25,7 +25,7 @@ def drives_document() -> dict[str, Any]:
         "drives": [
             {
                 "key": term.key,
-                "parameters": list(term.letters),
+                "parameters": list(term.symbols),
                 "formula": term.formula,
                 "units": list(term.units(revolute=True)),
                 "default_for": list(term.default_for),
@@ -42,7 +42,7 @@ def drives_document() -> dict[str, Any]:
                         "unit": s.unit,
                         "fitted": s.fitted,
                     }
-                    for s in term.shapes
+                    for s in term.nonlinear
                 ],
                 "does": (type(term).__doc__ or "").splitlines()[0],
             }
@@ -57,12 +57,12 @@ def drives_text() -> str:
     for term in available_terms().values():
         options = ", ".join(
             f"[{s.name} {s.default:g}]" if s.fitted else f"{s.name} {s.default:g}"
-            for s in term.shapes
+            for s in term.nonlinear
         )
         rows.append(
             (
                 term.key + ("*" if term.tried_for else ""),
-                " ".join(term.letters),
+                " ".join(term.symbols),
                 term.formula,
                 options or "-",
                 ", ".join(term.units(revolute=True)),

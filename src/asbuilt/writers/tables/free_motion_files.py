@@ -28,9 +28,9 @@ def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
     it.
     """
     columns: dict[str, Any] = {"t": motion.t}
-    for letter, values in (("q", motion.q), ("qd", motion.qd), ("tau", motion.tau)):
+    for symbol, values in (("q", motion.q), ("qd", motion.qd), ("tau", motion.tau)):
         columns |= {
-            f"{letter}_{name}": values[:, k] for k, name in enumerate(motion.model.joint_names)
+            f"{symbol}_{name}": values[:, k] for k, name in enumerate(motion.model.joint_names)
         }
     columns |= {
         name: getattr(motion, name) for name in ("kinetic", "potential", "work", "dissipated")

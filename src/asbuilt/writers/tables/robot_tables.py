@@ -116,7 +116,7 @@ def joints_table(model: RobotModel) -> Table:
 
 
 def _further_terms(drive: DriveValues) -> str:
-    """Return further drive terms with their parameters and shapes, `stribeck Fs 0.3 velocity 0.05`."""
+    """Return further drive terms with their parameters and nonlinear parameters, `stribeck Fs 0.3 velocity 0.05`."""
     return "; ".join(
         " ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())])
         for key, numbers in drive.terms.items()
@@ -191,7 +191,7 @@ def robot_text(model: RobotModel) -> str:
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
     """List the base parameters.
 
-    Id, expression with letters where the description names lengths, value by design.
+    Id, expression with symbols where the description names lengths, value by design.
     """
     values = base.values(parameter_values(model, base.drive))
     rows = tuple(

@@ -125,7 +125,7 @@ def test_lengths_that_are_almost_zero_keep_their_torque(tmp_path: Path) -> None:
         model,
         joints=(
             *model.joints[:4],
-            replace(model.joints[4], before=wrist, before_letters=None),
+            replace(model.joints[4], before=wrist, before_symbols=None),
             *model.joints[5:],
         ),
     )

@@ -18,7 +18,7 @@ class Armature(DriveTerm):
 
     key = "armature"
     position = 10
-    letters = ("Ia",)
+    symbols = ("Ia",)
     revolute_units = ("kg m^2",)
     prismatic_units = ("kg",)
     non_negative = True

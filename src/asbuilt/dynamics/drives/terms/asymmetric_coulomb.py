@@ -18,7 +18,7 @@ class AsymmetricCoulomb(DriveTerm):
 
     key = "asymmetric_coulomb"
     position = 32
-    letters = ("Fcp", "Fcn")
+    symbols = ("Fcp", "Fcn")
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
     stands_for = "coulomb"

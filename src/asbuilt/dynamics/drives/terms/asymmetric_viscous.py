@@ -17,7 +17,7 @@ class AsymmetricViscous(DriveTerm):
 
     key = "asymmetric_viscous"
     position = 22
-    letters = ("Fvp", "Fvn")
+    symbols = ("Fvp", "Fvn")
     revolute_units = ("N m s/rad", "N m s/rad")
     prismatic_units = ("N s/m", "N s/m")
     tried_for = ALL_SOURCES

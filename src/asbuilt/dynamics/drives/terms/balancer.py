@@ -23,7 +23,7 @@ class Balancer(DriveTerm):
 
     key = "balancer"
     position = 80
-    letters = ("Bs", "Bc")
+    symbols = ("Bs", "Bc")
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
     by_construction = True

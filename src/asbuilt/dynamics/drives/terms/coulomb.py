@@ -17,7 +17,7 @@ class Coulomb(DriveTerm):
 
     key = "coulomb"
     position = 30
-    letters = ("Fc",)
+    symbols = ("Fc",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
     non_negative = True

@@ -15,7 +15,7 @@ class Cubic(DriveTerm):
 
     key = "cubic"
     position = 54
-    letters = ("Fk",)
+    symbols = ("Fk",)
     revolute_units = ("N m s^3/rad^3",)
     prismatic_units = ("N s^3/m^3",)
     ratio_powers = (4.0,)

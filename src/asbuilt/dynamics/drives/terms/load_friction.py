@@ -21,7 +21,7 @@ class LoadFriction(DriveTerm):
 
     key = "load_friction"
     position = 60
-    letters = ("Fl",)
+    symbols = ("Fl",)
     revolute_units = ("1",)
     prismatic_units = ("1",)
     tried_for = ALL_SOURCES
@@ -35,6 +35,6 @@ class LoadFriction(DriveTerm):
         if load is None:
             raise UsageError(
                 f"drive term {self.key!r} needs the rigid-body torque of the joint; pass load,"
-                f" shape {q.shape}"
+                f" nonlinear parameter {q.shape}"
             )
         np.multiply(np.abs(load), np.sign(qd), out=out[0])

@@ -20,7 +20,7 @@ class MotorArmature(DriveTerm):
 
     key = "motor_armature"
     position = 12
-    letters = ("Iam",)
+    symbols = ("Iam",)
     revolute_units = ("kg m^2",)
     prismatic_units = ("kg",)
     non_negative = True

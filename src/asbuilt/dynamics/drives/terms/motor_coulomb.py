@@ -22,7 +22,7 @@ class MotorCoulomb(DriveTerm):
 
     key = "motor_coulomb"
     position = 36
-    letters = ("Fcm",)
+    symbols = ("Fcm",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
     non_negative = True

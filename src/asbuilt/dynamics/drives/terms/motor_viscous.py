@@ -20,7 +20,7 @@ class MotorViscous(DriveTerm):
 
     key = "motor_viscous"
     position = 24
-    letters = ("Fvm",)
+    symbols = ("Fvm",)
     revolute_units = ("N m s/rad",)
     prismatic_units = ("N s/m",)
     non_negative = True

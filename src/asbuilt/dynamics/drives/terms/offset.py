@@ -15,7 +15,7 @@ class Offset(DriveTerm):
 
     key = "offset"
     position = 90
-    letters = ("Fo",)
+    symbols = ("Fo",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
     turns_over = True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, Shape, ShapeValue
+from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, NonlinearParameter, NonlinearValue
 
 SPECIAL = {0.0: "sign qd", 1.0: "qd", 2.0: "qd |qd|", 3.0: "qd^3"}
 """Exponents with which the term equals another."""
@@ -25,17 +25,17 @@ class Power(DriveTerm):
     without load grows with the 2/3 power of speed. It stands for `viscous`.
     """
 
-    exponent: ShapeValue = None
+    exponent: NonlinearValue = None
 
     key = "power"
     position = 50
-    letters = ("Fp",)
+    symbols = ("Fp",)
     revolute_units = ("N m (s/rad)^a",)
     prismatic_units = ("N (s/m)^a",)
     tried_for = ALL_SOURCES
     stands_for = "viscous"
     formula = "Fp |qd|^exponent sign(qd)"
-    shapes = (Shape("exponent", 0.5, 0.0, 4.0, "", credible=(0.25, 2.5)),)
+    nonlinear = (NonlinearParameter("exponent", 0.5, 0.0, 4.0, "", credible=(0.25, 2.5)),)
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
         """Write `|qd|^exponent sign(qd)`."""

@@ -17,7 +17,7 @@ class Quadratic(DriveTerm):
 
     key = "quadratic"
     position = 52
-    letters = ("Fq",)
+    symbols = ("Fq",)
     revolute_units = ("N m s^2/rad^2",)
     prismatic_units = ("N s^2/m^2",)
     ratio_powers = (3.0,)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, Shape, ShapeValue
+from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, NonlinearParameter, NonlinearValue
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,19 +18,21 @@ class SmoothCoulomb(DriveTerm):
     velocities lie in their noise; fits look up to a tenth of the top speed.
     """
 
-    width: ShapeValue = None
+    width: NonlinearValue = None
 
     key = "smooth_coulomb"
     position = 34
-    letters = ("Fct",)
+    symbols = ("Fct",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
     tried_for = ALL_SOURCES
     stands_for = "coulomb"
     non_negative = True
     formula = "Fct tanh(qd / width)"
-    shapes = (
-        Shape("width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),
+    nonlinear = (
+        NonlinearParameter(
+            "width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
+        ),
     )
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

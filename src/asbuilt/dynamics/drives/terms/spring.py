@@ -18,7 +18,7 @@ class Spring(DriveTerm):
 
     key = "spring"
     position = 70
-    letters = ("Ks",)
+    symbols = ("Ks",)
     revolute_units = ("N m/rad",)
     prismatic_units = ("N/m",)
     by_construction = True

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, Shape, ShapeValue
+from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, NonlinearParameter, NonlinearValue
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,19 +22,21 @@ class Stribeck(DriveTerm):
     Source: Armstrong-Helouvry, Dupont and Canudas de Wit, Automatica 30, 1994, section 2.
     """
 
-    velocity: ShapeValue = None
-    power: ShapeValue = None
+    velocity: NonlinearValue = None
+    power: NonlinearValue = None
 
     key = "stribeck"
     position = 40
-    letters = ("Fs",)
+    symbols = ("Fs",)
     revolute_units = ("N m",)
     prismatic_units = ("N",)
     tried_for = ALL_SOURCES
     formula = "Fs exp(-|qd/velocity|^power) sign(qd)"
-    shapes = (
-        Shape("velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)),
-        Shape("power", 2.0, 0.5, 4.0, "", fitted=False, typical=2.0),
+    nonlinear = (
+        NonlinearParameter(
+            "velocity", 0.1, 1e-3, 5.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
+        ),
+        NonlinearParameter("power", 2.0, 0.5, 4.0, "", fitted=False, typical=2.0),
     )
 
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:

@@ -15,7 +15,7 @@ class Viscous(DriveTerm):
 
     key = "viscous"
     position = 20
-    letters = ("Fv",)
+    symbols = ("Fv",)
     revolute_units = ("N m s/rad",)
     prismatic_units = ("N s/m",)
     non_negative = True

@@ -35,14 +35,17 @@ class DriveState:
         return self.given("(double)(({qd} > 0.0) - ({qd} < 0.0))")
 
     def given(self, text: str) -> Term:
-        """Define a variable by a C expression in `{q}`, `{qd}` and `{load}` and the shapes of the
+        """Define a variable by a C expression in `{q}`, `{qd}` and `{load}` and the nonlinear parameters of the
         term.
         """
-        shapes = {
-            shape.name: repr(float(self.term.value(shape.name))) for shape in self.term.shapes
+        parameters = {
+            parameter.name: repr(float(self.term.value(parameter.name)))
+            for parameter in self.term.nonlinear
         }
         names = {name: getattr(self, name) for name in ("q", "qd", "load") if f"{{{name}}}" in text}
-        written = text.format(**shapes, **{name: term.written() for name, term in names.items()})
+        written = text.format(
+            **parameters, **{name: term.written() for name, term in names.items()}
+        )
         return self.code.given(written, *(term.name for term in names.values()))
 
     def signed(self, text: str) -> Term:
@@ -99,7 +102,7 @@ def drive_entries(
                 )
             acts_on = shares[k] if term.of_motor else np.eye(len(loads))[k]
             if not term.is_at(k) or not acts_on.any():
-                entries += [{} for _ in term.letters]
+                entries += [{} for _ in term.symbols]
                 continue
             q, qd, qdd = (
                 code.sum(*[Term(float(share), f"{array}[{j}]") for j, share in enumerate(acts_on)])
