@@ -30,7 +30,6 @@ from asbuilt.cli.options import (
     refuse_idle,
 )
 from asbuilt.errors import UsageError
-from asbuilt.identification.estimators.methods import methods
 
 
 def identify(
@@ -41,7 +40,12 @@ def identify(
     holdout: Holdout = None,
     drive: Drive = None,
     method: Annotated[
-        str, typer.Option("--method", metavar="NAME", help=f"estimator: {', '.join(methods)}")
+        str,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="estimator; auto chooses one, an unknown name lists all",
+        ),
     ] = "auto",
     undetermined: Annotated[
         str,
@@ -94,6 +98,7 @@ def identify(
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.identification.drives.drive_choice import is_auto
     from asbuilt.identification.errors.error_basis import ERROR_KINDS
+    from asbuilt.identification.estimators.methods import methods
     from asbuilt.workflow.payload_study import run_payload_study
     from asbuilt.workflow.study import StudyOptions, run_study
     from asbuilt.writers.reports.study_files import study_document, study_text, write_study
@@ -102,7 +107,7 @@ def identify(
     model, swept = described_robot(robot), filtering.cutoff == "auto"
     options = StudyOptions(
         drive=None if drive is None else drive if is_auto(drive) else DriveSet.parse(drive),
-        method=one_of("--method", method, list(methods)),
+        method=methods.find(method).name,
         chain=replace(filtering, cutoff=None if swept else filtering.cutoff).chain(),
         sweep_cutoff=swept,
         errors=one_of("--errors", errors, ERROR_KINDS),

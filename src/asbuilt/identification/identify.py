@@ -34,7 +34,7 @@ from asbuilt.identification.errors.uncertainty import (
     textbook_uncertainty,
 )
 from asbuilt.identification.estimators.least_squares import Estimate
-from asbuilt.identification.estimators.methods import find_method
+from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
@@ -66,8 +66,6 @@ LOAD_CONVERGENCE = 1e-4
 """Friction that depends on load is settled where renewing the load lowers no joint's squared error
 by more than this fraction.
 """
-PULLED = ("ridge", "entropic", "euclidean")
-"""Methods that lean on CAD."""
 LARGE_CONDITION = 200.0
 """Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR
 1992, ask for less than 100).
@@ -111,7 +109,7 @@ def identify(
             f"no samples are given to identify {model.name} from; pass at least one prepared"
             " recording"
         )
-    estimator = find_method(method)
+    estimator = methods.find(method)
     fit = fit_nonlinear(model, drive, batches) if base is None and not drive.is_linear else None
     if fit is not None:
         drive, fitted_nonlinear = fit.drive, fit.places
@@ -441,7 +439,7 @@ def _warnings(
                 ),
             )
         )
-    if basis.kind == "bootstrap" and estimate.method in PULLED:
+    if basis.kind == "bootstrap" and methods[estimate.method].regularised:
         found.append(
             (
                 "bootstrap_of_regularised_fit",

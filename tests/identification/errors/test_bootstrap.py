@@ -20,7 +20,7 @@ from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redra
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.methods import find_method, methods
+from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.identify import design_values, identify
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import (
@@ -90,7 +90,7 @@ def test_every_draw_of_a_linear_estimate_is_the_fit_of_the_blocks_drawn(
     information: SquareRootInformation, method: str
 ) -> None:
     design = design_values(MODEL, BASE)
-    estimate = find_method(method).estimate(EstimationData(MODEL, information, None, design))
+    estimate = methods[method].estimate(EstimationData(MODEL, information, None, design))
     found = redraw(information, estimate, n_draws=6, rng=4)
     for beta, blocks in zip(found.estimates, drawn_blocks(information.n_blocks, 6, 4), strict=True):
         gram, side = normal_equations(information.select(blocks), estimate.weights)
@@ -145,7 +145,7 @@ def test_every_draw_of_a_consistent_fit_is_the_consistent_fit_of_the_blocks_draw
 def test_dropped_parameters_stay_dropped_and_the_others_are_fitted_without_them(
     information: SquareRootInformation,
 ) -> None:
-    estimate = find_method("essential").estimate(
+    estimate = methods["essential"].estimate(
         EstimationData(MODEL, information, None, design_values(MODEL, BASE))
     )
     assert estimate.dropped is not None

@@ -25,7 +25,7 @@ from asbuilt.identification.bodies.consistency import consistency_margin, margin
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.estimators.methods import find_method
+from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT
 from asbuilt.identification.identify import identify
 from asbuilt.identification.information.estimation_data import EstimationData
@@ -256,7 +256,7 @@ def test_torques_of_zero_are_fitted_without_overflow(trial, method):
     case = trial("two-link", seed=1)
     still = replace(case.samples, tau=np.zeros_like(case.samples.tau), tau_raw=np.zeros(0))
     with np.errstate(over="raise", invalid="raise"):
-        estimate = find_method(method).estimate(
+        estimate = methods[method].estimate(
             EstimationData(case.model, accumulate(case.model, case.base, still), None)
         )
     assert np.all(np.isfinite(estimate.beta))

@@ -11,7 +11,7 @@ from three_links import DRIVE, arm, recording
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.estimators.methods import find_method, methods
+from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.identify import identify
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -137,8 +137,10 @@ def test_rest_without_gravity_tells_nothing_and_is_said_so(method, errors):
 
 
 def test_unknown_method_is_answered_with_the_list():
-    with pytest.raises(UsageError, match=r"'owls'.*ols, wls.*huber"):
-        find_method("owls")
+    with pytest.raises(
+        UsageError, match=r"'owls'; did you mean '[ow]ls'\? available: .*huber.*wls"
+    ):
+        methods.find("owls")
 
 
 @every_method

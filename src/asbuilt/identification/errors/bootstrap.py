@@ -14,6 +14,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
 from asbuilt.identification.errors.uncertainty import COVERED, Uncertainty, basis_of, block_scores
 from asbuilt.identification.estimators.least_squares import Estimate, Refit
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 
@@ -26,21 +27,6 @@ LEAST_TOLD = 1e-6
 """Part of the information on some direction that a draw must have at least.
 
 With less, the draw does not count.
-"""
-CHOSEN = {
-    "ml": "the noise that joints share",
-    "iv": "the simulated motion",
-    "ridge": "the pull to CAD",
-    "entropic": "the pull to CAD",
-    "euclidean": "the pull to CAD",
-    "essential": "what was dropped",
-    "total": "the share of errors in the motion",
-}
-"""What estimators choose from the data and every draw takes over."""
-OWN_ROWS = ("ml", "iv")
-"""Estimators that make rows without weighting them.
-
-Other rows than those of the samples are weighted ones.
 """
 MOST_FAILURES = 0.1
 """Share of draws for which an estimator may refuse before the whole is refused."""
@@ -200,12 +186,10 @@ def bootstrap_uncertainty(
 
 
 def held_fixed(estimate: Estimate) -> tuple[str, ...]:
-    """Return what all draws of an estimate have in common beside the blocks, in words."""
-    method, own = estimate.method, CHOSEN.get(estimate.method)
-    if method in ("huber", "bisquare") or (
-        estimate.information is not None and method not in OWN_ROWS
-    ):
-        weights: tuple[str, ...] = ("the weights of joints and rows",)
-    else:
-        weights = () if method in ("ols", "ml") else ("the weights of the joints",)
-    return weights if own is None else (*weights, own)
+    """Return what all bootstrap fits of an estimate share besides the blocks."""
+    method = methods[estimate.method]
+    reweighted = method.needs == "information" and estimate.information is not None
+    return tuple(
+        ROW_WEIGHTS if reweighted and choice == JOINT_WEIGHTS else choice
+        for choice in method.held_fixed
+    )

@@ -24,6 +24,7 @@ from asbuilt.identification.estimators.consistent_fit import (
     quietest_noise,
 )
 from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls
+from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.estimators.ridge import estimate_ridge, folds
 from asbuilt.identification.estimators.robust import estimate_huber, outlying_share
 from asbuilt.identification.information.estimation_data import EstimationData
@@ -53,6 +54,13 @@ CURE = (
 )
 
 
+@estimator(
+    "auto",
+    "chosen automatically",
+    "wls, huber, ridge, consistent or entropic, by rules that the summary states",
+    needs="samples",
+    held_fixed=(),
+)
 def estimate_auto(data: EstimationData) -> Estimate:
     """Estimate by the method that rules pick, each on what the one before has left.
 

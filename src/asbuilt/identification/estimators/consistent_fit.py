@@ -31,6 +31,7 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
     noise_floor,
 )
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.estimators.prior_weight import WEIGHTS, choose_weight
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
@@ -76,6 +77,11 @@ class ConsistentEstimate(Estimate):
     belief: float = 0.0
 
 
+@estimator(
+    "consistent",
+    "physically consistent least squares",
+    "the best fit of physically consistent links and passive drives, by conic program",
+)
 def estimate_consistent(data: EstimationData) -> ConsistentEstimate:
     """Estimate the real bodies and passive drives that fit best.
 
@@ -84,11 +90,25 @@ def estimate_consistent(data: EstimationData) -> ConsistentEstimate:
     return fit_consistent(data.information, _prior(data))
 
 
+@estimator(
+    "entropic",
+    "physically consistent, with an entropic CAD prior",
+    "physically consistent links near CAD, the weight of CAD by held-out time blocks",
+    held_fixed=(JOINT_WEIGHTS, REGULARISATION),
+    regularised=True,
+)
 def estimate_entropic(data: EstimationData) -> ConsistentEstimate:
     """Estimate with an entropic prior around CAD, its weight chosen by held-out time blocks."""
     return fit_toward_cad(data.information, _prior(data), metric="entropic")
 
 
+@estimator(
+    "euclidean",
+    "physically consistent, with a quadratic CAD prior",
+    "as entropic, with a quadratic distance from CAD",
+    held_fixed=(JOINT_WEIGHTS, REGULARISATION),
+    regularised=True,
+)
 def estimate_euclidean(data: EstimationData) -> ConsistentEstimate:
     """Estimate with a quadratic prior around CAD, its weight chosen by held-out time blocks."""
     return fit_toward_cad(data.information, _prior(data), metric="euclidean")

@@ -10,6 +10,7 @@ from scipy.special import fdtri
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.least_squares import Estimate, Weighted, estimate_wls
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.triangular import triangular_factor
 
@@ -18,6 +19,12 @@ SIGNIFICANCE = 0.05
 MOST_LISTED = 12
 
 
+@estimator(
+    "essential",
+    "weighted least squares, essential parameters",
+    "parameters that an F-test finds insignificant set to zero",
+    held_fixed=(JOINT_WEIGHTS, "the selection of parameters"),
+)
 def estimate_essential(data: EstimationData) -> Estimate:
     """Estimate by weighted least squares, then set parameters to zero one by one, that of least
     effect first, while an F-test allows it.

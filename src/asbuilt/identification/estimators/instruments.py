@@ -20,6 +20,7 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
     solve_factor,
 )
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
@@ -52,6 +53,13 @@ CONVERGENCE = 1e-2
 """Change of the estimate, in standard errors, at which simulating again is of no use."""
 
 
+@estimator(
+    "iv",
+    "instrumental variables",
+    "noise in the motion, by a simulated motion without it",
+    needs="simulation",
+    held_fixed=(JOINT_WEIGHTS, "the simulated motion"),
+)
 def estimate_iv(data: EstimationData) -> Estimate:
     """Estimate beta with `Z^T (tau - W beta) = 0`, Z the regressor along a simulated motion, rows
     weighted joint by joint.

@@ -16,6 +16,7 @@ from scipy.linalg import lapack, qr
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 if TYPE_CHECKING:
@@ -305,11 +306,13 @@ def fit_least_squares(
     )
 
 
+@estimator("ols", "ordinary least squares", "equal weight for every torque", held_fixed=())
 def estimate_ols(data: EstimationData) -> Estimate:
     """Estimate by ordinary least squares: every torque counts alike."""
     return fit_least_squares(data.information, prior=data.prior, undetermined=data.undetermined)
 
 
+@estimator("wls", "weighted least squares", "a weight per joint, from its own noise")
 def estimate_wls(data: EstimationData) -> Estimate:
     """Estimate by least squares with a weight per joint."""
     return fit_least_squares(

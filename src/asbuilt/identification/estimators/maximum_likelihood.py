@@ -15,6 +15,7 @@ from asbuilt.identification.estimators.least_squares import (
     noise_floor,
     solve_factor,
 )
+from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock
 from asbuilt.identification.information.square_root_information import reduce_rows
@@ -28,6 +29,13 @@ CONVERGENCE = 1e-8
 MOST_ITERATIONS = 100
 
 
+@estimator(
+    "ml",
+    "maximum likelihood",
+    "noise correlated across joints, its covariance estimated too",
+    needs="samples",
+    held_fixed=("the noise covariance of the joints",),
+)
 def estimate_ml(data: EstimationData) -> Estimate:
     """Estimate beta and the covariance Omega (n, n) of the joints' noise together.
 

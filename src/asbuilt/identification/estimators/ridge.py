@@ -8,6 +8,7 @@ import numpy as np
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.estimators.least_squares import Estimate, Weighted, estimate_wls
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
@@ -16,6 +17,13 @@ RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])
 MOST_FOLDS = 8
 
 
+@estimator(
+    "ridge",
+    "ridge toward CAD",
+    "regularised toward CAD as far as held-out blocks support",
+    held_fixed=(JOINT_WEIGHTS, REGULARISATION),
+    regularised=True,
+)
 def estimate_ridge(data: EstimationData) -> Estimate:
     """Estimate beta with `min |(tau - W beta) / sigma|^2 + lambda |D (beta - beta_CAD)|^2`, D the
     lengths of the weighted columns.

@@ -15,6 +15,7 @@ from asbuilt.identification.estimators.least_squares import (
     fit_least_squares,
     noise_floor,
 )
+from asbuilt.identification.estimators.methods import ROW_WEIGHTS, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
@@ -73,6 +74,13 @@ def bisquare_loss(threshold: float = BISQUARE) -> Loss:
     return Loss(lambda r: share(r) ** 2, lambda r: share(r) * (1.0 - 5.0 * (r / threshold) ** 2))
 
 
+@estimator(
+    "huber",
+    "Huber's robust fit",
+    "outliers have bounded influence",
+    needs="samples",
+    held_fixed=(ROW_WEIGHTS,),
+)
 def estimate_huber(data: EstimationData) -> Estimate:
     """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss,
     by iteratively reweighted least squares.
@@ -86,6 +94,13 @@ def estimate_huber(data: EstimationData) -> Estimate:
     return _robust(data, "huber", huber_loss(), estimate_wls(data))
 
 
+@estimator(
+    "bisquare",
+    "Tukey's robust fit",
+    "gross outliers, such as collisions and contacts, have no influence",
+    needs="samples",
+    held_fixed=(ROW_WEIGHTS,),
+)
 def estimate_bisquare(data: EstimationData) -> Estimate:
     """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale.
 

@@ -7,6 +7,7 @@ import numpy as np
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls, rank_tolerance
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.triangular import triangular_factor
 
@@ -19,6 +20,12 @@ EXACT_TERMS = ("Fo",)
 """Symbols of the drive terms whose columns are constants, known without error."""
 
 
+@estimator(
+    "total",
+    "total least squares",
+    "errors in positions and their derivatives too",
+    held_fixed=(JOINT_WEIGHTS, "the share of errors in the motion"),
+)
 def estimate_total(data: EstimationData) -> Estimate:
     """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows
     weighted joint by joint, D the column lengths.
