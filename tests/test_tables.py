@@ -11,7 +11,6 @@ from asbuilt.tables import (
     Column,
     Shown,
     Table,
-    columns,
     deviation,
     percent,
     plus_minus,
@@ -46,7 +45,7 @@ def sample() -> Table:
         rows.append(
             (number, name, Shown(value, shown), Shown(error, uncertainty), deviation(sigmas))
         )
-    heads = columns(
+    heads = (
         Column("id", align="right"),
         Column("parameter", width=15),
         Column("as built", "kg m^2", "decimal"),
@@ -60,6 +59,42 @@ def test_text_is_golden() -> None:
     assert sample().as_text() == GOLDEN
     assert str(sample()) == GOLDEN
     assert stacked([sample(), sample()]) == GOLDEN + "\n" + GOLDEN
+
+
+def wide() -> Table:
+    heads = (
+        Column("joint"),
+        Column("sentence"),
+        Column("value", "N m", "decimal"),
+        Column("rarely read", detail=True),
+    )
+    rows = tuple((f"joint_{k}", "word " * 30, 0.5 * k, "detail") for k in range(9))
+    return Table(
+        heads, rows, title="W", notes=("Note. " * 40,), details=("Detail.",), important=(1, 4)
+    )
+
+
+def test_short_text_fits_a_terminal() -> None:
+    text = wide().as_text()
+    assert max(len(line) for line in text.splitlines()) <= 80
+    assert "joint_1" in text
+    assert "joint_2" not in text
+    assert "7 more rows" in text
+    assert "detail" not in text.lower()
+
+
+def test_full_text_has_everything() -> None:
+    text = wide().as_text(full=True)
+    assert text.count(("word " * 30).strip()) == 9
+    assert text.count("detail") == 9
+    assert "more rows" not in text
+    assert "[2] Detail." in text
+    assert wide().as_csv().count("detail") == 9
+
+
+def test_zero_standard_errors_have_no_sign() -> None:
+    assert deviation(-0.04) == deviation(0.04) == "0.0 sigma"
+    assert deviation(-0.06) == "-0.1 sigma"
 
 
 def test_decimal_points_stand_in_one_column() -> None:

@@ -1,4 +1,4 @@
-"""Fixed-width tables, and values rounded to what their errors allow; knows no robots.
+"""Tables in text, HTML and CSV, and values rounded to what their errors allow.
 
 A `Table` holds the numbers themselves; text and HTML show them rounded, CSV writes them in full.
 """
@@ -9,28 +9,36 @@ import csv
 import html
 import io
 import math
-from collections.abc import Callable, Iterable, Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import Literal
 
-Alignment = Literal["left", "right", "center", "decimal"]
+Alignment = Literal["left", "right", "decimal"]
+
+WIDTH = 80
+"""Columns of a terminal, which short texts fit."""
+
 MISSING = "-"
-"""What stands where there is no number."""
+"""Text of a cell without a number."""
 
 SHORT_HEADER = 8
 """Characters up to which a header in HTML stays on one line."""
+
+NARROWEST = 12
+"""Characters below which a column is not narrowed to make a short text fit."""
 
 FIXED_DIGITS = 7
 """Decimals up to which a number is written out before it takes an exponent."""
 
 SIGNIFICANT_SIGMAS = 3.0
-"""A difference of this many standard errors is called a difference."""
+"""Standard errors from which a difference is significant."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """A number and the text that stands for it where the table is printed."""
+    """Hold a number and the text that is printed for it."""
 
     value: float | None
     text: str
@@ -107,9 +115,9 @@ def share(fraction: float | None, digits: int = 1) -> str:
 
 
 def beside(value: float, error: float | None) -> str:
-    """Return a number that stands beside another of standard error `error`.
+    """Round a number for printing beside another of standard error `error`.
 
-    Four digits of its own, fewer where it is far below the error.
+    It keeps four significant digits, fewer if it is far below the error.
 
     >>> beside(0.023661, 0.4), beside(6.666386, 0.0023), beside(1e-9, 0.4)
     ('0.02366', '6.666', '0.0000')
@@ -120,10 +128,12 @@ def beside(value: float, error: float | None) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Return a number with so many significant digits, written out where it is of everyday size.
+    """Round a number to significant digits; only very large and small ones take an exponent.
 
-    >>> significant(61.2943), significant(0.000123456), significant(69386.0), significant(1234567.0), significant(None)
-    ('61.3', '0.000123', '69400', '1.23e+06', '-')
+    >>> significant(61.2943), significant(0.000123456), significant(69386.0), significant(None)
+    ('61.3', '0.000123', '69400', '-')
+    >>> significant(1234567.0)
+    '1.23e+06'
     """
     if value is None or not math.isfinite(value):
         return MISSING
@@ -136,18 +146,20 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def deviation(sigmas: float | None, threshold: float = SIGNIFICANT_SIGMAS) -> str:
-    """Return a difference in standard errors, in words where it is beyond doubt.
+    """Return a difference in standard errors, "DIFFERS" from the threshold on.
 
-    >>> deviation(1.83), deviation(-57.0), deviation(None)
-    ('+1.8 sigma', 'DIFFERS', '-')
+    >>> deviation(1.83), deviation(-57.0), deviation(-0.01), deviation(None)
+    ('+1.8 sigma', 'DIFFERS', '0.0 sigma', '-')
     """
     if sigmas is None or math.isnan(sigmas):
         return MISSING
-    return "DIFFERS" if abs(sigmas) >= threshold else f"{sigmas:+.1f} sigma"
+    if abs(sigmas) >= threshold:
+        return "DIFFERS"
+    return "0.0 sigma" if abs(sigmas) < 0.05 else f"{sigmas:+.1f} sigma"
 
 
 def shortened(text: str, width: int) -> str:
-    """Cut a text at a space so that it and three dots fit the width.
+    """Cut a text at a space so that it fits the width with three dots.
 
     >>> shortened("mz2 - my3 + 0.4 m3 + 0.4 m4", 23)
     'mz2 - my3 + 0.4 m3 ...'
@@ -161,19 +173,61 @@ def shortened(text: str, width: int) -> str:
     return head[: head.rindex(" ")].rstrip(" +-") + " ..."
 
 
+def wrapped(text: str, first: str = "", *, lines: int | None = None) -> str:
+    """Break a text at spaces into lines of 80 columns, the later ones indented below the first.
+
+    Parameters
+    ----------
+    text
+        One paragraph.
+    first
+        Label at the start of the first line.
+    lines
+        Most lines; a longer text ends in " ...".
+
+    >>> print(wrapped("Standard errors are from blocks. " * 3, "[1] ", lines=1))
+    [1] Standard errors are from blocks. Standard errors are from blocks. ...
+    """
+    return textwrap.fill(
+        _plain(text),
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=" " * len(first),
+        max_lines=lines,
+        placeholder=" ...",
+        break_on_hyphens=False,
+    )
+
+
+def numbered(notes: Iterable[str]) -> list[str]:
+    """Return notes as wrapped lines, `[1]`, `[2]` and so on before each."""
+    return [wrapped(note, f"[{number}] ") for number, note in enumerate(notes, start=1)]
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: header, unit, alignment, and how a float that comes without its own text is
-    printed.
+    """Describe one column of a table.
 
-    `width` limits what text shows of a long cell; HTML and CSV have it whole.
+    Parameters
+    ----------
+    header, unit
+        Head of the column.
+    align
+        Alignment in text; "decimal" aligns decimal points.
+    style
+        Format of a float that comes without its own text.
+    width
+        Most characters in text; HTML and CSV have long cells whole.
+    detail
+        Whether a short text leaves the column out.
     """
 
     header: str
     unit: str = ""
     align: Alignment = "left"
-    style: str | Callable[[float], str] = ".6g"
+    style: str = ".6g"
     width: int | None = None
+    detail: bool = False
 
     def shown(self, cell: Cell) -> str:
         """Return the printed form of a cell."""
@@ -187,17 +241,33 @@ class Column:
             return str(cell)
         if not math.isfinite(cell):
             return MISSING
-        return self.style(cell) if callable(self.style) else format(cell + 0.0, self.style)
+        return format(cell + 0.0, self.style)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Hold rows of cells under columns, with a title above and numbered notes below."""
+    """Hold rows of cells below columns.
+
+    Parameters
+    ----------
+    columns, rows
+        Heads and cells; every row has a cell for each column.
+    title
+        Line above the heads.
+    notes
+        Sentences below the table, numbered.
+    details
+        Further notes that a short text leaves out, such as definitions of the columns.
+    important
+        Places of the rows that a short text shows; None: all.
+    """
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
     title: str = ""
     notes: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
+    important: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", tuple(self.columns))
@@ -212,42 +282,55 @@ class Table:
     def __str__(self) -> str:
         return self.as_text()
 
-    def as_text(self) -> str:
-        """Return the table in fixed-width characters, no trailing spaces, lines ending in a
-        newline.
+    def _repr_html_(self) -> str:
+        return self.as_html()
+
+    def as_text(self, full: bool = False) -> str:
+        """Return the table in fixed-width characters, lines ending in a newline.
+
+        Parameters
+        ----------
+        full
+            Show all rows, columns and notes whatever their width; else fit 80 columns.
         """
+        kept = [k for k, column in enumerate(self.columns) if full or not column.detail]
+        rows = (
+            self.rows
+            if full or self.important is None
+            else [self.rows[place] for place in self.important]
+        )
+        columns = [self.columns[k] for k in kept]
         body = [
             [
-                _clipped(_plain(column.shown(cell)), column.width)
-                for column, cell in zip(self.columns, row, strict=True)
+                _clipped(_plain(column.shown(row[k])), None if full else column.width)
+                for k, column in zip(kept, columns, strict=True)
             ]
-            for row in self.rows
+            for row in rows
         ]
-        cells = [
-            _aligned([row[k] for row in body], column.align)
-            for k, column in enumerate(self.columns)
-        ]
+        cells = [_aligned([row[k] for row in body], c.align) for k, c in enumerate(columns)]
+        heads = [[column.header for column in columns]]
+        if any(column.unit for column in columns):
+            heads.append([column.unit for column in columns])
         widths = [
-            max([len(column.header), len(column.unit)] + [len(cell) for cell in cells[k]])
-            for k, column in enumerate(self.columns)
+            max(len(text) for text in (*(head[k] for head in heads), *cells[k]))
+            for k in range(len(columns))
         ]
-        heads = [[column.header for column in self.columns]]
-        if any(column.unit for column in self.columns):
-            heads.append([column.unit for column in self.columns])
-        lines = [self.title] if self.title else []
-        lines += [_line(head, widths, self.columns) for head in heads]
-        lines.append("-" * (sum(widths) + 2 * (len(widths) - 1)))
-        lines += [
-            _line([cells[k][i] for k in range(len(self.columns))], widths, self.columns)
-            for i in range(len(body))
-        ]
-        lines += [f"[{number}] {note}" for number, note in enumerate(self.notes, start=1)]
+        if not full:
+            widths = _fitted(widths, columns)
+        rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+        lines = [self.title if full else wrapped(self.title)] if self.title else []
+        lines += [_line(head, widths, columns) for head in heads]
+        lines.append(rule)
+        lines += [_line(row, widths, columns) for row in zip(*cells, strict=True)]
+        if len(rows) < len(self.rows):
+            lines.append(f"... {len(self.rows) - len(rows)} more rows")
+        lines += numbered((*self.notes, *(self.details if full else ())))
         return "".join(line.rstrip() + "\n" for line in lines)
 
     def as_html(self, identifier: str = "") -> str:
         """Return the table as an HTML `table` element.
 
-        Every text is escaped, numbers carry their full value in `data-value`.
+        Every text is escaped, and numbers carry their full value in `data-value`.
         """
         label = f' id="{html.escape(identifier)}"' if identifier else ""
         caption = f"<caption>{html.escape(self.title)}</caption>" if self.title else ""
@@ -267,19 +350,16 @@ class Table:
         )
         notes = "".join(
             f"<p>[{number}] {html.escape(note)}</p>"
-            for number, note in enumerate(self.notes, start=1)
+            for number, note in enumerate((*self.notes, *self.details), start=1)
         )
         table = (
-            "<table"
-            f' class="numbers"{label}>{caption}<thead><tr>{head}</tr></thead>\n<tbody>\n{body}</tbody></table>'
+            f'<table class="numbers"{label}>{caption}<thead><tr>{head}</tr></thead>\n'
+            f"<tbody>\n{body}</tbody></table>"
         )
         return table + (f'\n<div class="notes">{notes}</div>' if notes else "")
 
     def as_csv(self) -> str:
-        """Return the table as CSV.
-
-        One header row with units in brackets, numbers in full, empty where there is none.
-        """
+        """Return the table as CSV with units in brackets in the header and numbers in full."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(
@@ -293,14 +373,9 @@ class Table:
         return stream.getvalue()
 
 
-def columns(*specifications: Column | str) -> tuple[Column, ...]:
-    """Return columns, a bare text standing for a left-aligned column of that name."""
-    return tuple(Column(item) if isinstance(item, str) else item for item in specifications)
-
-
-def stacked(tables: Iterable[Table]) -> str:
-    """Return the texts of several tables, an empty line between them."""
-    return "\n".join(table.as_text() for table in tables)
+def stacked(tables: Iterable[Table], full: bool = False) -> str:
+    """Return the texts of several tables with an empty line between them."""
+    return "\n".join(table.as_text(full) for table in tables)
 
 
 def _signless(value: float | Decimal, decimals: int) -> str:
@@ -329,31 +404,34 @@ def _is_number(text: str) -> bool:
 
 
 def _aligned(cells: Sequence[str], align: Alignment) -> list[str]:
-    if align != "decimal":
+    """Pad numbers so that their decimal points are in one column."""
+    numbers = [cell for cell in cells if _is_number(cell)]
+    if align != "decimal" or not numbers:
         return list(cells)
-    parts = [cell.partition(".") if _is_number(cell) else ("", "", "") for cell in cells]
-    before = max((len(head) for head, _, _ in parts), default=0)
-    after = max((len(point + tail) for _, point, tail in parts), default=0)
-    lined = [f"{head:>{before}}{point + tail:<{after}}" for head, point, tail in parts]
-    width = max([before + after] + [len(cell) for cell in cells])
-    shown = []
-    for cell, (head, point, tail), line in zip(cells, parts, lined, strict=True):
-        is_gap = not (head or point or tail)
-        text = (
-            f"{MISSING:>{before}}{'':<{after}}"
-            if cell == MISSING and before
-            else cell
-            if is_gap
-            else line
-        )
-        shown.append(text.rjust(width))
-    return shown
+    after = max(len(number) - len(number.partition(".")[0]) for number in numbers)
+    return [
+        f"{cell:<{len(cell.partition('.')[0]) + after}}"
+        if cell == MISSING or _is_number(cell)
+        else cell
+        for cell in cells
+    ]
+
+
+def _fitted(widths: Sequence[int], columns: Sequence[Column]) -> list[int]:
+    """Narrow the widest columns of text until the table fits 80 columns, or none can be narrower."""
+    fitted = list(widths)
+    places = [k for k, column in enumerate(columns) if column.align == "left"]
+    while sum(fitted) + 2 * (len(fitted) - 1) > WIDTH and places:
+        widest = max(places, key=lambda k: fitted[k])
+        if fitted[widest] <= max(NARROWEST, len(columns[widest].header)):
+            break
+        fitted[widest] -= 1
+    return fitted
 
 
 def _line(cells: Sequence[str], widths: Sequence[int], columns: Sequence[Column]) -> str:
-    place = {"left": str.ljust, "right": str.rjust, "center": str.center, "decimal": str.rjust}
     return "  ".join(
-        place[column.align](cell, width)
+        shortened(cell, width).ljust(width) if column.align == "left" else cell.rjust(width)
         for cell, width, column in zip(cells, widths, columns, strict=True)
     )
 
@@ -366,11 +444,7 @@ def _breakable(text: str) -> str:
 
 
 def _html_class(column: Column) -> str:
-    return (
-        ""
-        if column.align == "left"
-        else f' class="{"number" if column.align in ("right", "decimal") else "center"}"'
-    )
+    return "" if column.align == "left" else ' class="number"'
 
 
 def _html_cell(column: Column, cell: Cell) -> str:
