@@ -5,8 +5,9 @@ from .calibration.torque_gains import TorqueGains as TorqueGains
 from .calibration.torque_gains import identify_gains as identify_gains
 from .calibration.two_channels import TwoChannelEstimate as TwoChannelEstimate
 from .calibration.two_channels import identify_two_channels as identify_two_channels
-from .estimators.methods import Method as Method
-from .estimators.methods import find_method as find_method
+from .estimators.methods import Estimator as Estimator
+from .estimators.methods import estimator as estimator
+from .estimators.methods import methods as methods
 from .estimators.recursive import RecursiveEstimate as RecursiveEstimate
 from .estimators.recursive import RecursiveIdentification as RecursiveIdentification
 from .identify import identify as identify

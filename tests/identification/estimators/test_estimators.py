@@ -137,9 +137,7 @@ def test_rest_without_gravity_tells_nothing_and_is_said_so(method, errors):
 
 
 def test_unknown_method_is_answered_with_the_list():
-    with pytest.raises(
-        UsageError, match=r"'owls'; did you mean '[ow]ls'\? available: .*huber.*wls"
-    ):
+    with pytest.raises(UsageError, match=r"'owls'.*available: .*huber"):
         methods.find("owls")
 
 
