@@ -92,7 +92,7 @@ def test_terms_are_chosen_or_given_for_any_robot(capsys, tmp_path, robot):
         "viscous,coulomb,stribeck,load_friction,offset",
     )
     assert "stribeck:velocity=" in given["drive"]
-    assert any(note.startswith("Picked automatically") for note in given["notes"])
+    assert any(note.startswith("Chosen automatically") for note in given["notes"])
 
 
 @pytest.mark.parametrize(

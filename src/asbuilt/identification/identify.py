@@ -33,7 +33,7 @@ from asbuilt.identification.errors.uncertainty import (
     block_uncertainty,
     textbook_uncertainty,
 )
-from asbuilt.identification.estimators.least_squares import Estimate
+from asbuilt.identification.estimators.least_squares import LARGE_CONDITION, Estimate
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
 from asbuilt.identification.information.square_root_information import (
@@ -65,10 +65,6 @@ LOAD_ITERATIONS = 6
 LOAD_CONVERGENCE = 1e-4
 """Friction that depends on load is settled where renewing the load lowers no joint's squared error
 by more than this fraction.
-"""
-LARGE_CONDITION = 200.0
-"""Scaled condition number beyond which errors of the model are blown up (Gautier and Khalil, IJRR
-1992, ask for less than 100).
 """
 
 
@@ -513,5 +509,5 @@ def _warnings(
                 ),
             )
         )
-    found += estimate.warnings
+    found += [(each.code, f"{each.message}. {each.cure}.") for each in estimate.findings]
     return tuple(IdentificationWarning(code, message) for code, message in found)

@@ -1,4 +1,4 @@
-"""What is picked, and that the summary says why."""
+"""What is chosen, and that the summary says why."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from asbuilt.identification.identify import identify
 from asbuilt.identification.information.rows import Rows
 
 
-def picked(robot, samples):
+def chosen(robot, samples):
     model, base, _ = robot
     result = identify(model, samples, drive=DRIVE, base=base, method="auto")
-    assert result.notes[0].startswith("Picked automatically: ")
+    assert result.notes[0].startswith("Chosen automatically: ")
     assert result.notes[0] in result.summary().as_text()
     return result
 
@@ -26,7 +26,7 @@ def codes(result):
 
 
 def test_good_recording_of_possible_bodies_is_left_to_weighted_least_squares(robot):
-    result = picked(robot, recording(*robot, noise=0.02, seconds=60.0, seed=2))
+    result = chosen(robot, recording(*robot, noise=0.02, seconds=60.0, seed=2))
     assert result.method == "wls"
     assert result.physically_consistent
 
@@ -35,16 +35,16 @@ def test_collisions_call_for_huber(robot):
     samples = recording(*robot, noise=0.02, seconds=60.0, seed=2)
     tau = samples.tau.copy()
     tau[1000:1040] += [30.0, 20.0, 10.0]
-    result = picked(robot, replace(samples, tau=tau, tau_raw=np.empty((0, 0))))
+    result = chosen(robot, replace(samples, tau=tau, tau_raw=np.empty((0, 0))))
     assert result.method == "huber"
-    assert "robust one" in result.notes[0]
+    assert "robust variance" in result.notes[0]
 
 
 def test_impossible_bodies_give_way_to_real_ones_that_predict_as_well(robot):
-    result = picked(robot, recording(*robot, noise=4.0, seconds=12.0, seed=6))
+    result = chosen(robot, recording(*robot, noise=4.0, seconds=12.0, seed=6))
     assert result.method in ("consistent", "entropic")
     assert result.physically_consistent
-    assert "groups of time blocks held out in turn: squared error of" in result.notes[0]
+    assert "groups of held-out time blocks (squared error of" in result.notes[0]
     assert "consistent_fit_costly" not in codes(result)
 
 
@@ -53,7 +53,7 @@ def test_values_that_no_bodies_have_stay_where_these_predict_worse(robot):
     impossible = beta.copy()
     impossible[base.names.index("Ixz3")] += 0.5
     samples = recording(model, base, impossible, noise=0.1, seconds=60.0, seed=2)
-    result = picked(robot, samples)
+    result = chosen(robot, samples)
     assert result.method == "wls"
     assert not result.physically_consistent
     assert "wls kept" in result.notes[0]
@@ -66,7 +66,7 @@ def test_strain_of_real_bodies_is_told(robot):
     model, base, beta = robot
     impossible = beta.copy()
     impossible[base.names.index("Ixz3")] += 0.5
-    result = picked(robot, recording(model, base, impossible, noise=0.1, seconds=2.0, seed=2))
+    result = chosen(robot, recording(model, base, impossible, noise=0.1, seconds=2.0, seed=2))
     assert result.method == "consistent"
     assert "too few" in result.notes[0]
     assert "consistent_fit_costly" in codes(result)
@@ -83,7 +83,7 @@ def test_better_is_more_than_one_standard_error_of_paired_errors():
 
 
 def test_joint_that_stands_leans_on_cad(robot):
-    result = picked(robot, recording(*robot, noise=0.02, seconds=60.0, seed=2, still=(2,)))
+    result = chosen(robot, recording(*robot, noise=0.02, seconds=60.0, seed=2, still=(2,)))
     assert "not excited" in result.notes[0]
     assert result.undetermined
 

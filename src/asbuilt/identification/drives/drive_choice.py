@@ -30,8 +30,12 @@ from asbuilt.identification.drives.drive_candidates import (
 )
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear, thinned
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
-from asbuilt.identification.estimators.least_squares import fit_least_squares, noise_floor
-from asbuilt.identification.identify import LARGE_CONDITION
+from asbuilt.identification.estimators.least_squares import (
+    LARGE_CONDITION,
+    fit_least_squares,
+    noise_floor,
+)
+from asbuilt.identification.information.held_out import held_out_errors
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.torque_prediction import carrying
 
@@ -491,15 +495,12 @@ def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> A
         return None
     prior = np.zeros(information.base.n_base)
     weights = 1.0 / fit_least_squares(information, weights="joint", prior=prior).sigma
-    errors = []
-    for fold in np.array_split(np.arange(information.n_blocks), min(FOLDS, information.n_blocks)):
-        learnt = information.select(np.setdiff1d(np.arange(information.n_blocks), fold))
-        held = information.select(fold)
-        errors.append(
-            held.residual_energy(fit_least_squares(learnt, weights=weights, prior=prior).beta)
-            / held.n_samples
-        )
-    return np.array(errors)
+    groups = np.array_split(np.arange(information.n_blocks), min(FOLDS, information.n_blocks))
+    return held_out_errors(
+        information,
+        lambda part: fit_least_squares(part, weights=weights, prior=prior).beta,
+        groups,
+    )[0]
 
 
 def _named(drive: DriveSet) -> str:

@@ -25,11 +25,8 @@ from asbuilt.identification.drives.drive_choice import (
     surely_positive,
 )
 from asbuilt.identification.estimators.consistent_fit import fit_consistent
-from asbuilt.identification.estimators.ridge import folds
-from asbuilt.identification.information.square_root_information import (
-    SquareRootInformation,
-    accumulate_stream,
-)
+from asbuilt.identification.information.held_out import held_out_errors
+from asbuilt.identification.information.square_root_information import accumulate_stream
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -142,11 +139,7 @@ class _HeldOut:
         if weights is None:
             weights = fit_consistent(information, prior).weights
 
-        def learnt(part: SquareRootInformation) -> Array:
-            return fit_consistent(part, prior, weights=weights).beta
-
-        betas, errors = [], []
-        for training, judged in folds(information):
-            betas.append(learnt(training))
-            errors.append(judged.residual_energy(betas[-1]) / judged.n_samples)
-        return cls(np.array(errors), np.array(betas), tuple(base.names), weights)
+        errors, betas = held_out_errors(
+            information, lambda part: fit_consistent(part, prior, weights=weights).beta
+        )
+        return cls(errors, betas, tuple(base.names), weights)

@@ -16,6 +16,7 @@ from scipy.linalg import lapack, qr
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.findings import Finding
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
@@ -35,6 +36,10 @@ good as singular values.
 SMALLEST_NOISE = 1e-9
 """Noise of a joint as a fraction of the largest torque RMS below which its weight grows no further:
 simulations have none.
+"""
+LARGE_CONDITION = 200.0
+"""Scaled condition number above which model errors are amplified (below 100 is good: Gautier and
+Khalil, Int. J. Robotics Research 11, 1992).
 """
 NEGLIGIBLE_COEFFICIENT = 1e-6
 MOST_TERMS = 6
@@ -171,7 +176,7 @@ class Estimate:
     converged: bool
     information: SquareRootInformation | None = None
     notes: tuple[str, ...] = ()
-    warnings: tuple[tuple[str, str], ...] = ()
+    findings: tuple[Finding, ...] = ()
     dropped: NDArray[np.bool_] | None = None
     refit: Refit | None = None
 

@@ -39,6 +39,17 @@ def unpacked_triangle(text: str, p: int) -> Array:
     return triangle
 
 
+def packed_symmetric(matrix: Array) -> str:
+    """Return the upper triangle of a symmetric matrix (p, p) as `packed_triangle` does."""
+    return packed_triangle(matrix)
+
+
+def unpacked_symmetric(text: str) -> Array:
+    """Return the symmetric matrix (p, p) of a packed triangle, whose length says how large it is."""
+    upper = unpacked_triangle(text)
+    return upper + np.triu(upper, 1).T
+
+
 class GrowingFactor:
     """Reduce ever more rows with p columns to their triangular factor: R of [R.
 

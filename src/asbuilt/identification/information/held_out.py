@@ -1,0 +1,42 @@
+"""Fits validated on time blocks held out in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+
+MOST_FOLDS = 8
+
+
+def neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
+    """Return the blocks in groups of neighbours, so that lasting residuals do not leak."""
+    count = min(n_groups, n_blocks)
+    number = np.arange(n_blocks) * count // max(n_blocks, 1)
+    return [np.flatnonzero(number == group) for group in range(count)]
+
+
+def folds(
+    information: SquareRootInformation, groups: Sequence[Indices] | None = None
+) -> Iterator[tuple[SquareRootInformation, SquareRootInformation]]:
+    """Yield the blocks to train on and those held out, group by group; nothing for one group."""
+    every = np.arange(information.n_blocks)
+    groups = neighbours(information.n_blocks) if groups is None else groups
+    for group in groups if len(groups) > 1 else ():
+        yield information.select(np.setdiff1d(every, group)), information.select(group)
+
+
+def held_out_errors(
+    information: SquareRootInformation,
+    fit: Callable[[SquareRootInformation], Array],
+    groups: Sequence[Indices] | None = None,
+) -> tuple[Array, Array]:
+    """Return squared torque errors (n_folds, n) on held-out groups, and each beta (n_folds, p)."""
+    betas, errors = [], []
+    for training, held in folds(information, groups):
+        betas.append(fit(training))
+        errors.append(held.residual_energy(betas[-1]) / held.n_samples)
+    return np.array(errors), np.array(betas)
