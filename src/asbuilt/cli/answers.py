@@ -1,76 +1,193 @@
-"""How the commands answer.
-
-One document or one text on stdout, progress on stderr, the files they wrote.
-"""
+"""How the commands answer: one document or text on stdout; progress and errors on stderr."""
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from asbuilt.cli.commands import COMMANDS
+from asbuilt.cli.spread import option_name
+from asbuilt.findings import Cure
+
+if TYPE_CHECKING:
+    from asbuilt.cli.spread import Common
+    from asbuilt.findings import Finding
+
+COMPILING = "compiling the dynamics: once per installation, about 25 s"
+COMPILING_EACH_TIME = (
+    "compiling the dynamics: about 25 s in every run, because the machine code cannot be stored;"
+    " set NUMBA_CACHE_DIR to a folder you may write to"
+)
 
 
-def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
-    """Print the document or the text on stdout."""
-    if as_json:
-        from asbuilt.writers.tables.tabular import json_text
+class Screen:
+    """Show progress on stderr: a bar on a terminal, lines with `--verbose`, else nothing."""
 
-        sys.stdout.write(json_text(document()))
-    else:
-        sys.stdout.write(text().strip("\n") + "\n")
-    sys.stdout.flush()
+    def __init__(self, *, quiet: bool = False, verbose: bool = False) -> None:
+        self.quiet = quiet
+        self.verbose = verbose
+        self._started = time.perf_counter()
+        self._bar: Any = None
+        self._tasks: dict[str, Any] = {}
+        self._announced = False
+
+    def report(self, what: str, fraction: float) -> None:
+        """Show that `what` is done to a fraction; zero shows that it is under way."""
+        stage = what.split(":", maxsplit=1)[0]
+        first = stage not in self._tasks
+        if self.verbose and first:
+            self._line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
+        if self.quiet or not sys.stderr.isatty():
+            self._tasks.setdefault(stage, None)
+            return
+        bar = self._opened()
+        if first:
+            for task in self._tasks.values():
+                bar.update(task, total=1.0, completed=1.0)
+            self._tasks[stage] = bar.add_task(what, total=None)
+        total = 1.0 if fraction > 0.0 else None
+        bar.update(self._tasks[stage], description=what, completed=fraction, total=total)
+
+    def announce_compilation(self, event: Any) -> None:
+        """Say that machine code is being made, when the first compilation starts."""
+        if self._announced or not event.is_start:
+            return
+        self._announced = True
+        kept = type(event.data["dispatcher"]._cache).__name__ != "NullCache"
+        message = COMPILING if kept else COMPILING_EACH_TIME
+        if sys.stderr.isatty():
+            self.report(message.replace(":", ","), 0.0)
+        elif not self.quiet:
+            self._line(f"asbuilt: {message}")
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None:
+            self._bar.stop()
+        self._bar, self._tasks = None, {}
+
+    def _opened(self) -> Any:
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+            columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+            self._bar = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._bar.start()
+        return self._bar
+
+    def _line(self, text: str) -> None:
+        if self._bar is not None:
+            self._bar.console.print(text, highlight=False, markup=False)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+
+_screen: ContextVar[Screen | None] = ContextVar("screen of the running command", default=None)
+
+
+@contextmanager
+def screen_of(common: Common, *, compiles: bool) -> Iterator[None]:
+    """Open the screen of a command, which also announces compilation."""
+    screen = Screen(quiet=common.quiet, verbose=common.verbose)
+    token = _screen.set(screen)
+    try:
+        if compiles:
+            from numba.core import event
+
+            class Announcer(event.Listener):
+                def on_start(self, event: Any) -> None:
+                    screen.announce_compilation(event)
+
+                def on_end(self, event: Any) -> None:
+                    pass
+
+            with event.install_listener("numba:compile", Announcer()):
+                yield
+        else:
+            yield
+    finally:
+        screen.close()
+        _screen.reset(token)
 
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Yield `report(what, fraction)`.
+    """Yield `report(what, fraction)`, which draws on the screen of the command."""
+    screen = _screen.get() or Screen(quiet=True)
+    try:
+        yield screen.report
+    finally:
+        screen.close()
 
-    Draws a bar on stderr where that is a terminal, for anything that takes over a second.
+
+def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
+    """Print the document, or the text unless the command is quiet, on stdout."""
+    screen = _screen.get() or Screen()
+    screen.close()
+    if as_json:
+        from asbuilt.writers.tables.tabular import json_text
+
+        sys.stdout.write(json_text(document()))
+    elif not screen.quiet:
+        sys.stdout.write(text().strip("\n") + "\n")
+    sys.stdout.flush()
+
+
+def cure_text(cure: Cure | str | None) -> str:
+    """Return what to do, with the options and the command that do it; empty if there is no cure.
+
+    >>> cure_text(Cure("negate the torques", {"flip_torque": True}))
+    'negate the torques (--flip-torque)'
+    >>> cure_text(Cure("find the gains from a known payload", call="find_gains"))
+    'find the gains from a known payload (asbuilt gains)'
     """
+    if not isinstance(cure, Cure):
+        return cure or ""
+    spelled = [_option_text(name, value) for name, value in cure.settings.items()]
+    spelled += [
+        f"asbuilt {name}" for name, entry in COMMANDS.items() if cure.call == entry.call != ""
+    ]
+    return f"{cure.text} ({', '.join(spelled)})" if spelled else cure.text
+
+
+def finding_text(finding: Finding) -> str:
+    """Return a finding as one line: severity, code, message and cure."""
+    cure = cure_text(finding.cure)
+    advice = f" {cure[0].upper()}{cure[1:]}." if cure else ""
+    return f"{finding.severity.upper()} {finding.code}: {finding.message}.{advice}"
+
+
+def _option_text(name: str, value: Any) -> str:
+    option = option_name(name)
+    if isinstance(value, bool):
+        return option
+    shown = ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+    return f"{option} {shown}"
+
+
+def wrapped(text: str) -> str:
+    """Return a message folded to the width of the terminal; as it is if stderr is none."""
     if not sys.stderr.isatty():
-        yield lambda what, fraction: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    tasks: dict[str, Any] = {}
-
-    def report(what: str, fraction: float) -> None:
-        stage = what.split(":", maxsplit=1)[0]
-        if stage not in tasks:
-            for task in tasks.values():
-                bar.update(task, completed=1.0)
-            tasks[stage] = bar.add_task(what, total=1.0)
-        bar.update(tasks[stage], description=what, completed=fraction)
-
-    with bar:
-        yield report
+        return text
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 def listed_files(
     files: Mapping[str, Path], notes: Mapping[str, Sequence[str]] | None = None
 ) -> str:
-    """Return the lines that say which files were written and what is to be known of them, empty
-    where none were.
-    """
+    """Return the lines that name the files written and their notes; empty if there are none."""
     if not files:
         return ""
     from asbuilt.writers.files import file_lines
 
-    return "\n".join(
-        [
-            "",
-            "",
-            "written:",
-            *file_lines(files, notes or {}, max((*(len(kind) for kind in files), 11))),
-        ]
-    )
+    width = max(11, *(len(kind) for kind in files))
+    return "\n".join(["", "", "written:", *file_lines(files, notes or {}, width)])

@@ -1,99 +1,191 @@
-"""The command line: each command reads, makes one call and writes."""
+"""The command line: commands are imported when they are run or when their help is shown."""
 
 from __future__ import annotations
 
+import difflib
+import inspect
+import json
 import os
 import sys
-from collections.abc import Sequence
+import traceback
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from asbuilt.cli.identify import compare, identify, payload, validate
-from asbuilt.cli.motion import excite, program
-from asbuilt.cli.options import with_options_spread
-from asbuilt.cli.recording import channels, check, gains, simulate
-from asbuilt.cli.robot import base, drives, export, robots, show, view
-from asbuilt.cli.story import demo, reproduce
+import asbuilt
+from asbuilt.cli.answers import cure_text, screen_of, wrapped
+from asbuilt.cli.commands import COMMANDS, GROUPS
+from asbuilt.cli.spread import Common, spread
 from asbuilt.errors import AsbuiltError, UsageError
+from asbuilt.findings import Cure
+
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables of linear algebra libraries, whose threads slow small matrices down."""
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C."""
+
+HELP = {"help_option_names": ["-h", "--help"]}
+
+
+class Command(TyperCommand):
+    """A command whose help groups its options and ends with two examples."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """Return `[OPTIONS]` and the names of the arguments."""
+        return ["[OPTIONS]", *(str(param.metavar) for param in _arguments(self, ctx))]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options under the heading of their group."""
+        arguments = _arguments(self, ctx)
+        sections = {"Arguments": [(str(param.metavar), param.help or "") for param in arguments]}
+        for param in self.get_params(ctx):
+            record = None if param in arguments else param.get_help_record(ctx)
+            if record is not None:
+                panel = getattr(param, "rich_help_panel", None) or "Options"
+                sections.setdefault(panel, []).append(record)
+        general = sections.pop("Options")
+        for title, rows in {**sections, "Options": general}.items():
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows, col_max=24)
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples, one a line."""
+        if self.name in COMMANDS:
+            with formatter.section("Examples"):
+                for arguments in COMMANDS[self.name].examples:
+                    formatter.write(f"  asbuilt {self.name} {arguments}".rstrip() + "\n")
+
+
+def _arguments(command: Any, ctx: Any) -> list[Any]:
+    return [param for param in command.get_params(ctx) if param.param_type_name == "argument"]
+
+
+class Commands(TyperGroup):
+    """All commands, by group, from the static table."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands."""
+        return [*COMMANDS]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Import a command; raises `UsageError` if there is none of this name."""
+        entry = COMMANDS.get(cmd_name)
+        if entry is None:
+            near = difflib.get_close_matches(cmd_name, COMMANDS, n=1)
+            guess = f"did you mean {near[0]}?" if near else "asbuilt -h lists the commands"
+            raise UsageError(f"there is no command {cmd_name!r}", cure=Cure(guess))
+        function = getattr(import_module(f"asbuilt.cli.{entry.module}"), cmd_name)
+
+        def run(common: Common, call: Callable[[], None]) -> None:
+            with screen_of(common, compiles=entry.compiles):
+                call()
+
+        alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+        more = inspect.cleandoc(function.__doc__ or "").partition("\n\n")[2]
+        help_text = f"{entry.summary}\n\n{more}".strip()
+        register = alone.command(cmd_name, cls=Command, help=help_text, context_settings=HELP)
+        register(spread(function, run))
+        return typer.main.get_command(alone)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands of each group with their summaries."""
+        for title, entries in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, entry.summary) for name, entry in entries.items()])
+
 
 app = typer.Typer(
     name="asbuilt",
+    cls=Commands,
     help=(
-        "The dynamic model of a robot arm as built, from its description and a recording of its"
-        " motion and torque."
+        "Identify the dynamic model of a robot arm as built, from its description and recordings"
+        " of its motion and torque."
     ),
-    no_args_is_help=True,
-    add_completion=False,
+    epilog="asbuilt COMMAND -h explains a command; asbuilt demo shows a complete run.",
+    context_settings=HELP,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
-BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What linear algebra libraries read when they are loaded, which commands do.
 
-Their threads only get in each other's way on small matrices.
-"""
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        print(f"asbuilt {asbuilt.__version__}")
+        raise typer.Exit
 
-INTERRUPTED = 130
-"""Exit status after Ctrl-C, with which typer ends a command, too."""
 
-for command in (
-    robots,
-    drives,
-    show,
-    base,
-    check,
-    identify,
-    validate,
-    compare,
-    payload,
-    gains,
-    channels,
-    excite,
-    program,
-    simulate,
-    view,
-    export,
-    reproduce,
-    demo,
-):
-    app.command()(with_options_spread(command))
+@app.callback(invoke_without_command=True)
+def _start(
+    context: typer.Context,
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=_print_version, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+        raise typer.Exit(2)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line; every failure is one message on stderr and an exit status of 1 (data,
-    robot) or 2 (usage).
-    """
+    """Run the command line and exit: 0 done, 1 data or robot do not allow it, 2 wrong usage."""
     for setting in BLAS_THREADS:
         os.environ.setdefault(setting, "1")
+    given = [*(sys.argv[1:] if arguments is None else arguments)]
+    sys.exit(_status(given))
+
+
+def _status(given: list[str]) -> int:
+    """Run the command line; report every failure and return the exit status."""
     try:
-        app(args=list(arguments) if arguments is not None else None, prog_name="asbuilt")
-    except UsageError as problem:
-        _fail(str(problem), 2)
+        command = typer.main.get_command(app)
+        status = command.main(args=given, prog_name="asbuilt", standalone_mode=False)
     except AsbuiltError as problem:
-        _fail(str(problem), 1)
+        hint = cure_text(problem.cure)
+        return _fail(
+            given, type(problem).__name__, problem.message, hint, problem.fields,
+            2 if isinstance(problem, UsageError) else 1,
+        )  # fmt: skip
+    except typer.TyperException as problem:
+        place = getattr(getattr(problem, "ctx", None), "command_path", "asbuilt")
+        message = " ".join(problem.format_message().split()).rstrip(".")
+        return _fail(given, "UsageError", message, f"{place} -h lists the options", {}, 2)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
-    except (KeyboardInterrupt, EOFError):
-        _fail("interrupted; no file was left half-written", INTERRUPTED)
-    except SystemExit as end:
-        if end.code == INTERRUPTED:
-            _fail("interrupted; no file was left half-written", INTERRUPTED)
-        raise
+        return 1
+    except (KeyboardInterrupt, EOFError, typer.Abort):
+        status = INTERRUPTED
     except Exception as problem:
         if os.environ.get("ASBUILT_TRACEBACK"):
-            raise
-        _fail(
-            f"this should not have happened ({type(problem).__name__}: {problem});"
-            " ASBUILT_TRACEBACK=1 shows where, please report it",
-            1,
+            traceback.print_exc()
+        message = f"unexpected {type(problem).__name__}: {problem}"
+        hint = "please report it with the output of ASBUILT_TRACEBACK=1"
+        return _fail(given, type(problem).__name__, message, hint, {}, 1)
+    if status == INTERRUPTED:
+        return _fail(
+            given, "KeyboardInterrupt", "interrupted; no file is half-written", "", {}, status
         )
+    return status if isinstance(status, int) else 0
 
 
-def _fail(message: str, status: int) -> None:
-    print(f"asbuilt: {message}", file=sys.stderr)
-    sys.exit(status)
+def _fail(
+    given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
+) -> int:
+    """Report an error: one document on stdout with --json, else a message on stderr."""
+    if "--json" in given:
+        error = {"kind": kind, "message": message, "hint": hint or None, **values}
+        print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
+    else:
+        text = f"asbuilt: {message}" + (f"; {hint}" if hint else "")
+        print(wrapped(text), file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":

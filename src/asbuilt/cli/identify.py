@@ -25,10 +25,10 @@ from asbuilt.cli.options import (
     Unchecked,
     described_robot,
     distinct_logs,
-    one_of,
     read_result,
     refuse_idle,
 )
+from asbuilt.cli.spread import one_of
 from asbuilt.errors import UsageError
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from asbuilt.cli.spread import given_options, one_of
 from asbuilt.errors import ResultError, UsageError
 
 if TYPE_CHECKING:
@@ -164,10 +163,7 @@ class Reading:
     @property
     def given(self) -> dict[str, bool]:
         """Which of these options were given, by name."""
-        return {
-            f"--{field.name.replace('_', '-')}": getattr(self, field.name) != field.default
-            for field in fields(self)
-        }
+        return given_options(self)
 
     def _options(self, model: RobotModel) -> ReadingOptions:
         from asbuilt.experiment.recording import TORQUE_SOURCES
@@ -222,49 +218,6 @@ class Filtering:
         )
 
 
-def with_options_spread(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command as typer wants it.
-
-    In place of each parameter that is a group of options (`Reading`, `Filtering`), the options of
-    that group.
-    """
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, type[Any]] = {
-        name: hint for name, hint in hints.items() if is_dataclass(hint) and isinstance(hint, type)
-    }
-    parameters = []
-    for name, parameter in inspect.signature(command).parameters.items():
-        if name in groups:
-            parameters += _spread_out(groups[name])
-        else:
-            parameters.append(
-                parameter.replace(annotation=hints[name], kind=inspect.Parameter.KEYWORD_ONLY)
-            )
-
-    @functools.wraps(command)
-    def spread(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
-        command(**given)
-
-    spread.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    spread.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-    return spread
-
-
-def _spread_out(group: type[Any]) -> list[inspect.Parameter]:
-    hints = get_type_hints(group, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=field.default,
-            annotation=hints[field.name],
-        )
-        for field in fields(group)
-    ]
-
-
 def described_robot(robot: str) -> RobotModel:
     """Return the robot that a name or a path describes."""
     from asbuilt.description.load import load_robot
@@ -296,16 +249,6 @@ def read_result(path: Path) -> IdentificationResult:
         return IdentificationResult.from_json(text)
     except ResultError as problem:
         raise ResultError(f"{path}: {problem}") from None
-
-
-def one_of(option: str, value: str, known: Mapping[str, Any] | Sequence[str]) -> Any:
-    """Return a value that is among the known (what it stands for, where these are a mapping).
-
-    Raises `UsageError` otherwise.
-    """
-    if value not in known:
-        raise UsageError(f"{option} {value!r} is not one of {', '.join(known)}")
-    return known[value] if isinstance(known, Mapping) else value
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:

@@ -23,12 +23,12 @@ from asbuilt.cli.options import (
     described_robot,
     distinct_logs,
     number_list,
-    one_of,
     positive_number,
     refuse_idle,
     robot_as_built,
     writable_file,
 )
+from asbuilt.cli.spread import one_of
 from asbuilt.errors import UsageError
 
 

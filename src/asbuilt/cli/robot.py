@@ -19,11 +19,11 @@ from asbuilt.cli.options import (
     Robot,
     RobotOrResult,
     described_robot,
-    one_of,
     read_result,
     robot_as_built,
     writable_file,
 )
+from asbuilt.cli.spread import one_of
 
 
 def robots(as_json: AsJson = False) -> None:

@@ -1,0 +1,177 @@
+"""The commands: where each is defined, its summary, two examples, and the function it calls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Describe a command without importing it.
+
+    Parameters
+    ----------
+    module
+        Module of `asbuilt.cli` that has the function of the same name.
+    summary
+        First line of its help, at most 66 characters.
+    examples
+        Arguments of two calls.
+    call
+        Public function of `asbuilt` that does the same.
+    compiles
+        Whether it calls compiled dynamics.
+    """
+
+    module: str
+    summary: str
+    examples: tuple[str, str]
+    call: str
+    compiles: bool = True
+
+
+GROUPS: dict[str, dict[str, Entry]] = {
+    "Robots": {
+        "robots": Entry(
+            "robot", "List the bundled robots.", ("", "--json"), "robot_names", compiles=False
+        ),
+        "show": Entry(
+            "robot",
+            "Show geometry, mass properties, limits and consistency.",
+            ("kuka-iiwa7-r800", "my_robot.urdf --full"),
+            "load_robot",
+            compiles=False,
+        ),
+        "view": Entry(
+            "robot",
+            "Show the robot in 3-D in the browser, or save a picture.",
+            ("ur10e", "ur10e motion.csv --save motion.html"),
+            "view_robot",
+        ),
+        "base": Entry(
+            "robot",
+            "Find the base parameters and what of each link is identifiable.",
+            ("kuka-iiwa7-r800", "ur10e --drive viscous,coulomb --full"),
+            "find_base_parameters",
+        ),
+        "drives": Entry(
+            "robot",
+            "List the drive terms (friction, armature, springs).",
+            ("", "--json"),
+            "",
+            compiles=False,
+        ),
+    },
+    "Motions": {
+        "excite": Entry(
+            "motion",
+            "Design the most informative motion within the limits.",
+            (
+                "kuka-iiwa7-r800 -o motion.csv",
+                "ur10e --duration 30 --collision skeleton:0.08 --program urscript",
+            ),
+            "design_motion",
+        ),
+        "program": Entry(
+            "motion",
+            "Write a controller program that runs and records a motion.",
+            (
+                "kuka-iiwa7-r800 motion.csv --format sunrise -o program",
+                "ur10e motion.csv --format urscript --rate 500",
+            ),
+            "make_program",
+        ),
+        "simulate": Entry(
+            "recording",
+            "Record a virtual robot, or simulate its free motion.",
+            (
+                "ur10e motion.csv --preset lab -o recording.csv",
+                "kuka-iiwa7-r800 --free drop --duration 2",
+            ),
+            "simulate_recording",
+        ),
+    },
+    "Recordings": {
+        "check": Entry(
+            "recording",
+            "Check recordings before they are used.",
+            ("ur10e log.csv", "ur10e log.csv --flip-torque --json"),
+            "check_recording",
+        ),
+        "gains": Entry(
+            "recording",
+            "Find torque per logged unit from a payload of known mass.",
+            (
+                "ur10e bare.csv --loaded loaded.csv --mass 5",
+                "ur10e bare.csv --loaded loaded.csv --mass 5 --com 0,0,0.08",
+            ),
+            "find_gains",
+        ),
+        "channels": Entry(
+            "recording",
+            "Identify link and motor side from two torque channels.",
+            (
+                "kuka-iiwa7-r800 sensors.csv --motor motors.csv",
+                "kuka-iiwa7-r800 sensors.csv --motor motors.csv --motor-gain 0.1",
+            ),
+            "identify_channels",
+        ),
+    },
+    "Identification": {
+        "identify": Entry(
+            "identify",
+            "Identify the robot from recordings, and validate the result.",
+            (
+                "ur10e log.csv --holdout blocks:5s:3 -o study",
+                "ur10e log.csv --validate other.csv --torque-source current",
+            ),
+            "identify",
+        ),
+        "validate": Entry(
+            "identify",
+            "Predict other recordings with the result and with CAD.",
+            ("study/result.json other.csv", "ur10e other.csv --json"),
+            "validate",
+        ),
+        "compare": Entry(
+            "identify",
+            "Compare CAD with the robot as built, or two results.",
+            ("study/result.json", "before.json --with after.json -o changes"),
+            "compare",
+        ),
+        "payload": Entry(
+            "identify",
+            "Find mass, centre and inertia of what the flange carries.",
+            (
+                "study/result.json loaded.csv",
+                "study/result.json loaded.csv --frame tool0 --arm frozen",
+            ),
+            "identify_payload",
+        ),
+        "export": Entry(
+            "robot",
+            "Write the identified robot as URDF, MJCF, TOML or C.",
+            (
+                "study/result.json --urdf as_built.urdf",
+                "study/result.json --mjcf as_built.xml --c dynamics.c --nearest",
+            ),
+            "export_result",
+        ),
+    },
+    "Complete runs": {
+        "demo": Entry(
+            "story",
+            "Design, record, identify, validate and export on a bundled robot.",
+            ("", "-o demo"),
+            "run_demo",
+        ),
+        "reproduce": Entry(
+            "story",
+            "Reproduce the 2015 paper, table by table and figure by figure.",
+            ("", "-o paper"),
+            "reproduce_paper",
+        ),
+    },
+}
+
+COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}

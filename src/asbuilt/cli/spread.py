@@ -1,0 +1,204 @@
+"""Options of commands, generated from option classes."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import types
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+import typer
+
+from asbuilt.errors import AsbuiltError, UsageError
+
+SPELLING = {
+    "size": "--harmonics",
+    "unexcited": "--undetermined",
+    "checked": "--unchecked",
+}
+"""Options that are not named after their field; a flag of a field that is on turns it off."""
+
+PANELS = {
+    "DesignOptions": "Design",
+    "Filtering": "Signal chain",
+    "Reading": "Reading recordings",
+    "ReadingOptions": "Reading recordings",
+    "StudyOptions": "Identification",
+}
+"""Heading of the options of a class in the help."""
+
+
+def option_name(field: str) -> str:
+    """Return the option of a field.
+
+    >>> option_name("flip_torque"), option_name("size")
+    ('--flip-torque', '--harmonics')
+    """
+    return SPELLING.get(field, "--" + field.replace("_", "-"))
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """The options of every command."""
+
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="print errors and JSON only")] = False
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="print each step and its time on stderr")
+    ] = False
+
+
+def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[..., None]:
+    """Return the command as typer takes it: option classes become the options of their fields.
+
+    A parameter of an option class becomes one option for each field that has `help` in its
+    metadata; `metavar`, `choices` (names, or names and what they stand for) and `parse` (from
+    text) may stand beside it. The command gets the class built from the options given, so that
+    the class alone owns its defaults. `run(common, call)` calls the command.
+    """
+    hints = get_type_hints(command, include_extras=True)
+    groups = {name: hint for name, hint in hints.items() if _is_group(hint)}
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if name in groups:
+            parameters += _parameters(groups[name])
+        else:
+            parameters.append(_keyword(name, _with_short_out(hints[name]), parameter.default))
+    parameters += _parameters(Common)
+
+    @functools.wraps(command)
+    def called(**given: Any) -> None:
+        common = _collected(Common, given)
+        for name, group in groups.items():
+            given[name] = _collected(group, given)
+        run(common, functools.partial(command, **given))
+
+    called.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return called
+
+
+def given_options(group: Any) -> dict[str, bool]:
+    """Return for each option of an instance of an option class whether it is off its default."""
+    return {
+        option_name(field.name): getattr(group, field.name) != field.default
+        for field in _shown(type(group))
+    }
+
+
+def _is_group(hint: Any) -> bool:
+    return isinstance(hint, type) and is_dataclass(hint)
+
+
+def _shown(group: type[Any]) -> Iterator[Field[Any]]:
+    hints = get_type_hints(group, include_extras=True)
+    for field in fields(group):
+        if "help" in field.metadata or get_origin(hints[field.name]) is Annotated:
+            yield field
+
+
+def _parameters(group: type[Any]) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    panel = PANELS.get(group.__name__)
+    made = []
+    for field in _shown(group):
+        hint = hints[field.name]
+        if get_origin(hint) is Annotated:
+            get_args(hint)[1].rich_help_panel = panel
+            made.append(_keyword(field.name, hint, field.default))
+        else:
+            made.append(_generated(field, hint, panel))
+    return made
+
+
+def _generated(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
+    told, plain = field.metadata, _without_none(hint)
+    text = str(told["help"])
+    flag = plain is bool
+    if not flag and field.default not in (None, MISSING, ()):
+        text += f" [default: {_name_of(field.default, told.get('choices'))}]"
+    option = typer.Option(
+        option_name(field.name),
+        metavar=None if flag else told.get("metavar", field.name.upper()),
+        help=text,
+        show_default=False,
+        rich_help_panel=panel,
+    )
+    kind: Any = plain if plain in (int, float, Path) and "parse" not in told else str
+    return _keyword(
+        field.name, Annotated[bool if flag else kind | None, option], False if flag else None
+    )
+
+
+def _collected(group: type[Any], given: dict[str, Any]) -> Any:
+    """Build an option class from the values given, which are taken out of `given`."""
+    hints = get_type_hints(group, include_extras=True)
+    values: dict[str, Any] = {}
+    for field in _shown(group):
+        value = given.pop(field.name)
+        if get_origin(hints[field.name]) is Annotated:
+            values[field.name] = value
+        elif _without_none(hints[field.name]) is bool:
+            values |= {field.name: not field.default} if value else {}
+        elif value is not None:
+            values[field.name] = _parsed(option_name(field.name), value, field.metadata)
+    return group(**values)
+
+
+def _parsed(option: str, value: Any, told: Mapping[str, Any]) -> Any:
+    if "choices" in told:
+        return one_of(option, value, told["choices"])
+    if "parse" not in told:
+        return value
+    try:
+        return told["parse"](value)
+    except AsbuiltError as problem:
+        raise UsageError(f"{option}: {problem.message}", cure=problem.cure) from None
+    except ValueError:
+        raise UsageError(
+            f"{option} takes {told.get('metavar', 'a value')}, got {value!r}",
+            option=option,
+            value=value,
+        ) from None
+
+
+def one_of(option: str, value: str, known: Any) -> Any:
+    """Return a value that is among the known, or what it stands for if they are a mapping.
+
+    Raises `UsageError` otherwise.
+    """
+    if value not in known:
+        raise UsageError(
+            f"{option} {value!r} is not one of {', '.join(known)}",
+            option=option,
+            value=value,
+            available=[*known],
+        )
+    return known[value] if isinstance(known, Mapping) else value
+
+
+def _name_of(default: Any, choices: Any) -> str:
+    if isinstance(choices, Mapping):
+        return next((str(name) for name, meant in choices.items() if meant == default), "")
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _without_none(hint: Any) -> Any:
+    if get_origin(hint) in (Union, types.UnionType):
+        kinds = [kind for kind in get_args(hint) if kind is not type(None)]
+        return kinds[0] if len(kinds) == 1 else str
+    return hint
+
+
+def _with_short_out(hint: Any) -> Any:
+    """Give every `--out` its short form `-o`."""
+    for option in get_args(hint)[1:] if get_origin(hint) is Annotated else ():
+        if getattr(option, "default", None) == "--out":
+            option.param_decls = ("-o",)
+    return hint
+
+
+def _keyword(name: str, hint: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
