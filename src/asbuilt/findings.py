@@ -61,13 +61,22 @@ class Finding:
     code: str
     severity: Severity
     message: str
-    cure: Cure | str | None = None
+    cure: Cure | None = None
     joint: str | None = None
     time: float | None = None
 
     def __str__(self) -> str:
-        advice = f" {self.cure}." if self.cure else ""
-        return f"{self.severity.upper()} {self.code}: {self.message}.{advice}"
+        return f"{self.severity.upper()} {self.code}: {self.text}"
+
+    @property
+    def text(self) -> str:
+        """Message and cure as sentences.
+
+        >>> Finding("gap", "info", "a gap of 2 s at 4 s", Cure("record again")).text
+        'a gap of 2 s at 4 s. Record again.'
+        """
+        advice = str(self.cure) if self.cure else ""
+        return f"{self.message}." + (f" {advice[:1].upper()}{advice[1:]}." if advice else "")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding as plain data."""
@@ -75,7 +84,7 @@ class Finding:
             "code": self.code,
             "severity": self.severity,
             "message": self.message,
-            "cure": self.cure.as_dict() if isinstance(self.cure, Cure) else self.cure,
+            "cure": None if self.cure is None else self.cure.as_dict(),
             "joint": self.joint,
             "time": self.time,
         }

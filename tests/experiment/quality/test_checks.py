@@ -1,6 +1,4 @@
-"""Findings on recordings that were spoilt on purpose, with torques from Pinocchio, and on
-recordings of real robots.
-"""
+"""Findings on recordings spoilt on purpose, on Pinocchio's torques, and on real robots."""
 
 from __future__ import annotations
 
@@ -69,8 +67,12 @@ def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
     assert check_recording(model, recording).ok
     check = check_recording(model, recording.flipped())
     assert [item.code for item in check.errors] == ["torque_flipped"]
-    with pytest.raises(RecordingError, match=r"torque sign looks flipped.*use --flip-torque"):
+    with pytest.raises(
+        RecordingError, match=r"torque sign looks flipped.*flip the torque sign"
+    ) as error:
         check.raise_errors()
+    assert error.value.cure.settings == {"flip_torque": True}
+    assert error.value.code == "torque_flipped"
     for i in range(6):
         both = replace(
             recording,
@@ -93,11 +95,11 @@ def test_one_joint_flipped(iiwa: RobotModel, clean: Recording, joint: int) -> No
     sign[joint] = -1
     found = finding(iiwa, replace(clean, tau=clean.tau * sign), "joint_torque_flipped")
     assert found.joint == iiwa.joint_names[joint]
-    assert f"sign = [{', '.join('-1' if k == joint else '1' for k in range(7))}]" in found.cure
+    assert f"sign = [{', '.join('-1' if k == joint else '1' for k in range(7))}]" in str(found.cure)
 
 
 @pytest.mark.parametrize("joint", range(7))
-def test_friction_tells_the_sign_of_joints_that_carry_nothing(shared: Path, joint: int) -> None:
+def test_friction_decides_the_sign_of_joints_without_load(shared: Path, joint: int) -> None:
     lwr = load_robot(shared / "models" / "kuka_lwr4.urdf")
     recording = read_recording(shared / "data" / "kuka_lwr4" / "measurements_1.npz", model=lwr)
     check = check_recording(
@@ -108,9 +110,7 @@ def test_friction_tells_the_sign_of_joints_that_carry_nothing(shared: Path, join
     ]
 
 
-def test_without_friction_nothing_is_said_of_silent_joints(
-    iiwa: RobotModel, clean: Recording
-) -> None:
+def test_without_friction_unloaded_joints_pass(iiwa: RobotModel, clean: Recording) -> None:
     rng = np.random.default_rng(8)
     built = iiwa.parameters * np.repeat(1 + 0.5 * rng.uniform(-1, 1, 7), 10)
     qdd = np.gradient(clean.qd, clean.t, axis=0)
@@ -156,7 +156,8 @@ def test_units(iiwa: RobotModel, clean: Recording) -> None:
         in finding(iiwa, replace(clean, qd=clean.qd / degree), "velocity_units").message
     )
     assert "mN m" in finding(iiwa, replace(clean, tau=clean.tau * 1000), "torque_scale").message
-    assert "--gain" in finding(iiwa, replace(clean, tau=clean.tau / 12), "torque_scale").cure
+    cure = finding(iiwa, replace(clean, tau=clean.tau / 12), "torque_scale").cure
+    assert (cure.settings, cure.call) == ({"torque_source": "current"}, "find_gains")
 
 
 def test_degrees_do_not_hide_a_flipped_sign(iiwa: RobotModel, clean: Recording) -> None:
@@ -237,15 +238,17 @@ def test_coarse_torques_are_not_saturated(iiwa: RobotModel, clean: Recording) ->
     )
 
 
-def test_joints_that_stand_or_move_alike(iiwa: RobotModel, clean: Recording) -> None:
+def test_joints_at_rest_or_in_step(iiwa: RobotModel, clean: Recording) -> None:
     q = clean.q.copy()
     q[:, 2] = 0.4 + 0.005 * np.sin(clean.t)
     assert (
-        "A3 hardly moves: 0.01 rad"
+        "A3 hardly moves: its position range is 0.01 rad"
         in finding(iiwa, replace(clean, q=q, qd=None), "joint_still").message
     )
-    alike = np.outer(np.sin(clean.t), np.ones(7))
-    assert finding(iiwa, replace(clean, q=alike, qd=None), "joints_alike").severity == "warning"
+    in_step = np.outer(np.sin(clean.t), np.ones(7))
+    assert (
+        finding(iiwa, replace(clean, q=in_step, qd=None), "joints_correlated").severity == "warning"
+    )
 
 
 @pytest.mark.filterwarnings("error")
@@ -262,7 +265,7 @@ def test_values_that_no_robot_logs(
     assert "at sample 501, t = 2.5 s" in found.message
 
 
-def test_a_row_cut_short_is_told_once(iiwa: RobotModel, clean: Recording) -> None:
+def test_a_row_cut_short_is_one_finding(iiwa: RobotModel, clean: Recording) -> None:
     q, tau = clean.q.copy(), clean.tau.copy()
     q[-1, 5:], tau[-1] = np.nan, np.nan
     check = check_recording(iiwa, replace(clean, q=q, tau=tau))
@@ -279,7 +282,7 @@ def test_clocks_in_other_units(
 ) -> None:
     found = finding(iiwa, replace(clean, t=clean.t * factor), "clock_unit")
     assert f"look like {unit}" in found.message
-    assert f'time = "{unit}"' in found.cure
+    assert f'time = "{unit}"' in str(found.cure)
     assert finding(iiwa, replace(clean, t=clean.t / 1e3), "clock_unit").severity == "error"
     flipped = check_recording(iiwa, replace(clean, t=clean.t * factor, tau=-clean.tau))
     assert [item.code for item in flipped.errors] == ["clock_unit"]
@@ -325,12 +328,28 @@ def test_joints_in_another_order_are_sorted_by_name(iiwa: RobotModel, clean: Rec
     )
 
 
-def test_text_is_whole_sentences(iiwa: RobotModel, clean: Recording) -> None:
-    text = check_recording(iiwa, clean.flipped()).as_text()
-    assert text.startswith(
-        "log.csv on kuka-iiwa7-r800: 4000 samples x 7 joints, 20 s at 200 Hz\n1 errors"
-    )
-    assert "ERROR torque-flipped: the torque sign looks flipped" in text
+def test_text_starts_with_the_verdict_and_fits_a_terminal(
+    iiwa: RobotModel, clean: Recording
+) -> None:
+    check = check_recording(iiwa, clean.flipped())
+    lines = check.as_text().splitlines()
+    assert lines[0].startswith("1 ERROR")
+    assert lines[0].endswith("log.csv on kuka-iiwa7-r800")
+    assert lines[1] == "4000 samples x 7 joints, 20 s at 200 Hz"
+    assert lines[3].startswith("ERROR torque_flipped: the torque sign looks flipped")
+    assert max(map(len, check.as_text(full=True).splitlines())) <= 80
+    assert "torque_flipped" in repr(check)
+    assert "<table>" in check._repr_html_()
+
+
+def test_findings_of_one_code_are_one_paragraph(iiwa: RobotModel, clean: Recording) -> None:
+    q = clean.q.copy()
+    q[:, [1, 3]] += 2.5
+    check = check_recording(iiwa, replace(clean, q=q, qd=None))
+    assert [f.joint for f in check.findings if f.code == "position_limit"] == ["A2", "A4"]
+    assert check.as_text().count("position_limit") == 1
+    assert "the same holds for A4" in " ".join(check.as_text().split())
+    assert check.as_text(full=True).count("position_limit") == 2
 
 
 def codes(model: RobotModel, recording: Recording) -> set[str]:
@@ -361,12 +380,12 @@ def test_real_recordings(shared: Path) -> None:
     (states,) = read_recordings(
         sorted(folder.glob("joint_states_*.csv")), model=med7, flip_torque=True
     )
-    assert codes(med7, states) == {"stale_samples", "joints_alike", "weak_excitation"}
+    assert codes(med7, states) == {"stale_samples", "joints_correlated", "weak_excitation"}
     lwr = load_robot(models / "kuka_lwr4.urdf")
     for k in (1, 2):
         recording = read_recording(data / "kuka_lwr4" / f"measurements_{k}.npz", model=lwr)
         assert codes(lwr, recording) == {
-            "joints_alike",
+            "joints_correlated",
             "velocity_lag",
             "end_transient",
             "already_filtered",
@@ -411,11 +430,11 @@ def test_torque_beneath_noise_is_no_torque_of_another_robot(seed: int) -> None:
             model, replace(recording, tau=recording.tau + noise)
         ).findings
     }
-    assert "torque_unlike_model" not in codes
+    assert "torque_uncorrelated" not in codes
     codes = {
         finding.code
         for finding in check_recording(
             model, replace(recording, tau=np.roll(recording.tau, 700, axis=0) + noise)
         ).findings
     }
-    assert "torque_unlike_model" in codes
+    assert "torque_uncorrelated" in codes

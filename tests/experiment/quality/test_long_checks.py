@@ -1,4 +1,4 @@
-"""Recordings that are checked stretch by stretch against the same recordings checked as a whole."""
+"""Recordings checked chunk by chunk against the same recordings checked as a whole."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.first_pass import survey
+from asbuilt.experiment.quality.first_pass import first_pass
 from asbuilt.experiment.recording import Recording
 from asbuilt.workflow.information_efficiency import recorded_information
 from command_line import document
 from fourier_recording import record
 
-STRETCH = 700
+CHUNK_SAMPLES = 700
 
 
 @pytest.fixture(scope="module")
@@ -57,13 +57,13 @@ def changed(
 
 
 def across(recording: Recording) -> Recording:
-    """Lose samples, repeat time stamps and values, all where one stretch ends and the next begins."""
-    edge, t = 2 * STRETCH, np.array(recording.t)
+    """Lose samples, repeat time stamps and values, all at the borders of chunks."""
+    edge, t = 2 * CHUNK_SAMPLES, np.array(recording.t)
     t[edge:] += 0.3
-    t[3 * STRETCH] = t[3 * STRETCH - 1]
+    t[3 * CHUNK_SAMPLES] = t[3 * CHUNK_SAMPLES - 1]
     q, tau = np.array(recording.q), np.array(recording.tau)
     for values in (q, tau):
-        values[STRETCH - 3 : STRETCH + 4] = values[STRETCH - 3]
+        values[CHUNK_SAMPLES - 3 : CHUNK_SAMPLES + 4] = values[CHUNK_SAMPLES - 3]
     return replace(recording, t=t, q=q, tau=tau)
 
 
@@ -77,9 +77,12 @@ def doubled(recording: Recording) -> Recording:
 
 
 def resting(recording: Recording) -> Recording:
-    """Stand for two whole stretches, where every joint hardly moves."""
+    """Rest for two whole chunks, where every joint hardly moves."""
     q, qd = np.array(recording.q), np.array(recording.qd)
-    q[STRETCH : 3 * STRETCH], qd[STRETCH : 3 * STRETCH] = q[STRETCH], 0.0
+    q[CHUNK_SAMPLES : 3 * CHUNK_SAMPLES], qd[CHUNK_SAMPLES : 3 * CHUNK_SAMPLES] = (
+        q[CHUNK_SAMPLES],
+        0.0,
+    )
     return replace(recording, q=q, qd=qd)
 
 
@@ -87,33 +90,35 @@ SPOILT: dict[str, tuple[Callable[[Recording], Recording], set[str]]] = {
     "as it is": (lambda r: r, set()),
     "flipped": (lambda r: r.flipped(), {"torque_flipped"}),
     "swapped": (lambda r: replace(r, tau=r.tau[:, [0, 3, 2, 1, 4, 5, 6]]), {"joints_swapped"}),
-    "across stretches": (across, {"clock_gap", "clock_repeated"}),
+    "across chunks": (across, {"clock_gap", "clock_repeated"}),
     "time runs back": (
-        lambda r: replace(r, t=np.where(np.arange(r.n_samples) < 2 * STRETCH, r.t, r.t - 5.0)),
+        lambda r: replace(
+            r, t=np.where(np.arange(r.n_samples) < 2 * CHUNK_SAMPLES, r.t, r.t - 5.0)
+        ),
         {"clock_backward"},
     ),
     "samples twice": (doubled, {"stale_samples"}),
-    "standing for a while": (resting, set()),
-    "a joint stands": (
+    "at rest for a while": (resting, set()),
+    "a joint at rest": (
         lambda r: changed(changed(r, "q", slice(None), 4, 0.1), "qd", slice(None), 4, 0.0),
         {"joint_still"},
     ),
-    "joints alike": (
+    "joints in step": (
         lambda r: replace(
             r, q=np.repeat(r.q[:, :1], 7, axis=1), qd=np.repeat(r.qd[:, :1], 7, axis=1)
         ),
-        {"joints_alike"},
+        {"joints_correlated"},
     ),
     "missing": (
-        lambda r: changed(r, "tau", [5, STRETCH, 2 * STRETCH + 1], 2, np.nan),
+        lambda r: changed(r, "tau", [5, CHUNK_SAMPLES, 2 * CHUNK_SAMPLES + 1], 2, np.nan),
         {"not_finite"},
     ),
     "absurd": (
-        lambda r: changed(r, "q", [STRETCH - 1, 3 * STRETCH], slice(2, 4), 1e20),
+        lambda r: changed(r, "q", [CHUNK_SAMPLES - 1, 3 * CHUNK_SAMPLES], slice(2, 4), 1e20),
         {"not_finite"},
     ),
     "beyond limits": (
-        lambda r: changed(r, "q", slice(STRETCH - 10, STRETCH + 20), 1, 2.5),
+        lambda r: changed(r, "q", slice(CHUNK_SAMPLES - 10, CHUNK_SAMPLES + 20), 1, 2.5),
         {"position_limit"},
     ),
     "cut off": (
@@ -133,39 +138,41 @@ def test_findings_are_those_of_the_whole(
     spoil, expected = SPOILT[how]
     path = written(spoil(clean), tmp_path / "log.parquet")
     whole = check_recording(iiwa, read_recording(path, model=iiwa))
-    long = check_recording(iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=STRETCH))
+    long = check_recording(
+        iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=CHUNK_SAMPLES)
+    )
     assert expected <= set(whole.codes)
     assert long.as_text() == whole.as_text()
     assert long.findings == whole.findings
 
 
-def test_a_survey_does_not_depend_on_where_stretches_end(
-    iiwa: RobotModel, clean: Recording
-) -> None:
+def test_statistics_do_not_depend_on_where_chunks_end(iiwa: RobotModel, clean: Recording) -> None:
     spoilt = changed(across(clean), "tau", [5, 900, 901], 2, np.nan)
     rng = np.random.default_rng(1)
-    one = survey(iiwa, [spoilt])
+    one = first_pass(iiwa, [spoilt])
     for _ in range(5):
         edges = [
             0,
-            *np.unique([STRETCH, *rng.choice(np.arange(1, clean.n_samples), 9, replace=False)]),
+            *np.unique(
+                [CHUNK_SAMPLES, *rng.choice(np.arange(1, clean.n_samples), 9, replace=False)]
+            ),
             clean.n_samples,
         ]
-        other = survey(iiwa, [spoilt.taken(slice(a, b)) for a, b in pairwise(edges)])
-        for name in ("t", "fresh", "usable", "heard"):
+        other = first_pass(iiwa, [spoilt.taken(slice(a, b)) for a, b in pairwise(edges)])
+        for name in ("t", "not_repeated", "valid", "valid_torque"):
             np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
         for name, parts in (
-            ("reach", ("count", "low", "high")),
-            ("effort", ("count", "low", "high")),
-            ("loud", ("count", "value", "row")),
+            ("position_range", ("count", "low", "high")),
+            ("torque_range", ("count", "low", "high")),
+            ("saturated", ("count", "value", "row")),
         ):
             for part in parts:
                 np.testing.assert_array_equal(
                     getattr(getattr(other, name), part), getattr(getattr(one, name), part)
                 )
-        joints = other.likeness.moving
+        joints = other.moments.moving
         np.testing.assert_allclose(
-            other.likeness.correlations(joints), np.corrcoef(spoilt.q[:, joints].T), atol=1e-12
+            other.moments.correlations(joints), np.corrcoef(spoilt.q[:, joints].T), atol=1e-12
         )
         assert [(found.quantity, found.joint, found.rows.tolist()) for found in other.missing] == [
             ("torque", 2, [5, 900, 901])
@@ -202,7 +209,7 @@ def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_pa
     assert growth < 0.2 * 22 * 8
 
 
-def test_command_checks_long_files_in_stretches(
+def test_command_checks_long_files_in_chunks(
     iiwa: RobotModel,
     clean: Recording,
     tmp_path: Path,
@@ -212,7 +219,7 @@ def test_command_checks_long_files_in_stretches(
     path = written(clean, tmp_path / "log.parquet")
     whole = document(capsys, "check", "kuka-iiwa7-r800", path)
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
-    monkeypatch.setattr(long_recordings, "CHUNK", STRETCH)
+    monkeypatch.setattr(long_recordings, "CHUNK", CHUNK_SAMPLES)
     monkeypatch.setattr(long_recordings, "read_recording", None)
     long = document(capsys, "check", "kuka-iiwa7-r800", path)
     one, other = whole["recordings"][0], long["recordings"][0]
@@ -231,12 +238,12 @@ def test_information_of_a_stream_is_that_of_the_whole(
     path = written(clean, tmp_path / "log.parquet")
     whole = recorded_information(iiwa, read_recording(path, model=iiwa)).efficiency
     long = recorded_information(
-        iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=STRETCH)
+        iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=CHUNK_SAMPLES)
     ).efficiency
     np.testing.assert_allclose(long.by_joint, whole.by_joint, rtol=0.1)
 
 
 def test_streams_of_other_robots_are_refused(clean: Recording, tmp_path: Path) -> None:
-    stream = RecordingStream(written(clean, tmp_path / "log.parquet"), chunk_samples=STRETCH)
+    stream = RecordingStream(written(clean, tmp_path / "log.parquet"), chunk_samples=CHUNK_SAMPLES)
     with pytest.raises(RecordingError, match="7 joints"):
         check_recording(bundled_robot("ur10e"), stream)

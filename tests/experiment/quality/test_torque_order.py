@@ -1,4 +1,4 @@
-"""Exchanged torques are told without CAD."""
+"""Swapped torques are found without CAD values."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.quality.torque_fit import TorqueFit
-from asbuilt.experiment.quality.torque_order import exchanged_torques
+from asbuilt.experiment.quality.torque_order import swapped_torques
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 
@@ -32,7 +32,7 @@ def recorded(model: RobotModel, seed: int = 1, duration: float = 12.0) -> Record
     )
 
 
-def exchanged(recording: Recording, one: int, other: int) -> Recording:
+def swapped(recording: Recording, one: int, other: int) -> Recording:
     order = np.arange(recording.tau.shape[1])
     order[[one, other]] = other, one
     return replace(recording, tau=recording.tau[:, order])
@@ -47,24 +47,24 @@ def fit_of(model: RobotModel, recording: Recording) -> TorqueFit:
 
 
 @pytest.mark.parametrize("robot", ["scara", "ur10e", "puma-560"])
-def test_every_exchange_is_told_whatever_cad_says(robot: str) -> None:
+def test_every_swap_is_found_whatever_cad_says(robot: str) -> None:
     """The masses of the description are a thousandth of the robot's; only its geometry is used."""
     model = bundled_robot(robot)
     recording = recorded(model)
     light = model.with_parameters(1e-3 * model.parameters)
-    assert exchanged_torques(fit_of(light, recording)) is None
+    assert swapped_torques(fit_of(light, recording)) is None
     for pair in combinations(range(model.n_joints), 2):
-        found = exchanged_torques(fit_of(light, exchanged(recording, *pair)))
+        found = swapped_torques(fit_of(light, swapped(recording, *pair)))
         assert found is not None
         assert found.joints == pair
-        assert found.exchanged < 0.2 * found.as_logged
+        assert found.swapped < 0.2 * found.as_logged
 
 
 def test_unexplained_shares_are_those_of_a_dense_fit() -> None:
     """numpy's least squares on all rows, torques scaled to unit variance, leaves the same."""
     model = bundled_robot("scara")
-    fit = fit_of(model, exchanged(recorded(model), 1, 3))
-    found = exchanged_torques(fit)
+    fit = fit_of(model, swapped(recorded(model), 1, 3))
+    found = swapped_torques(fit)
     assert found is not None
     base = find_base_parameters(model, DriveSet.parse("viscous,offset"))
     samples, n = fit.tau.shape
@@ -73,20 +73,22 @@ def test_unexplained_shares_are_those_of_a_dense_fit() -> None:
     rigid = observation_matrix(
         model, fit.q, fit.qd, fit.qdd, drive=base.drive, columns=base.columns
     ).reshape(samples, n, -1)
-    for order, told in (([0, 1, 2, 3], found.as_logged), ([0, 3, 2, 1], found.exchanged)):
+    for order, expected in (([0, 1, 2, 3], found.as_logged), ([0, 3, 2, 1], found.swapped)):
         tau = fit.tau[:, order]
         spread = tau.std(axis=0)
         rows = (np.concatenate([rigid, dry], axis=2) / spread[:, None]).reshape(samples * n, -1)
         target = ((tau - tau.mean(axis=0)) / spread).ravel()
         left = target - rows @ np.linalg.lstsq(rows, target, rcond=None)[0]
-        assert np.mean(left.reshape(samples, n)[:, [1, 3]] ** 2) == pytest.approx(told, rel=1e-5)
+        assert np.mean(left.reshape(samples, n)[:, [1, 3]] ** 2) == pytest.approx(
+            expected, rel=1e-5
+        )
 
 
-def test_too_few_samples_tell_nothing() -> None:
+def test_too_few_samples_decide_nothing() -> None:
     model = bundled_robot("ur10e")
-    fit = fit_of(model, exchanged(recorded(model), 4, 5))
+    fit = fit_of(model, swapped(recorded(model), 4, 5))
     assert (
-        exchanged_torques(
+        swapped_torques(
             replace(fit, q=fit.q[:25], qd=fit.qd[:25], qdd=fit.qdd[:25], tau=fit.tau[:25])
         )
         is None
@@ -114,4 +116,4 @@ def test_wrists_of_a_real_arm(shared: Path, tmp_path: Path, log: str) -> None:
 
     assert "joints_swapped" not in codes(recording)
     for pair in ((4, 5), (3, 5), (0, 5)):
-        assert "joints_swapped" in codes(exchanged(recording, *pair))
+        assert "joints_swapped" in codes(swapped(recording, *pair))

@@ -1,9 +1,12 @@
-"""What is wrong with a recording before it is used."""
+"""Check of a recording before it is used: findings on clock, motion, torque and excitation."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+import html
+import textwrap
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
@@ -12,28 +15,39 @@ from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
-from asbuilt.experiment.quality.first_pass import Survey, survey
+from asbuilt.experiment.quality.first_pass import FirstPass, first_pass
 from asbuilt.experiment.quality.motion_checks import DEGREE, in_degrees, motion_findings
-from asbuilt.experiment.quality.second_pass import look_closer
-from asbuilt.experiment.quality.smoothed_motion import EvenPieces, smoothed_motion
+from asbuilt.experiment.quality.second_pass import second_pass
+from asbuilt.experiment.quality.signal_checks import filter_findings, saturation_findings
+from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
 from asbuilt.experiment.quality.torque_checks import torque_findings
 from asbuilt.experiment.recording import Recording
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure, Finding, joined, ranked
 
-_ORDER = {"error": 0, "warning": 1, "info": 2}
 TOO_LITTLE = ("too_few_samples", "too_short")
-"""Codes of errors that forbid an identification of the whole robot, and no other use of a
-recording.
-"""
+"""Codes of errors that forbid an identification of the whole robot, and no other use."""
 UNKNOWN_TORQUE = ("torque_flipped", "joint_torque_flipped", "torque_scale")
-"""Codes of errors that say no more than that gains are wrong or not known, for uses that look for
-the gains.
-"""
+"""Codes of errors that mean wrong or unknown gains, for uses that look for the gains."""
+_WIDTH = 80
+_MOST_INFOS = 3
+"""Findings of severity "info" in the short text."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RecordingCheck:
-    """Hold the findings on one recording, errors first; `rate` in Hz, `duration` in s."""
+    """Hold the findings on one recording, errors first.
+
+    Parameters
+    ----------
+    robot, source
+        Names of the robot and of the recording.
+    n_samples, n_joints
+        Size of the recording.
+    rate, duration
+        Sampling rate [Hz] and duration [s].
+    findings
+        What was found, sorted by severity.
+    """
 
     robot: str
     source: str
@@ -55,7 +69,7 @@ class RecordingCheck:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing forbids an identification."""
+        """Whether no finding forbids an identification."""
         return not self.errors
 
     @property
@@ -63,57 +77,141 @@ class RecordingCheck:
         """Codes of the findings, in their order."""
         return tuple(finding.code for finding in self.findings)
 
-    def as_text(self) -> str:
-        """Write the findings down, one paragraph each, under a line that says what was checked."""
-        head = (
-            f"{self.source} on {self.robot}: {self.n_samples} samples x {self.n_joints} joints,"
-            f" {self.duration:.4g} s at {self.rate:.4g} Hz"
+    @property
+    def verdict(self) -> str:
+        """Number of errors and warnings, such as `"1 ERROR, 2 warnings"`."""
+        counts = [
+            f"{len(found)} {name}{'s' if len(found) > 1 else ''}"
+            for name, found in (("ERROR", self.errors), ("warning", self.warnings))
+            if found
+        ]
+        return ", ".join(counts).replace("ERRORs", "ERRORS") or "No errors, no warnings"
+
+    def as_text(self, *, full: bool = False, cure_text: Callable[[Cure], str] = str) -> str:
+        """Return the verdict and the findings in lines of 80 columns, errors first.
+
+        Parameters
+        ----------
+        full
+            Print every finding; by default findings of one code on several joints are one
+            paragraph, and three of severity "info" are printed.
+        cure_text
+            Function that writes a cure, for an interface that adds the names of its options.
+        """
+        size = f"{self.n_samples} samples x {self.n_joints} joints"
+        head = [
+            *textwrap.wrap(f"{self.verdict}: {self.source} on {self.robot}", _WIDTH),
+            f"{size}, {self.duration:.4g} s at {self.rate:.4g} Hz",
+        ]
+        groups = [[finding] for finding in self.findings] if full else self._merged()
+        infos = [group for group in groups if group[0].severity == "info"]
+        hidden = infos[_MOST_INFOS:] if not full else []
+        lines = [line for g in groups if g not in hidden for line in _paragraph(g, cure_text)]
+        more = [f"{len(hidden)} more findings of severity info"] if hidden else []
+        return "\n".join([*head, *([""] if lines else []), *lines, *more])
+
+    def __repr__(self) -> str:
+        found = ", ".join(self.codes) or "nothing"
+        return f"RecordingCheck({self.source!r} on {self.robot}: {self.verdict}; found {found})"
+
+    def __str__(self) -> str:
+        return self.as_text()
+
+    def _repr_html_(self) -> str:
+        cells = [
+            (finding.severity, finding.code, finding.message, str(finding.cure or ""))
+            for finding in self.findings
+        ]
+        rows = "".join(
+            f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in cells
         )
-        verdict = (
-            f"{len(self.errors)} errors, {len(self.warnings)} warnings"
-            if self.errors or self.warnings
-            else "nothing wrong was found"
-        )
-        return "\n".join([head, verdict, *(str(finding) for finding in self.findings)])
+        title = html.escape(f"{self.verdict}: {self.source} on {self.robot}")
+        head = "<tr><th>severity</th><th>code</th><th>finding</th><th>cure</th></tr>"
+        return f"<table><caption>{title}</caption>{head}{rows}</table>"
 
     def raise_errors(self, *, but: Collection[str] = ()) -> None:
-        """Raise the first error, with the others after it, if there is any whose code is not among
-        `but`.
+        """Raise the first error whose code is not among `but`, if there is one.
 
         Raises
         ------
         RecordingError
-            If a finding has the severity "error".
+            With the fields `code`, `joint`, `time`, `file` and `findings`, all errors.
         """
         errors = [finding for finding in self.errors if finding.code not in but]
         if errors:
+            first = errors[0]
+            also = joined(list(dict.fromkeys(finding.code for finding in errors[1:])) or [""])
             raise RecordingError(
-                "\n".join(
-                    f"{self.source}: {finding.message}. {finding.cure}." for finding in errors
-                )
+                f"{self.source}: {first.message}" + (f" (also found: {also})" if also else ""),
+                cure=first.cure,
+                code=first.code,
+                joint=first.joint,
+                time=first.time,
+                file=self.source,
+                findings=tuple(errors),
             )
+
+    def _merged(self) -> list[list[Finding]]:
+        def kind(finding: Finding) -> tuple[str, bool, str]:
+            alone = "" if finding.joint and finding.severity != "error" else finding.message
+            return finding.code, finding.joint is None, alone
+
+        return [list(group) for _, group in groupby(self.findings, kind)]
+
+
+def _paragraph(group: Sequence[Finding], cure_text: Callable[[Cure], str]) -> list[str]:
+    """Return the lines of findings of one code: the first message, the other joints by name."""
+    first = group[0]
+    names = [finding.joint or "" for finding in group[1:]]
+    others = f"; the same holds for {joined(names)}" if names else ""
+    cure = None if first.cure is None else Cure(cure_text(first.cure))
+    return textwrap.wrap(
+        str(replace(first, message=first.message + others, cure=cure)),
+        _WIDTH,
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def check_recording(model: RobotModel, recording: Recording | RecordingStream) -> RecordingCheck:
-    """Look for everything that would spoil an identification of `model` from `recording`, and say
-    it with place, value and cure.
+    """Check clock, missing values, units, signs, order of joints, limits, filters and excitation.
 
-    Checked are the clock, missing values, units, signs, the order of joints, limits, saturation,
-    filtering and excitation; where the clock is wrong, the clock and missing values alone. A stream
-    is gone through twice; besides its times only a dozen pieces of it are held.
+    Where the clock is wrong, only the clock and missing values are checked. A stream is read
+    twice; besides its times only a dozen segments of it are held in memory.
+
+    Parameters
+    ----------
+    model
+        The robot that was recorded.
+    recording
+        Its recording, with the joints of `model`.
+
+    Returns
+    -------
+    RecordingCheck
+        Findings with place, value and cure.
 
     Raises
     ------
     RecordingError
         If the recording's joints are not those of the model.
+
+    Examples
+    --------
+    >>> from asbuilt.description.catalogue import bundled_robot
+    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> from asbuilt.experiment.virtual.simulation import simulate_recording
+    >>> model = bundled_robot("two-link")
+    >>> recording = simulate_recording(model, random_fourier(model, rng=1), rate=100.0)
+    >>> check_recording(model, recording.flipped()).errors[0].code
+    'torque_flipped'
     """
-    stretches = recording if isinstance(recording, RecordingStream) else (recording,)
-    known = survey(model, stretches)
+    chunks = recording if isinstance(recording, RecordingStream) else (recording,)
+    known = first_pass(model, chunks)
     findings = list(clock_findings(known))
-    if not any(
-        finding.severity == "error" and finding.code.startswith("clock_") for finding in findings
-    ):
-        findings += _findings_in_time(model, stretches, known)
+    if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
+        findings += _findings_in_time(model, chunks, known)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
         robot=model.name,
@@ -122,7 +220,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         n_joints=known.n_joints,
         rate=known.rate,
         duration=known.duration,
-        findings=tuple(sorted(findings, key=lambda finding: _ORDER[finding.severity])),
+        findings=ranked(findings),
     )
 
 
@@ -132,26 +230,28 @@ def refuse_spoilt(
     *,
     but: Collection[str] = TOO_LITTLE,
 ) -> None:
-    """Raise the errors of the first recording that has some, those of the codes `but` apart.
+    """Raise the errors of the first recording that has some, except those of the codes `but`.
 
-    A stream is judged by its first stretch.
+    A stream is checked by its first chunk.
     """
     for recording in recordings:
         check_recording(model, head_of(recording)).raise_errors(but=but)
 
 
 def _findings_in_time(
-    model: RobotModel, stretches: Iterable[Recording], known: Survey
+    model: RobotModel, chunks: Iterable[Recording], known: FirstPass
 ) -> Iterator[Finding]:
-    """Look at motion, torque and excitation, which means nothing before the clock is right."""
-    pieces = EvenPieces.of(known.t, known.usable)
-    closer = look_closer(model, stretches, known, () if pieces is None else pieces.rows)
-    motion = None if pieces is None else smoothed_motion(pieces, closer.pieces)
+    """Find problems of motion, torque and excitation, which need a correct clock."""
+    segments = UniformSegments.of(known.t, known.valid)
+    closer = second_pass(model, chunks, known, () if segments is None else segments.rows)
+    motion = None if segments is None else smoothed_motion(segments, closer.segments)
     degrees = in_degrees(model, known, motion) is not None
     revolute = np.array([joint.is_revolute for joint in model.joints])
     yield from motion_findings(model, known, motion)
-    yield from torque_findings(
-        model, known, closer, motion, np.where(revolute & degrees, DEGREE, 1.0)
-    )
+    yield from saturation_findings(model, known, closer)
+    yield from filter_findings(closer.torques, known.rate)
+    if motion is not None:
+        scale = np.where(revolute & degrees, DEGREE, 1.0)
+        yield from torque_findings(model, known, motion, scale)
     if not degrees:
         yield from excitation_findings(model, known, motion)

@@ -1,4 +1,4 @@
-"""Whether a recording can tell the parameters at all."""
+"""Checks whether a recording excites the base parameters."""
 
 from __future__ import annotations
 
@@ -10,78 +10,75 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.quality.first_pass import Survey
+from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
-from asbuilt.findings import Finding, joined
+from asbuilt.findings import Cure, Finding, joined
 
 _WEAK_CONDITION = 100.0
-"""Scaled condition number from which a motion excites poorly; designed ones have 10 to 50."""
+"""Scaled condition number from which a motion excites poorly; designed motions have 10 to 50."""
 _RANK_TOLERANCE = 1e-7
-"""Singular value, or length of a column, in parts of the largest, below which it counts as zero."""
+"""Singular value or column norm, relative to the largest, below which it counts as zero."""
 _MOST_SAMPLES = 800
-"""Samples that are enough for it."""
+"""Number of samples used; more do not change the condition number noticeably."""
 
 
 def excitation_findings(
-    model: RobotModel, recording: Survey, motion: SmoothedMotion | None
+    model: RobotModel, recording: FirstPass, motion: SmoothedMotion | None
 ) -> Iterator[Finding]:
-    """Compare samples with parameters, and look at the scaled condition number of the observation
-    matrix on this motion.
+    """Find recordings with too few samples, rank deficiency, or a large scaled condition number.
 
-    Base parameters with viscous, Coulomb and offset terms; columns are scaled to unit length before
-    their singular values are taken.
+    The observation matrix is that of the base parameters with viscous, Coulomb and offset terms,
+    its columns scaled to unit length.
     """
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     if recording.n_samples < base.n_base:
         yield Finding(
             "too_few_samples",
             "error",
-            f"{recording.n_samples} samples are fewer than the {base.n_base} parameters to find"
+            f"{recording.n_samples} samples are fewer than the {base.n_base} parameters to identify"
             " (base parameters, viscous, Coulomb and offset terms)",
-            f"Record at least some thousand samples of {model.name} in motion",
+            Cure(f"record at least some thousand samples of {model.name} in motion"),
         )
         return
     if motion is None:
         yield Finding(
             "too_short",
             "error",
-            f"no stretch of the recording is long enough to differentiate: {recording.n_samples}"
-            f" samples in {recording.duration:.3g} s",
-            "Record at least ten seconds without gaps",
+            "no segment of the recording is long enough to differentiate:"
+            f" {recording.n_samples} samples in {recording.duration:.3g} s",
+            Cure("record at least ten seconds without gaps"),
         )
         return
     rows = motion.thinned(_MOST_SAMPLES)
-    observed = observation_matrix(
-        model,
-        motion.q[rows],
-        motion.qd[rows],
-        motion.qdd[rows],
-        drive=base.drive,
-        columns=base.columns,
-    )
+    states = (motion.q[rows], motion.qd[rows], motion.qdd[rows])
+    observed = observation_matrix(model, *states, drive=base.drive, columns=base.columns)
     lengths = np.linalg.norm(observed, axis=0)
-    dead = lengths <= _RANK_TOLERANCE * np.max(lengths)
+    zero = lengths <= _RANK_TOLERANCE * np.max(lengths)
     _, values, directions = np.linalg.svd(
-        observed / np.where(dead, 1.0, lengths), full_matrices=False
+        observed / np.where(zero, 1.0, lengths), full_matrices=False
     )
     rank = int(np.sum(values > _RANK_TOLERANCE * values[0]))
-    order = np.argsort(-np.abs(directions[-1]))
-    involved = joined([base.names[k] for k in order[:4]])
+    worst = joined([base.names[k] for k in np.argsort(-np.abs(directions[-1]))[:4]])
     if rank < base.n_base:
         yield Finding(
             "rank_deficient",
             "warning",
-            f"this motion tells {rank} of {base.n_base} parameters; the least told are {involved}",
-            "Move every joint on its own course (asbuilt excite), or choose fewer drive terms"
-            " (--drive); what is not told stays at CAD",
+            f"this motion determines {rank} of {base.n_base} parameters; the least excited are"
+            f" {worst}",
+            Cure(
+                "move every joint independently, or choose fewer drive terms; undetermined"
+                " parameters keep their CAD values",
+                call="design_motion",
+            ),
         )
     elif values[0] / values[-1] > _WEAK_CONDITION:
         yield Finding(
             "weak_excitation",
             "warning",
-            "this motion excites the robot poorly: the scaled condition number is"
-            f" {values[0] / values[-1]:.3g} (good motions have 10 to 50), {recording.duration:.3g}"
-            f" s long; hardest to tell apart are {involved}",
-            "An identification from it alone may not hold on other motions; validate on another"
-            " recording, add recordings, or design a motion (asbuilt excite)",
+            f"the scaled condition number is {values[0] / values[-1]:.3g} (good motions have 10 to"
+            f" 50) over {recording.duration:.3g} s; least excited are {worst}",
+            Cure(
+                "add recordings or design a motion, and validate on another recording",
+                call="design_motion",
+            ),
         )

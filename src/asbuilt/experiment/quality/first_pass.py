@@ -85,7 +85,7 @@ class FirstPass:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]: the inverse of the median positive time step; NaN if there is none."""
+        """Inverse of the median positive time step [Hz]; NaN if there is none."""
         return median_rate(self.t)
 
     @property

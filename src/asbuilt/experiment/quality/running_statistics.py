@@ -54,7 +54,7 @@ class Exceedance:
         return cls(zeros, np.full(n, -np.inf), np.full(n, np.nan), zeros)
 
     def with_more(self, amount: Array, exceeds: Mask, value: Array, rows: Indices) -> Exceedance:
-        """Include samples: amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
+        """Include amounts (may be NaN), which exceed, values, all (N, n), and rows (N,)."""
         if not len(rows):
             return self
         amount = np.where(np.isnan(amount), -np.inf, amount)

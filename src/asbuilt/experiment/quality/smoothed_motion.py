@@ -45,7 +45,7 @@ class SmoothedMotion:
 
 @dataclass(frozen=True, eq=False)
 class UniformSegments:
-    """Hold the rows of each segment to smooth, the clock's usual step [s], and the window length."""
+    """Hold the rows of each segment to smooth, the clock's step [s], and the window length."""
 
     rows: tuple[Indices, ...]
     step: float

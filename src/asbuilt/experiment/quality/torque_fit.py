@@ -1,6 +1,4 @@
-"""How well the measured torques follow the model's, under one assignment of columns to joints or
-another.
-"""
+"""Comparison of measured torques with the model's, for one assignment of columns to joints."""
 
 from __future__ import annotations
 
@@ -16,30 +14,39 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.experiment.quality.column_order import decisive_change, swaps
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
 
 BREAKAWAY = 0.02
-"""Width of the sign of velocity [rad/s or m/s]."""
-_FLOOR = 0.02
-"""Misfit below which a better fit counts no more."""
-_DECISIVE = 2.0
-"""Fall of the cost from which an exchange of joints is believed.
+"""Width of the smoothed sign of velocity [rad/s or m/s]."""
 
-A misfit of one joint that falls to an eighth.
-"""
-_MOST_SAMPLES = 400
-"""Samples that are enough for it."""
-_MOST_JOINTS = 10
-"""On robots of more joints exchanged torques alone are looked for, which takes long enough."""
+
+@dataclass(frozen=True, slots=True)
+class AssignmentThresholds:
+    """Decide from the sum over joints of the logarithm of the misfit."""
+
+    floor: float = 0.02
+    """Misfit below which a better fit does not count."""
+    fall: float = 2.0
+    """Fall of the sum from which a swap is decisive: one misfit falls to an eighth."""
+    correlation: float = 0.9
+    """Correlation that one of the swapped joints must reach."""
+    most_samples: int = 400
+    """Number of samples used; more do not change the decision."""
+    most_joints: int = 10
+    """Number of joints above which swapped motions are not searched, for time."""
+
+
+THRESHOLDS = AssignmentThresholds()
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueFit:
-    """Compare torque columns with the model's rigid-body torques, offset and friction of each joint
-    taken out of both.
+    """Compare torque columns with the model's rigid-body torques.
 
     `motion_of[k]` and `torque_of[k]` are the columns taken for joint k. Measured y_k and predicted
-    x_k are what is left of each after projection on 1, qd_k and tanh(qd_k / 0.02).
+    x_k are the residuals of each after a fit of 1, qd_k and tanh(qd_k / 0.02): offset and friction
+    are taken out of both.
     """
 
     model: RobotModel
@@ -54,10 +61,8 @@ class TorqueFit:
     def of(
         cls, model: RobotModel, motion: SmoothedMotion, scale: Array, torque_scale: float = 1.0
     ) -> TorqueFit:
-        """Compare a recording's smoothed motion, positions multiplied by `scale` (n,), under the
-        logged order of joints.
-        """
-        rows = motion.thinned(_MOST_SAMPLES)
+        """Compare a smoothed motion, positions times `scale` (n,), in the order logged."""
+        rows = motion.thinned(THRESHOLDS.most_samples)
         order = tuple(range(model.n_joints))
         return cls(
             model,
@@ -101,8 +106,7 @@ class TorqueFit:
         x, y = self._residuals
         norms = np.linalg.norm(x, axis=0) * np.linalg.norm(y, axis=0)
         dots: Array = np.sum(x * y, axis=0)
-        likeness: Array = dots / np.where(norms > 0, norms, 1.0)
-        return likeness
+        return np.asarray(dots / np.where(norms > 0, norms, 1.0))
 
     @property
     def gain(self) -> Array:
@@ -114,11 +118,10 @@ class TorqueFit:
 
     @property
     def friction_correlation(self) -> Array:
-        """Correlation of each joint's torque with its direction of motion tanh(qd_k / 0.02), shape
-        (n,), every rigid-body torque taken out of both.
+        """Correlation of each joint's torque with its direction of motion, shape (n,).
 
-        What any masses could explain is projected out, so CAD does not matter; joints whose
-        friction moves less than a tenth of their torque get 0.
+        The rigid-body torque of any masses is projected out of both, so CAD values do not matter;
+        joints whose friction is less than a tenth of their torque get 0.
         """
         pick = list(self.motion_of)
         base = find_base_parameters(self.model, DriveSet.parse("offset"))
@@ -127,7 +130,7 @@ class TorqueFit:
             self.model, q, qd, qdd, drive=base.drive, columns=base.columns
         )
         rows = observed.reshape(*q.shape, base.n_base)
-        likeness = np.zeros(q.shape[1])
+        correlation = np.zeros(q.shape[1])
         for k in range(q.shape[1]):
             lengths = np.linalg.norm(rows[:, k], axis=0)
             basis, values, _ = np.linalg.svd(
@@ -135,13 +138,12 @@ class TorqueFit:
             )
             basis = basis[:, values > 1e-6 * values[0]]
             both = np.column_stack([np.tanh(qd[:, k] / BREAKAWAY), self.tau[:, self.torque_of[k]]])
-            way, left = (both - basis @ (basis.T @ both)).T
-            norm = float(np.linalg.norm(way) * np.linalg.norm(left))
-            if norm > 0 and abs(way @ left) / np.linalg.norm(way) > 0.1 * np.linalg.norm(
-                both[:, 1] - both[:, 1].mean()
-            ):
-                likeness[k] = way @ left / norm
-        return likeness
+            direction, rest = (both - basis @ (basis.T @ both)).T
+            norm = float(np.linalg.norm(direction) * np.linalg.norm(rest))
+            whole = np.linalg.norm(both[:, 1] - both[:, 1].mean())
+            if norm > 0 and abs(direction @ rest) / np.linalg.norm(direction) > 0.1 * whole:
+                correlation[k] = direction @ rest / norm
+        return correlation
 
     def misfit(self, sign: int) -> Array:
         """Return `|y_k - sign x_k|^2 / (|y_k|^2 + |x_k|^2)` of each joint, shape (n,)."""
@@ -152,49 +154,32 @@ class TorqueFit:
 
     @property
     def cost(self) -> float:
-        """Sum over joints of the logarithm of the misfit, for the better of the two signs of all
-        torques.
-        """
-        return min(float(np.sum(np.log(self.misfit(sign) + _FLOOR))) for sign in (1, -1))
+        """Sum over joints of the logarithm of the misfit, for the better sign of all torques."""
+        return min(float(np.sum(np.log(self.misfit(sign) + THRESHOLDS.floor))) for sign in (1, -1))
 
-    def neighbours(self) -> Iterator[TorqueFit]:
-        """Yield the fits with two joints exchanged: their torques, their motions, or both."""
-        n = self.model.n_joints
-        for i in range(n):
-            for j in range(i + 1, n):
-                torque_of, motion_of = (
-                    _exchanged(self.torque_of, i, j),
-                    _exchanged(self.motion_of, i, j),
-                )
-                yield replace(self, torque_of=torque_of)
-                if n <= _MOST_JOINTS:
-                    yield replace(self, torque_of=torque_of, motion_of=motion_of)
-                    yield replace(self, motion_of=motion_of)
+    def changes(self) -> Iterator[TorqueFit]:
+        """Yield the fits with two joints swapped: their torques, their motions, or both."""
+        pairs = zip(swaps(self.torque_of), swaps(self.motion_of), strict=True)
+        for torque_of, motion_of in pairs:
+            yield replace(self, torque_of=torque_of)
+            if self.model.n_joints <= THRESHOLDS.most_joints:
+                yield replace(self, torque_of=torque_of, motion_of=motion_of)
+                yield replace(self, motion_of=motion_of)
 
 
 def best_assignment(fit: TorqueFit) -> TorqueFit:
-    """Exchange pairs of joints as long as the torques fit decisively better.
-
-    The cost falls by 2 and an exchanged joint then fits well.
-    """
+    """Swap pairs of joints as long as the torques fit decisively better, and one joint well."""
     best = fit
     for _ in range(fit.model.n_joints):
-        candidate = min(best.neighbours(), key=lambda other: other.cost, default=best)
-        if best.cost - candidate.cost < _DECISIVE:
+        change = decisive_change(best, best.changes(), lambda each: each.cost, THRESHOLDS.fall)
+        if change is None:
             break
-        changed = [
+        moved = [
             k
             for k in range(fit.model.n_joints)
-            if (candidate.torque_of[k], candidate.motion_of[k])
-            != (best.torque_of[k], best.motion_of[k])
+            if (change.torque_of[k], change.motion_of[k]) != (best.torque_of[k], best.motion_of[k])
         ]
-        if max(abs(candidate.correlation[changed])) < 0.9:
+        if max(abs(change.correlation[moved])) < THRESHOLDS.correlation:
             break
-        best = candidate
+        best = change
     return best
-
-
-def _exchanged(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
-    changed = list(order)
-    changed[i], changed[j] = changed[j], changed[i]
-    return tuple(changed)

@@ -1,58 +1,59 @@
-"""Whether two torques are exchanged, told without CAD.
-
-In the right order some masses and some friction explain them all.
-"""
+"""Detection of swapped torque columns by a fit of base parameters, without CAD values."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.experiment.quality.column_order import decisive_change, swaps
 from asbuilt.experiment.quality.torque_fit import BREAKAWAY, TorqueFit
-
-DECISIVE = 4.0
-"""Fall of the cost, the sum over joints of the logarithm of the unexplained share, from which an
-exchange is believed: both shares fall to an eighth.
-"""
-FLOOR = 1e-3
-"""Unexplained share below which a better fit counts no more."""
-FEWEST_ROWS = 3
-"""Torques per unknown below which anything is explained."""
-LEAST_SINGULAR = 1e-10
-"""Eigenvalue of the scaled normal equations, relative to the largest, below which a direction is
-not excited.
-"""
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
-    """Two joints (from 0) whose torques are exchanged, and the mean unexplained share of their
-    torques as logged and exchanged.
+class SwapThresholds:
+    """Decide from the sum over joints of the logarithm of the unexplained variance."""
+
+    fall: float = 4.0
+    """Fall of the sum from which a swap is decisive: both shares fall to an eighth."""
+    floor: float = 1e-3
+    """Unexplained share below which a better fit does not count."""
+    rows_per_parameter: int = 3
+    """Torques per parameter below which any order is explained."""
+    singular: float = 1e-10
+    """Relative eigenvalue of the scaled normal equations of a direction that is not excited."""
+
+
+THRESHOLDS = SwapThresholds()
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueSwap:
+    """Hold two joints (from 0) whose torques are swapped, and their mean unexplained variance.
+
+    Both shares are fractions of the torque's variance, in the order logged and after swapping.
     """
 
     joints: tuple[int, int]
     as_logged: float
-    exchanged: float
+    swapped: float
 
 
-def exchanged_torques(fit: TorqueFit) -> Exchange | None:
-    """Return the exchange of two torques that base parameters, viscous and dry friction and offsets
-    of any size explain far better than the order logged; None where none does.
+def swapped_torques(fit: TorqueFit) -> TorqueSwap | None:
+    """Return the swap of two torques that base parameters and friction explain decisively better.
 
-    Each order has its own least squares, torques scaled to unit variance. CAD plays no part, so
-    wrists, whose friction is as large as what their links do, are told apart as well.
+    Each order has its own least-squares fit of base parameters, viscous and Coulomb friction and
+    offsets, torques scaled to unit variance. CAD values are not used, so the wrists of an arm,
+    where friction exceeds the rigid-body torque, are checked too.
     """
     n, samples = fit.model.n_joints, len(fit.q)
     base = find_base_parameters(fit.model, DriveSet.parse("viscous,offset"))
     p = base.n_base + n
-    if samples * n < FEWEST_ROWS * p:
+    if samples * n < THRESHOLDS.rows_per_parameter * p:
         return None
     pick, torque = list(fit.motion_of), fit.tau[:, list(fit.torque_of)]
     q, qd, qdd = (values[:, pick] for values in (fit.q, fit.qd, fit.qdd))
@@ -65,39 +66,33 @@ def exchanged_torques(fit: TorqueFit) -> Exchange | None:
     spread = y.std(axis=0)
     spread = np.where(spread > 0.0, spread, 1.0)
     y = y / spread
-    normal = _Normal(
+    normal = _NormalEquations(
         np.einsum("skp,skq->kpq", W, W),
         np.einsum("skp,sj->kjp", W, y),
         np.mean(y**2, axis=0),
         spread,
         samples,
     )
-
-    def cost(shares: Array) -> float:
-        return float(np.sum(np.log(shares + FLOOR)))
-
-    order = np.arange(n)
-    logged = normal.unexplained(order)
-    best, found = cost(logged) - DECISIVE, None
-    for pair in combinations(range(n), 2):
-        tried = order.copy()
-        tried[list(pair)] = pair[::-1]
-        shares = normal.unexplained(tried)
-        if cost(shares) < best:
-            both = list(pair)
-            best, found = (
-                cost(shares),
-                Exchange(pair, float(logged[both].mean()), float(shares[both].mean())),
-            )
-    return found
+    logged = tuple(range(n))
+    found = decisive_change(
+        logged,
+        swaps(logged),
+        lambda order: float(np.sum(np.log(normal.unexplained(order) + THRESHOLDS.floor))),
+        THRESHOLDS.fall,
+    )
+    if found is None:
+        return None
+    i, j = (k for k in range(n) if found[k] != k)
+    before, after = (normal.unexplained(order)[[i, j]].mean() for order in (logged, found))
+    return TorqueSwap((i, j), float(before), float(after))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Normal:
-    """The normal equations of each joint.
+class _NormalEquations:
+    """The normal equations of each joint's rows with each joint's torque.
 
-    `grams` (n, p, p), `sides` (n, n, p) of its rows with each torque, of unit variance, `power` and
-    `spread` (n,) of the torques, scaled and as they are, and the samples.
+    `grams` (n, p, p), `sides` (n, n, p) for torques of unit variance, `power` and `spread` (n,) of
+    the torques, scaled and as logged.
     """
 
     grams: Array
@@ -106,25 +101,18 @@ class _Normal:
     spread: Array
     samples: int
 
-    def unexplained(self, torque_of: NDArray[np.intp]) -> Array:
-        """Return the unexplained share (n,) of the torque of every joint where joint k has torque
-        `torque_of[k]`.
-        """
-        scale = 1.0 / self.spread[torque_of]
-        side = np.stack([self.sides[k, j] for k, j in enumerate(torque_of)])
+    def unexplained(self, torque_of: tuple[int, ...]) -> Array:
+        """Return the unexplained share (n,) of the torques if joint k has `torque_of[k]`."""
+        order = list(torque_of)
+        scale = 1.0 / self.spread[order]
+        side = np.stack([self.sides[k, j] for k, j in enumerate(order)])
         gram = np.einsum("k,kpq->pq", scale**2, self.grams)
         size = np.sqrt(np.diag(gram))
         size = np.where(size > 0.0, size, 1.0)
         eigenvalues, axes = np.linalg.eigh(gram / np.outer(size, size))
-        told = eigenvalues > LEAST_SINGULAR * eigenvalues[-1]
-        axes = axes[:, told] / size[:, None]
-        beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[told])
-        residual = (
-            self.power[torque_of]
-            + (
-                np.einsum("k,p,kpq,q->k", scale**2, beta, self.grams, beta)
-                - 2.0 * scale * (side @ beta)
-            )
-            / self.samples
-        )
+        excited = eigenvalues > THRESHOLDS.singular * eigenvalues[-1]
+        axes = axes[:, excited] / size[:, None]
+        beta = axes @ ((axes.T @ (scale @ side)) / eigenvalues[excited])
+        explained = np.einsum("k,p,kpq,q->k", scale**2, beta, self.grams, beta)
+        residual = self.power[order] + (explained - 2.0 * scale * (side @ beta)) / self.samples
         return np.asarray(np.maximum(residual, 0.0))

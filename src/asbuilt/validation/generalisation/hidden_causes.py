@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.terms.spring import Spring
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.quality.running_statistics import IN_STEP, Likeness
+from asbuilt.experiment.quality.running_statistics import IN_STEP, PositionMoments
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.spring_search import suspected_springs
@@ -130,7 +130,7 @@ def _in_step(model: RobotModel, learning: Sequence[Samples], suspects: Sequence[
     """Say which joints move in step with those of springs, so that what looks like a spring may go
     with any of them; empty where none does.
     """
-    likeness = Likeness.none(model.n_joints)
+    likeness = PositionMoments.none(model.n_joints)
     for samples in learning:
         likeness = likeness.with_more(samples.q)
     moving = likeness.moving

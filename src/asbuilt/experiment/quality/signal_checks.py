@@ -1,0 +1,111 @@
+"""Checks of the torque signals: saturation, torque limits, earlier low-pass filters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.signal import welch
+
+from asbuilt.arrays import Array, Indices
+from asbuilt.description.model import RobotModel
+from asbuilt.experiment.quality.first_pass import FirstPass
+from asbuilt.experiment.quality.second_pass import SecondPass
+from asbuilt.findings import Cure, Finding
+
+_QUIET_FLOOR = 1e-9
+"""Power at high frequency, relative to the peak, that no torque sensor falls below."""
+_PLATEAU_SAMPLES = 5
+"""Consecutive samples at an extreme from which a torque may be saturated."""
+_SHORTEST = 256
+"""Number of samples that a spectrum needs."""
+
+
+def saturation_findings(
+    model: RobotModel, recording: FirstPass, closer: SecondPass
+) -> Iterator[Finding]:
+    """Find torques that stay at an extreme value or reach the joint's torque limit."""
+    changed = np.flatnonzero(recording.not_repeated)
+    for k, joint in enumerate(model.joints):
+        for plateau in closer.plateaus[k]:
+            flat = plateau.places.size
+            longest, start = _longest_consecutive(plateau.places)
+            usual = (plateau.n_near - flat) / max(1, plateau.near.size - 1)
+            if longest >= _PLATEAU_SAMPLES and flat > 8 * max(usual, 1.0):
+                yield Finding(
+                    "saturation",
+                    "warning",
+                    f"the torque of {joint.name} is saturated at {plateau.extreme:.5g} N m in"
+                    f" {flat} of {changed.size} samples, up to {longest} in a row",
+                    Cure(
+                        "exclude these segments by [[windows]] in a recording sheet, or record a"
+                        " gentler motion"
+                    ),
+                    joint=joint.name,
+                    time=float(recording.t[changed[start]]),
+                )
+        limit, over = joint.limits.torque, int(recording.saturated.count[k])
+        if (
+            not closer.plateaus[k]
+            or recording.torque_source == "current"
+            or not np.isfinite(limit)
+            or limit <= 0
+        ):
+            continue
+        if 3 <= over < 0.5 * changed.size:
+            yield Finding(
+                "torque_limit",
+                "warning",
+                f"the torque of {joint.name} reaches {recording.saturated.value[k]:.4g} N m in"
+                f" {over} of {changed.size} samples; its limit is {limit:.4g} N m",
+                Cure("record a gentler motion if the drive saturates, or check the torque unit"),
+                joint=joint.name,
+                time=float(recording.t[recording.saturated.row[k]]),
+            )
+
+
+def filter_findings(torques: Sequence[Array], rate: float) -> Iterator[Finding]:
+    """Find torques (N, n) without the noise floor of a sensor, by the mean of their spectra."""
+    long_enough = [tau for tau in torques if len(tau) >= _SHORTEST]
+    if not long_enough or not np.isfinite(rate):
+        return
+    length = min(1024, *(len(tau) for tau in long_enough))
+    spectra = [_spectrum(tau, rate, length) for tau in long_enough]
+    frequency, power = spectra[0][0], np.mean([power for _, power in spectra], axis=0)
+    peak = power.max(axis=0)
+    if not np.any(peak > 0):
+        return
+    relative = power[:, peak > 0] / peak[peak > 0]
+    floor = float(np.median(np.median(relative[frequency > 0.35 * rate], axis=0)))
+    if floor > _QUIET_FLOOR:
+        return
+    middle = np.median(relative, axis=1)
+    last = int(np.flatnonzero(middle > max(100 * floor, 1e-9))[-1])
+    yield Finding(
+        "already_filtered",
+        "info",
+        f"the torques have no power above about {frequency[last]:.2g} Hz ({floor:.0e} of the peak):"
+        " they were low-pass filtered before, or simulated without noise",
+        Cure(
+            "expect standard errors that are too small if positions and torques were filtered"
+            " differently; another filter adds little"
+        ),
+    )
+
+
+def _longest_consecutive(places: Indices) -> tuple[int, int]:
+    """Return the length of the longest block of consecutive indices, and its first."""
+    if not places.size:
+        return 0, 0
+    starts = np.flatnonzero(np.diff(places, prepend=places[0] - 2) != 1)
+    lengths = np.diff(starts, append=places.size)
+    longest = int(np.argmax(lengths))
+    return int(lengths[longest]), int(places[starts[longest]])
+
+
+def _spectrum(tau: Array, rate: float, length: int) -> tuple[Array, Array]:
+    trend = np.linspace(-1.0, 1.0, tau.shape[0])[:, None]
+    level = tau - tau.mean(axis=0)
+    level = level - trend * (trend * level).sum(axis=0) / np.sum(trend**2)
+    frequency, power = welch(level, fs=rate, nperseg=length, axis=0)
+    return frequency, power

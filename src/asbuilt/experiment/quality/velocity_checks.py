@@ -1,0 +1,187 @@
+"""Checks of logged velocities against the derivative of the positions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from asbuilt.arrays import Array
+from asbuilt.experiment.quality.first_pass import FirstPass
+from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.findings import Cure, Finding, joined
+
+LEAVE_OUT = Cure("leave the velocity columns out; velocities are then derived from positions")
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityThresholds:
+    """Thresholds of the velocity checks, all correlations and ratios dimensionless."""
+
+    swapped: float = 0.9
+    """Least correlation with another joint's derivative of a swapped column."""
+    own: float = 0.8
+    """Largest correlation of a swapped column with its own; negated, that of a flipped sign."""
+    unit: float = 0.2
+    """Relative deviation of the gain from that of a unit."""
+    gain: tuple[float, float] = (0.7, 1.4)
+    """Range of the gain of a usable velocity, the lower also that of its correlation."""
+    lag: float = 0.3
+    """Lag from which it is reported [sampling periods]."""
+    end: float = 0.4
+    """Duration of the ends that a filter may have disturbed [s]."""
+    transient: tuple[float, float] = (8.0, 0.2)
+    """Error of a disturbed end, in errors elsewhere and in standard deviations of the velocity."""
+
+
+THRESHOLDS = VelocityThresholds()
+
+
+def velocity_findings(
+    recording: FirstPass, motion: SmoothedMotion, logged: Array
+) -> Iterator[Finding]:
+    """Find logged velocities that are zero, swapped, in another unit, wrong, late or disturbed."""
+    names = recording.joint_names
+    slope = motion.qd
+    energy = np.sum(slope**2, axis=0)
+    moving = np.flatnonzero((energy > 0) & (np.std(logged, axis=0) > 0))
+    if not moving.size:
+        if np.all(logged == 0) and np.any(energy > 0):
+            yield Finding(
+                "velocity_zero",
+                "warning",
+                f"the logged velocities are 0 in all {recording.n_samples} samples while the joints"
+                " move; they are not used",
+                Cure("leave the velocity columns out"),
+            )
+        return
+    correlation = _correlations(logged[:, moving], slope[:, moving])
+    swapped = [
+        (int(moving[a]), int(moving[b]))
+        for a, b in zip(*linear_sum_assignment(-correlation), strict=True)
+        if a != b and correlation[a, b] > THRESHOLDS.swapped and correlation[a, a] < THRESHOLDS.own
+    ]
+    if swapped:
+        pairs = joined([f"the velocity of {names[a]} is that of {names[b]}" for a, b in swapped])
+        yield Finding(
+            "velocity_swapped",
+            "error",
+            f"velocity columns are in another order than position columns: {pairs}",
+            Cure("name the columns in a recording sheet: [columns] velocity = [...]"),
+            joint=names[swapped[0][0]],
+        )
+        return
+    gain = np.sum(logged * slope, axis=0)[moving] / energy[moving]
+    middle = float(np.median(gain))
+    units = {
+        180 / np.pi: "degrees per second",
+        np.pi / 180: "radians per second while positions are degrees",
+    }
+    unit = next((u for f, u in units.items() if abs(middle / f - 1) < THRESHOLDS.unit), None)
+    if unit is not None:
+        yield Finding(
+            "velocity_units",
+            "error",
+            f"the logged velocities are {middle:.4g} times the derivative of the positions: they"
+            f" look like {unit}",
+            Cure('write the unit in a recording sheet: units = { velocity = "deg/s" }'),
+        )
+        return
+    low, high = THRESHOLDS.gain
+    for k, factor in zip(moving, gain, strict=True):
+        match = float(np.corrcoef(logged[:, k], slope[:, k])[0, 1])
+        if match < -THRESHOLDS.own:
+            message = (
+                f"the logged velocity of {names[k]} has the opposite sign of the derivative of its"
+                f" position (correlation {match:.3f})"
+            )
+        elif not low < factor < high or match < low:
+            message = (
+                f"the logged velocity of {names[k]} is {factor:.3g} times the derivative of its"
+                f" position (correlation {match:.3f})"
+            )
+        else:
+            continue
+        yield Finding("velocity_mismatch", "warning", message, LEAVE_OUT, joint=names[k])
+    yield from _lag(recording, motion, logged, moving.tolist())
+    yield from _ends(recording, motion, logged, moving.tolist())
+
+
+def _lag(
+    recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
+) -> Iterator[Finding]:
+    lags = np.array([_best_shift(logged[:, k], motion.qd[:, k]) for k in moving]) / motion.rate
+    if not np.all(np.isfinite(lags)):
+        return
+    step = 1.0 / (recording.rate * float(np.mean(recording.not_repeated)))
+    middle = float(np.median(lags))
+    if abs(middle) > THRESHOLDS.lag * step:
+        low, high = np.sort(np.abs(lags))[[0, -1]]
+        worst = moving[int(np.argmax(np.abs(lags)))]
+        yield Finding(
+            "velocity_lag",
+            "info",
+            f"the logged velocities {'lag behind' if middle > 0 else 'run ahead of'} the derivative"
+            f" of the positions by {1e3 * low:.2g} to {1e3 * high:.2g} ms, most in"
+            f" {recording.joint_names[worst]} (sampling period {1e3 * step:.3g} ms)",
+            LEAVE_OUT,
+            joint=recording.joint_names[worst],
+        )
+
+
+def _best_shift(late: Array, early: Array) -> float:
+    """Return by how many samples `late` follows `early`, refined by a parabola.
+
+    NaN if no shift up to a fifth of the signal matches.
+    """
+    most = min(30, late.size // 5)
+    if most < 1:
+        return float("nan")
+    inner = slice(most, late.size - most)
+    shifts = range(-most, most + 1)
+    correlation = np.array(
+        [np.corrcoef(late[inner], early[most - d : early.size - most - d])[0, 1] for d in shifts]
+    )
+    k = int(np.argmax(correlation))
+    if not 0 < k < correlation.size - 1 or correlation[k] < THRESHOLDS.swapped:
+        return float("nan")
+    before, at, after = correlation[k - 1 : k + 2]
+    return float(k - most + 0.5 * (before - after) / (before - 2 * at + after))
+
+
+def _ends(
+    recording: FirstPass, motion: SmoothedMotion, logged: Array, moving: list[int]
+) -> Iterator[Finding]:
+    """Find ends at which velocities and positions differ, as after the transient of a filter."""
+    end = THRESHOLDS.end
+    width = int(end * motion.rate)
+    if width < 1 or motion.n_samples < 10 * width:
+        return
+    error = np.abs(logged - motion.qd)
+    inner = np.sqrt(np.mean(error[width:-width] ** 2, axis=0))
+    spread = np.std(motion.qd, axis=0)
+    of_error, of_spread = THRESHOLDS.transient
+    for name, part in (("first", slice(0, width)), ("last", slice(-width, None))):
+        worst = np.max(error[part], axis=0)
+        bad = [k for k in moving if worst[k] > max(of_error * inner[k], of_spread * spread[k])]
+        if len(bad) * 2 > len(moving):
+            k = max(bad, key=lambda k: worst[k] / spread[k])
+            window = "start = 0.5" if name == "first" else f"stop = {recording.duration - 0.5:.4g}"
+            yield Finding(
+                "end_transient",
+                "warning",
+                f"in the {name} {end:g} s the logged velocity of {recording.joint_names[k]} differs"
+                f" from the derivative of its position by up to {worst[k]:.3g} rad/s, elsewhere by"
+                f" {inner[k]:.2g} rad/s, as at the end of a filtered signal",
+                Cure(f"cut the {name} half second in a recording sheet: [[windows]] {window}"),
+                joint=recording.joint_names[k],
+                time=float(recording.t[0] if name == "first" else recording.t[-1] - end),
+            )
+
+
+def _correlations(a: Array, b: Array) -> Array:
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    norms = np.linalg.norm(a, axis=0)[:, None] * np.linalg.norm(b, axis=0)[None, :]
+    return np.asarray((a.T @ b) / np.where(norms > 0, norms, 1.0))
