@@ -27,7 +27,7 @@ def estimate_half(data):
 def run(*arguments: object, path: str = "") -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *map(str, arguments)],
-        env={**os.environ, "PYTHONPATH": path},
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([path, *sys.path])},
         capture_output=True,
         text=True,
     )
