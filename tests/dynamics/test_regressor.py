@@ -109,10 +109,7 @@ class LoadFriction(DriveTerm):
     position = 35
     symbols = ("Fl",)
     revolute_units = prismatic_units = ("1",)
-    needs_load = True
-
-    def evaluate(self, q, qd, qdd, load, out):
-        out[0] = np.abs(load) * np.sign(qd)
+    columns = ("abs(load)*sign(qd)",)
 
 
 def test_a_term_that_needs_the_load_is_given_the_torque_of_the_bodies():

@@ -9,16 +9,13 @@ import pytest
 
 from asbuilt.description.model import DriveValues
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet, available_terms
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.errors import UsageError
 
 
 @dataclass(frozen=True, slots=True)
 class LoadFriction(DriveTerm):
-    """Two columns, one of them dependent on the load, with a smooth sign of stated width.
-
-    What a later file may bring.
-    """
+    """Two columns, one of them dependent on the load, with a smooth sign of stated width."""
 
     width: float = 0.1
     key = "load"
@@ -26,11 +23,8 @@ class LoadFriction(DriveTerm):
     symbols = ("Fl", "Fq")
     revolute_units = ("1", "N m s^2/rad^2")
     prismatic_units = ("1", "N s^2/m^2")
-    needs_load = True
-
-    def evaluate(self, q, qd, qdd, load, out):
-        out[0] = np.abs(load) * np.tanh(qd / self.width)
-        out[1] = qd * np.abs(qd)
+    nonlinear = (NonlinearParameter("width", 0.1, 0.0, 1.0, ""),)
+    columns = ("abs(load)*tanh(qd/width)", "qd*abs(qd)")
 
 
 def test_every_term_is_found_in_canonical_order():
@@ -64,8 +58,8 @@ def test_none_is_no_term(text):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("viscos", r"'viscos'; did you mean 'viscous'\?.*armature, .*, or none"),
-        ("viscous,none", "stands alone"),
+        ("viscos", r"'viscos'; did you mean 'viscous'\?.*armature, .*, viscous"),
+        ("viscous,none", "'none' excludes other drive terms"),
         ("viscous,viscous", "'viscous' is given 2 times"),
         ("wzrgl", "unknown drive term 'wzrgl'; available"),
         (

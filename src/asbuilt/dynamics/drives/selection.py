@@ -2,36 +2,23 @@
 
 from __future__ import annotations
 
-import difflib
-import importlib
-import inspect
-import pkgutil
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues, JointKind
-from asbuilt.dynamics.drives import terms
-from asbuilt.dynamics.drives.term import DriveTerm, NonlinearValue
+from asbuilt.dynamics.drives.term import TERMS, DriveTerm, NonlinearValue
 from asbuilt.errors import UsageError
 
 NONE = "none"
 
 
-@cache
 def available_terms() -> dict[str, DriveTerm]:
-    """Return every drive term of this package by key, in canonical order."""
-    found: dict[str, DriveTerm] = {}
-    for module_name in sorted(module.name for module in pkgutil.iter_modules(terms.__path__)):
-        module = importlib.import_module(f"{terms.__name__}.{module_name}")
-        for _, kind in inspect.getmembers(module, inspect.isclass):
-            if issubclass(kind, DriveTerm) and not inspect.isabstract(kind):
-                found[kind.key] = kind()
-    return dict(sorted(found.items(), key=lambda item: (item[1].position, item[0])))
+    """Return every registered drive term by key, in canonical order."""
+    return dict(sorted(TERMS.items(), key=lambda item: (item[1].position, item[0])))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,20 +62,11 @@ class DriveSet:
         chosen = [
             [part.strip() for part in entry.lower().split(":")] for entry in given if entry.strip()
         ]
-        keys = [key for key, *_ in chosen]
-        if keys == [NONE]:
+        if chosen == [[NONE]]:
             return cls()
-        known = available_terms()
-        for key in keys:
-            if key not in known:
-                near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-                hint = f"did you mean {near[0]!r}? " if near else ""
-                if key == NONE:
-                    hint = f"{NONE!r} stands alone; "
-                raise UsageError(
-                    f"unknown drive term {key!r}; {hint}available: {', '.join(known)}, or {NONE}"
-                )
-        return cls(tuple(_stated(known[key], options) for key, *options in chosen))
+        if [NONE] in chosen:
+            raise UsageError(f"{NONE!r} excludes other drive terms, got {text!r}")
+        return cls(tuple(_stated(TERMS.find(key), options) for key, *options in chosen))
 
     @classmethod
     def default(cls, source: str) -> DriveSet:
@@ -202,12 +180,6 @@ class DriveSet:
         and none is given.
         """
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
-        if load is None and self.needs_load:
-            needy = next(term.key for term in self.terms if term.needs_load)
-            raise UsageError(
-                f"drive term {needy!r} needs the rigid-body torque of the joint; pass load, shape"
-                f" {q.shape}"
-            )
         row = 0
         for shared in self.terms:
             term = shared if joint is None else shared.at(joint)

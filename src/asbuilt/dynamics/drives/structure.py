@@ -17,7 +17,7 @@ from asbuilt.dynamics.base.regrouping_relations import (
 )
 from asbuilt.dynamics.drives.selection import DriveSet
 
-IMITABLE = ("qdd", "1", "sin q", "cos q")
+IMITABLE = ("qdd", "1", "sin(q)", "cos(q)")
 """Elementary functions that links can imitate, in the order of the changes of
 `RegroupingRelations`.
 """

@@ -1,20 +1,21 @@
-"""One term of a drive's torque, linear in its parameters; what enters otherwise is a nonlinear parameter."""
+"""Terms of a drive's torque, linear in their parameters given any nonlinear ones."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, TypeVar, cast, dataclass_transform
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import DriveValues
+from asbuilt.dynamics.drives.formula import STATE, Formula
 from asbuilt.errors import UsageError
+from asbuilt.registry import Registry
 
 NonlinearValue = float | tuple[float, ...] | None
-"""One number for all joints, one per joint, or None: to be fitted, the default until then."""
+"""One number for all joints, one per joint, or None: fitted, and the default until then."""
 
 ALL_SOURCES = ("sensor", "motor", "current", "unknown")
 MOTOR_SOURCES = ("motor", "current")
@@ -22,15 +23,27 @@ MOTOR_SOURCES = ("motor", "current")
 
 @dataclass(frozen=True, slots=True)
 class NonlinearParameter:
-    """A number that enters the columns of a term non-linearly.
+    """Describe a number that enters the columns of a drive term nonlinearly.
 
-    Its name, where a fit starts, and the range it may take.
-
-    `lower` and `upper` bound what may be stated, `credible` where a fit looks: values for which the
-    term is the physics that it is named after, as fractions of the joint's top speed where the
-    nonlinear parameter is a `speed`. `fitted` False keeps the default unless another value is stated. `typical`
-    is a value at which the columns stand out at speeds of some rad/s, for questions of structure;
-    None where the value itself decides them.
+    Parameters
+    ----------
+    name
+        Name in the formulas of the columns, and of the field of the term.
+    default
+        Value used where none is stated, and where a fit starts.
+    lower, upper
+        Bounds of what may be stated.
+    unit
+        Unit, empty for a pure number.
+    fitted
+        Whether it is fitted to a recording unless a value is stated.
+    typical
+        A value at which the columns differ clearly from those of other terms at speeds of some
+        rad/s, for questions of structure; None where the value itself decides them.
+    speed
+        Whether it is a speed, so that `credible` are fractions of the joint's top speed.
+    credible
+        Range in which a fit searches: values for which the name of the term describes its physics.
     """
 
     name: str
@@ -45,15 +58,17 @@ class NonlinearParameter:
 
 
 @dataclass(frozen=True, slots=True)
-class DriveTerm(ABC):
+class DriveTerm:
     """Add `sum_c columns[c](q, qd, qdd, load) * parameter_c` to the torque of one joint.
 
-    A term is one file in this package: a frozen dataclass without arguments in its simplest form.
-    What enters the columns non-linearly (a Stribeck velocity, the width of a smooth sign) is
-    declared in `nonlinear` and is a field of the same name, None by default, so that
-    `dataclasses.replace` moves it. `position` places the term in the canonical order of parameters.
-    `joints` are the numbers (from 1) of the joints that have the term, None for all; the parameters
-    of the others never act.
+    A term is one class decorated by `drive_term`. A number that enters its columns nonlinearly (a
+    Stribeck velocity, an exponent) is declared in `nonlinear` and is a field of the same name, None
+    by default.
+
+    Parameters
+    ----------
+    joints
+        Numbers (from 1) of the joints that have the term, None for all.
     """
 
     _: KW_ONLY
@@ -61,90 +76,100 @@ class DriveTerm(ABC):
 
     key: ClassVar[str]
     """Name used to select the term."""
+    title: ClassVar[str] = ""
+    """Name in tables and messages; the key with spaces unless given."""
     position: ClassVar[int]
     """Place in the canonical order; smaller comes first."""
     symbols: ClassVar[tuple[str, ...]]
-    """One per column; the joint number follows it in parameter names."""
+    """Symbol of each parameter; the joint number follows it in parameter names."""
+    columns: ClassVar[tuple[str, ...]]
+    """Formula (`drives.formula`) of each column; `q`, `qd`, `qdd` of the motor for `of_motor`."""
+    formula: ClassVar[str]
+    """The torque in mathematical notation."""
     revolute_units: ClassVar[tuple[str, ...]]
+    """Unit of each parameter at a revolute joint."""
     prismatic_units: ClassVar[tuple[str, ...]]
-    formula: ClassVar[str] = ""
-    """The torque, in symbols."""
+    """Unit of each parameter at a prismatic joint."""
     nonlinear: ClassVar[tuple[NonlinearParameter, ...]] = ()
+    cause: ClassVar[str | None] = None
+    """Physical cause of a difference to the design that the term stands for."""
     default_for: ClassVar[tuple[str, ...]] = ()
     """Torque sources for which the term is among the defaults."""
     tried_for: ClassVar[tuple[str, ...]] = ()
-    """Torque sources for which the term is tried beside the defaults when terms are chosen by the
-    recording; its parameters are then positive.
-    """
+    """Torque sources for which an automatic choice of terms tries it, with parameters > 0."""
     stands_for: ClassVar[str | None] = None
-    """Key of the simpler term whose place it takes then."""
+    """Key of the simpler term that it then replaces."""
     by_construction: ClassVar[bool] = False
-    """Whether a robot was built with it or has it not, whatever a recording seems to say.
-
-    It is never chosen, and part of the usual terms where the description has it.
-    """
+    """Whether only the description decides if a robot has it; an automatic choice never does."""
     non_negative: ClassVar[bool] = False
-    """Whether no drive has parameters of it below zero.
-
-    It is inertia, or friction that nothing beside it can take back.
-    """
+    """Whether its parameters are inertia or friction that no other term can offset, hence >= 0."""
     ratio_powers: ClassVar[tuple[float, ...]] = ()
-    """By which power of the gear ratio each parameter shrinks on its way to the motor, where that
-    is not one as for torques; see `powers_of_ratio`.
-    """
+    """Power of the gear ratio by which each parameter is smaller at the motor, all 1 if empty."""
     turns_over: ClassVar[bool] = False
-    """Whether its parameters change their sign on the way to a motor that turns against its joint.
-
-    A torque with a direction of its own, whatever the motion.
-    """
+    """Whether its parameters change sign at a motor that turns against its joint."""
     needs_load: ClassVar[bool] = False
-    """Whether the columns depend on the rigid-body torque of the joint."""
+    """Whether a column depends on the rigid-body torque of the joint; follows from `columns`."""
     of_motor: ClassVar[bool] = False
-    """Whether the term belongs to a motor that moves several joints.
+    """Whether it belongs to a motor that several joints turn, and acts on all of these."""
 
-    It follows the motor's motion and enters all their torques.
-    """
+    def __init_subclass__(cls) -> None:
+        known = {*STATE, *(parameter.name for parameter in cls.nonlinear)}
+        used = {name for column in cls.columns for name in Formula(column).names}
+        if unknown := sorted(used - known):
+            raise UsageError(
+                f"the columns of drive term {cls.key!r} use {unknown[0]!r}; they may use"
+                f" {', '.join(sorted(known))}"
+            )
+        cls.needs_load = "load" in used
+        cls.title = cls.title or cls.key.replace("_", " ")
 
-    @abstractmethod
     def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write the columns of one joint into `out`, shape (len(symbols), n_samples).
+        """Write the columns of one joint into `out` (len(symbols), n_samples).
 
-        The inputs have shape (n_samples,).
-
-        `load` is the rigid-body torque [N m or N], given to terms that set `needs_load`. A term
-        `of_motor` gets the motor's motion.
+        The inputs have shape (n_samples,). `load` is the rigid-body torque [N m or N], required by
+        terms that need it; a term `of_motor` takes the motion of the motor. Raises UsageError where
+        a load is missing.
         """
+        values: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "load": load}
+        if load is None and self.needs_load:
+            raise UsageError(
+                f"drive term {self.key!r} needs the rigid-body torque of the joint; pass load, shape"
+                f" {q.shape}"
+            )
+        values |= {parameter.name: self.value(parameter.name) for parameter in self.nonlinear}
+        for column, row in zip(self.columns, out, strict=True):
+            Formula(column).write(row, values)
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return each column as a sum of elementary functions, by which the base parameters know
-        what different terms have in common.
+        """Return each column as a sum of elementary functions, which show linear dependence.
 
-        The link dynamics can imitate "qdd", "1", "sin q" and "cos q" alone; other names only tell
-        terms apart.
+        The link dynamics contain "qdd", "1", "sin(q)" and "cos(q)" too; columns with any other
+        function are dependent only on drive columns with the same function.
         """
-        return tuple(
-            {(self.key, symbol, *(self.value(parameter.name) for parameter in self.nonlinear)): 1.0}
-            for symbol in self.symbols
-        )
+        if self.of_motor or self.nonlinear:
+            values = tuple(self.value(parameter.name) for parameter in self.nonlinear)
+            return tuple({(self.key, symbol, *values): 1.0} for symbol in self.symbols)
+        return tuple({column: 1.0} for column in self.columns)
 
     def units(self, *, revolute: bool) -> tuple[str, ...]:
         """Return the unit of each parameter."""
         return self.revolute_units if revolute else self.prismatic_units
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
-        """Return what the description says of each parameter, None where it is silent."""
+        """Return the value of each parameter in the description, None where it has none."""
         stated: float | None = getattr(drive, self.key, None)
         return (stated,) if len(self.symbols) == 1 else (None,) * len(self.symbols)
 
     def powers_of_ratio(self) -> tuple[float, ...]:
-        """Return by which power of the gear ratio N each parameter shrinks on its way to the motor,
-        with `theta = N q` and `tau_joint = N tau_motor`.
+        """Return the power of the gear ratio N by which each parameter is smaller at the motor.
+
+        With `theta = N q` and `tau_joint = N tau_motor`.
         """
         return self.ratio_powers or (1.0,) * len(self.symbols)
 
     @property
     def free_nonlinear(self) -> tuple[NonlinearParameter, ...]:
-        """The nonlinear parameters that a fit may move, since no value is stated."""
+        """The nonlinear parameters that are fitted, since no value is stated."""
         return tuple(
             parameter
             for parameter in self.nonlinear
@@ -152,17 +177,15 @@ class DriveTerm(ABC):
         )
 
     def value(self, name: str) -> float:
-        """Return the value of a nonlinear parameter: the stated one, or the default.
+        """Return the stated value of a nonlinear parameter, or its default.
 
-        A term with one value per joint must be taken `at` a joint first, or raises UsageError.
+        Raises UsageError for a term with one value per joint; take it `at` a joint first.
         """
         stated: NonlinearValue = getattr(self, name)
         if stated is None:
             return next(parameter.default for parameter in self.nonlinear if parameter.name == name)
         if isinstance(stated, tuple):
-            raise UsageError(
-                f"{self} has one {name} per joint; say of which joint its columns are wanted"
-            )
+            raise UsageError(f"{self} has one {name} per joint; take the term at one joint")
         return stated
 
     def is_at(self, joint: int) -> bool:
@@ -172,17 +195,11 @@ class DriveTerm(ABC):
     def at(self, joint: int) -> Self:
         """Return the term of one joint (counted from 0), with one number per nonlinear parameter."""
         own = {parameter.name: getattr(self, parameter.name) for parameter in self.nonlinear}
-        several = {name: values for name, values in own.items() if isinstance(values, tuple)}
-        return (
-            self._with({name: values[joint] for name, values in several.items()})
-            if several
-            else self
-        )
+        several = {name: each[joint] for name, each in own.items() if isinstance(each, tuple)}
+        return self._with(several) if several else self
 
     def typical(self) -> Self:
-        """Return the term with nonlinear parameters at which its columns stand out, where they do not decide its
-        structure.
-        """
+        """Return the term with typical values of its nonlinear parameters."""
         values = {
             parameter.name: parameter.typical
             for parameter in self.nonlinear
@@ -191,9 +208,7 @@ class DriveTerm(ABC):
         return self._with(values) if values else self
 
     def check_joints(self, n_joints: int) -> None:
-        """Raise UsageError where a nonlinear parameter is given for another number of joints, or a joint does not
-        exist.
-        """
+        """Raise UsageError for a joint that does not exist and a wrong number of values."""
         outside = [number for number in self.joints or () if not 1 <= number <= n_joints]
         if outside:
             raise UsageError(
@@ -203,29 +218,26 @@ class DriveTerm(ABC):
             stated = getattr(self, parameter.name)
             if isinstance(stated, tuple) and len(stated) != n_joints:
                 raise UsageError(
-                    f"{self} states {len(stated)} values of {parameter.name}, one per joint; the robot"
-                    f" has {n_joints} joints"
+                    f"{self} states {len(stated)} values of {parameter.name}, one per joint; the"
+                    f" robot has {n_joints} joints"
                 )
 
     def with_nonlinear(self, values: Mapping[str, NonlinearValue]) -> Self:
         """Return the term with these nonlinear parameters stated.
 
-        Raises UsageError for a name or a value that it does not take.
+        Raises UsageError for an unknown name and a value out of bounds.
         """
         known = {parameter.name: parameter for parameter in self.nonlinear}
         for name, stated in values.items():
             if name not in known:
                 there = f"it has {', '.join(known)}" if known else "it has none"
                 raise UsageError(f"drive term {self.key!r} has no option {name!r}; {there}")
-            parameter = known[name]
-            for number in (
-                () if stated is None else stated if isinstance(stated, tuple) else (stated,)
-            ):
-                if not parameter.lower <= number <= parameter.upper:
+            lower, upper, unit = known[name].lower, known[name].upper, known[name].unit
+            for number in stated if isinstance(stated, tuple) else (stated,):
+                if number is not None and not lower <= number <= upper:
                     raise UsageError(
-                        f"{name} of drive term {self.key!r} must lie between {parameter.lower:g} and"
-                        f" {parameter.upper:g} {parameter.unit}".rstrip()
-                        + f", got {number:g}"
+                        f"{name} of drive term {self.key!r} must lie between {lower:g} and"
+                        f" {f'{upper:g} {unit}'.strip()}, got {number:g}"
                     )
         return self._with(values)
 
@@ -233,13 +245,31 @@ class DriveTerm(ABC):
         return cast(Self, replace(cast(Any, self), **fields))
 
     def __str__(self) -> str:
-        parts = [self.key]
-        if self.joints is not None:
-            parts.append(f"joints={'/'.join(map(str, self.joints))}")
-        for parameter in self.nonlinear:
-            stated = getattr(self, parameter.name)
-            if stated is not None:
-                parts.append(
-                    f"{parameter.name}={'/'.join(map(repr, stated if isinstance(stated, tuple) else (stated,)))}"
-                )
-        return ":".join(parts)
+        given = {"joints": self.joints} | {
+            parameter.name: getattr(self, parameter.name) for parameter in self.nonlinear
+        }
+        stated = {
+            name: each if isinstance(each, tuple) else (each,)
+            for name, each in given.items()
+            if each is not None
+        }
+        return ":".join(
+            [self.key, *(f"{name}={'/'.join(map(repr, each))}" for name, each in stated.items())]
+        )
+
+
+TERMS: Registry[DriveTerm] = Registry(
+    "drive term", "asbuilt.dynamics.drives.terms", "asbuilt.drive_terms"
+)
+"""All drive terms; other distributions add theirs by an entry point of group
+`asbuilt.drive_terms` that names the module.
+"""
+Term = TypeVar("Term", bound=DriveTerm)
+
+
+@dataclass_transform(frozen_default=True)
+def drive_term(kind: type[Term]) -> type[Term]:
+    """Make a frozen dataclass of a class of terms and register it."""
+    made = dataclass(frozen=True, slots=True)(kind)
+    TERMS.register(made.key, made())
+    return made

@@ -11,14 +11,6 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
 
-DRIVE_WORDS = {
-    "armature": "armature",
-    "viscous": "viscous friction",
-    "coulomb": "Coulomb friction",
-    "offset": "torque offset",
-}
-"""Drive terms whose key is not their name; the others are called by their key."""
-
 
 def in_words(base: BaseParameters) -> tuple[str, ...]:
     """Return what each base parameter is, in words: `first moment along z, links 4 to 7`.
@@ -51,7 +43,7 @@ def drive_in_words(drive: DriveSet) -> str:
     """Return the terms of a set for a reader: at which joints, with which nonlinear parameters there.
 
     >>> drive_in_words(DriveSet.parse("viscous:joints=2/3,offset,power:joints=1/3:exponent=0.7/0.5/0.6,stribeck:velocity=0.1"))
-    'viscous friction (joints 2, 3); stribeck (velocity 0.1); power (joint 1: exponent 0.7; joint 3: exponent 0.6); torque offset'
+    'viscous friction (joints 2, 3); Stribeck friction (velocity 0.1); power-law friction (joint 1: exponent 0.7; joint 3: exponent 0.6); torque offset'
     """
     return "; ".join(_term_in_words(term) for term in drive.terms) or "none"
 
@@ -75,15 +67,11 @@ def _term_in_words(term: DriveTerm) -> str:
             else [f"joint{'s' if len(term.joints) > 1 else ''} {', '.join(map(str, term.joints))}"]
         )
         inside = "; ".join([*where, *([_nonlinear_text(term, stated)] if stated else [])])
-    return _term_name(term) + (f" ({inside})" if inside else "")
+    return term.title + (f" ({inside})" if inside else "")
 
 
 def _nonlinear_text(term: DriveTerm, names: Iterable[str]) -> str:
     return ", ".join(f"{name} {term.value(name):.3g}" for name in names)
-
-
-def _term_name(term: DriveTerm) -> str:
-    return DRIVE_WORDS.get(term.key, term.key.replace("_", " "))
 
 
 def _of_link(base: BaseParameters, row: int, column: int, inertial: int) -> str:
@@ -116,4 +104,4 @@ def _of_drive(base: BaseParameters, place: int) -> str:
     joint, column = divmod(place, base.drive.columns_per_joint)
     term = [term for term in base.drive.terms for _ in term.symbols][column]
     symbol = f" {base.drive.symbols[column]}" if len(term.symbols) > 1 else ""
-    return f"{_term_name(term)}{symbol}, joint {joint + 1}"
+    return f"{term.title}{symbol}, joint {joint + 1}"

@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
 
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.term import DriveTerm, drive_term
 
 
-@dataclass(frozen=True, slots=True)
+@drive_term
 class AsymmetricCoulomb(DriveTerm):
     """Add `Fcp` where qd > 0 and `-Fcn` where qd < 0.
 
-    Coulomb friction (Fcp + Fcn) / 2 with an offset (Fcp - Fcn) / 2 that rests at standstill.
+    It equals Coulomb friction (Fcp + Fcn) / 2 and an offset (Fcp - Fcn) / 2 that is zero at
+    standstill. It replaces `coulomb`.
     """
 
     key = "asymmetric_coulomb"
+    title = "asymmetric Coulomb friction"
     position = 32
     symbols = ("Fcp", "Fcn")
+    columns = ("maximum(sign(qd), 0)", "minimum(sign(qd), 0)")
+    formula = "Fcp [qd > 0] - Fcn [qd < 0]"
     revolute_units = ("N m", "N m")
     prismatic_units = ("N", "N")
     stands_for = "coulomb"
     non_negative = True
-    formula = "Fcp [qd > 0] - Fcn [qd < 0]"
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `[qd > 0]` and `-[qd < 0]`."""
-        out[0] = qd > 0
-        out[1] = -1.0 * (qd < 0)
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return halves of `sign qd` and of the constant.
-
-        Beside `coulomb` or `offset` only sums can be told.
-        """
-        return ({"sign qd": 0.5, "1": 0.5}, {"sign qd": 0.5, "1": -0.5})
+        """Return halves of `sign(qd)` and 1, so that `coulomb` and `offset` are dependent on them."""
+        return ({"sign(qd)": 0.5, "1": 0.5}, {"sign(qd)": 0.5, "1": -0.5})

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
-
-import numpy as np
-
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm
+from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, drive_term
 
 
-@dataclass(frozen=True, slots=True)
+@drive_term
 class Coulomb(DriveTerm):
     """Add `Fc sign(qd)`, exactly 0 at standstill."""
 
     key = "coulomb"
+    title = "Coulomb friction"
     position = 30
     symbols = ("Fc",)
+    columns = ("sign(qd)",)
+    formula = "Fc sign(qd)"
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    cause = "friction"
     non_negative = True
-    formula = "Fc sign(qd)"
     default_for = ALL_SOURCES
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `sign(qd)`."""
-        np.sign(qd, out=out[0])
-
-    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return `sign qd`."""
-        return ({"sign qd": 1.0},)

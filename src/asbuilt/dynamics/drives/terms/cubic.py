@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
-
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.term import DriveTerm, drive_term
 
 
-@dataclass(frozen=True, slots=True)
+@drive_term
 class Cubic(DriveTerm):
-    """Add `Fk qd^3`; negative beside viscous friction that levels off at speed."""
+    """Add `Fk qd^3`; negative beside viscous friction that levels off at high speed."""
 
     key = "cubic"
+    title = "cubic friction"
     position = 54
     symbols = ("Fk",)
+    columns = ("qd*qd*qd",)
+    formula = "Fk qd^3"
     revolute_units = ("N m s^3/rad^3",)
     prismatic_units = ("N s^3/m^3",)
     ratio_powers = (4.0,)
-    formula = "Fk qd^3"
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `qd^3`."""
-        out[0] = qd * qd * qd
-
-    def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return `qd^3`."""
-        return ({"qd^3": 1.0},)

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.term import DriveTerm, drive_term
 
 
-@dataclass(frozen=True, slots=True)
+@drive_term
 class MotorArmature(DriveTerm):
-    """Add `Iam s_dd` to the torque of every joint that turns the motor, times its share.
+    """Add `Iam s_dd` of the motor coordinate s to each joint that turns it, times its share.
 
-    S is the motor's coordinate.
-
-    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `armature`
-    says the same and this column is zero.
+    `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
+    zero; `armature` has the same effect.
     """
 
     key = "motor_armature"
     position = 12
     symbols = ("Iam",)
+    columns = ("qdd",)
+    formula = "T^T Iam (T qdd)"
     revolute_units = ("kg m^2",)
     prismatic_units = ("kg",)
+    cause = "armature"
     non_negative = True
     ratio_powers = (2.0,)
-    formula = "T^T Iam (T qdd)"
     of_motor = True
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `s_dd` of the motor."""
-        out[0] = qdd

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.term import DriveTerm, drive_term
 
 
-@dataclass(frozen=True, slots=True)
+@drive_term
 class MotorCoulomb(DriveTerm):
-    """Add `Fcm sign(s_d)` to the torque of every joint that turns the motor, times its share.
+    """Add `Fcm sign(s_d)` of the motor coordinate s to each joint that turns it, times its share.
 
-    S is the motor's coordinate.
-
-    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `coulomb` says
-    the same and this column is zero.
+    `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
+    zero; `coulomb` has the same effect.
     """
 
     key = "motor_coulomb"
+    title = "motor Coulomb friction"
     position = 36
     symbols = ("Fcm",)
+    columns = ("sign(qd)",)
+    formula = "T^T Fcm sign(T qd)"
     revolute_units = ("N m",)
     prismatic_units = ("N",)
+    cause = "friction"
     non_negative = True
-    formula = "T^T Fcm sign(T qd)"
     of_motor = True
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `sign(s_d)` of the motor."""
-        np.sign(qd, out=out[0])

@@ -2,32 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import DriveTerm
+from asbuilt.dynamics.drives.term import DriveTerm, drive_term
 
 
-@dataclass(frozen=True, slots=True)
+@drive_term
 class MotorViscous(DriveTerm):
-    """Add `Fvm s_d` to the torque of every joint that turns the motor, times its share.
+    """Add `Fvm s_d` of the motor coordinate s to each joint that turns it, times its share.
 
-    S is the motor's coordinate.
-
-    `s = T q` with the robot's motor coupling T; where a motor moves one joint alone, `viscous` says
-    the same and this column is zero.
+    `s = T q` with the robot's motor coupling T. Where a motor moves one joint alone, its column is
+    zero; `viscous` has the same effect.
     """
 
     key = "motor_viscous"
+    title = "motor viscous friction"
     position = 24
     symbols = ("Fvm",)
+    columns = ("qd",)
+    formula = "T^T Fvm (T qd)"
     revolute_units = ("N m s/rad",)
     prismatic_units = ("N s/m",)
+    cause = "friction"
     non_negative = True
     ratio_powers = (2.0,)
-    formula = "T^T Fvm (T qd)"
     of_motor = True
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `s_d` of the motor."""
-        out[0] = qd

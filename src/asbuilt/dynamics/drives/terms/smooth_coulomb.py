@@ -2,39 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from asbuilt.dynamics.drives.term import (
+    ALL_SOURCES,
+    DriveTerm,
+    NonlinearParameter,
+    NonlinearValue,
+    drive_term,
+)
 
-import numpy as np
 
-from asbuilt.arrays import Array
-from asbuilt.dynamics.drives.term import ALL_SOURCES, DriveTerm, NonlinearParameter, NonlinearValue
-
-
-@dataclass(frozen=True, slots=True)
+@drive_term
 class SmoothCoulomb(DriveTerm):
-    """Add `Fct tanh(qd / width)`; it stands for `coulomb`, and beside it for a rounded part of it.
+    """Add `Fct tanh(qd / width)`. It replaces `coulomb`, or is added to it.
 
-    The width is that of the change of sign, where bristles bend before surfaces slide and logged
-    velocities lie in their noise; fits look up to a tenth of the top speed.
+    Below the width, bristles bend before surfaces slide, and logged velocities are mostly noise. A
+    fit tries widths up to a tenth of the top speed.
     """
 
     width: NonlinearValue = None
 
     key = "smooth_coulomb"
+    title = "smooth Coulomb friction"
     position = 34
     symbols = ("Fct",)
+    columns = ("tanh(qd/width)",)
+    formula = "Fct tanh(qd / width)"
     revolute_units = ("N m",)
     prismatic_units = ("N",)
-    tried_for = ALL_SOURCES
-    stands_for = "coulomb"
-    non_negative = True
-    formula = "Fct tanh(qd / width)"
     nonlinear = (
         NonlinearParameter(
             "width", 0.02, 1e-4, 2.0, "rad/s", typical=2.0, speed=True, credible=(0.0, 0.1)
         ),
     )
-
-    def evaluate(self, q: Array, qd: Array, qdd: Array, load: Array | None, out: Array) -> None:
-        """Write `tanh(qd / width)`."""
-        np.tanh(qd / self.value("width"), out=out[0])
+    tried_for = ALL_SOURCES
+    stands_for = "coulomb"
+    non_negative = True
