@@ -1,7 +1,4 @@
-"""In plain words, what a recording determines.
-
-Which parameters well, which hardly, which combinations trade off, and which motion would help.
-"""
+"""Which parameters a recording determines, how well, and which further motion would help."""
 
 from __future__ import annotations
 
@@ -10,13 +7,13 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.findings import joined
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.tables import share, significant
 
@@ -24,39 +21,47 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-WELL = 0.10
-"""Standard error, as a fraction of the larger of estimate and CAD value, up to which a parameter is
-determined well,
-"""
-HARDLY = 0.50
-"""and from which hardly."""
-TRADES = 2.5
-"""How much larger the error of a combination must be than its parameters would have alone to be
-called a trade-off.
-"""
+@dataclass(frozen=True, slots=True)
+class DeterminationThresholds:
+    """Limits by which parameters are classed as determined and further motions are compared.
+
+    The limits of standard errors are conventions of this program: 10 % serves simulation, and an
+    error of half the value leaves its sign in doubt at two standard errors.
+    """
+
+    well: float = 0.10
+    """Largest standard error of a parameter determined well, relative to estimate or CAD."""
+    poor: float = 0.50
+    """Standard error, relative to the same, above which a parameter is determined poorly."""
+    correlated: float = 2.5
+    """Smallest ratio of an error to its value with the other parameters known (the square root of
+    the variance inflation factor, 6; Belsley, Kuh and Welsch, 1980, warn from 5 to 10)."""
+    named: float = 0.35
+    """Smallest coefficient, relative to the largest, of a parameter named in a combination."""
+    combinations: int = 6
+    """Most combinations."""
+    seconds: float = 20.0
+    """Length of a further motion [s]."""
+    draws: int = 160
+    """States drawn of each kind of motion."""
+    helps: float = 0.5
+    """Largest ratio of the errors after and before with which a motion is advised."""
+    undetermined: float = 1e-8
+    """Information added in every direction, relative to a parameter's own, so errors are finite."""
+    slow: float = 0.05
+    """Speed of a slow motion as a fraction of the velocity limit."""
+
+
+LIMITS = DeterminationThresholds()
 MOST_NAMED = 5
-TAKES_PART = 0.35
-"""Coefficient, relative to the largest, from which a parameter is named in a combination."""
-MOST_COMBINATIONS = 6
-EXTRA_SECONDS = 20.0
-"""Length of the further motion whose help is judged [s]."""
-DRAWS = 160
-"""States drawn for each kind of motion."""
-HELPS = 0.5
-"""Ratio of errors after and before from which a motion helps a parameter."""
-UNTOLD = 1e-8
-"""Information, relative to a parameter's own, that every direction is taken to have, so that errors
-of what nothing tells are large but finite.
-"""
-SLOW = 0.05
-"""Fraction of the velocity limit of a slow motion."""
+MOST_LISTED = 14
 
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """Parameters that this recording tells only together.
+    """Hold parameters that this recording determines only in combination.
 
-    `text` names them, `spread` is how much larger the error of the first is than if the others were
+    `text` names them, and `spread` is the error of the first relative to its error with the others
     known.
     """
 
@@ -67,9 +72,7 @@ class Combination:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """A further motion, the parameters that it would determine better, and the mean ratio of their
-    errors after and before.
-    """
+    """Hold a further motion, the parameters it improves, and their mean ratio of errors."""
 
     motion: str
     names: tuple[str, ...]
@@ -78,12 +81,16 @@ class Advice:
 
 @dataclass(frozen=True, slots=True)
 class Determination:
-    """Say what a recording determines.
+    """Hold which parameters a recording determines.
 
-    `well` are the parameters known to 10 % or better, `fairly` to 50 %, `hardly` worse than that
-    and `negligible` those of them whose error hardly changes the torque of this motion, so that the
-    result does not call them poorly determined; `not_at_all` those that nothing in the recording
-    tells; `dropped` those that the estimator set to zero as needless, which have no error.
+    | attribute | parameters |
+    |---|---|
+    | `well` | with a standard error of at most 10 % |
+    | `fairly` | of at most 50 % |
+    | `hardly` | of more than 50 % |
+    | `negligible` | those of `hardly` whose error changes the torque of this motion little |
+    | `not_at_all` | undetermined |
+    | `dropped` | set to zero by the estimator, without an error |
     """
 
     well: tuple[str, ...]
@@ -97,68 +104,57 @@ class Determination:
 
     @property
     def in_short(self) -> str:
-        """One line for a summary."""
-        total = sum(
-            len(names)
-            for names in (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped)
-        )
+        """One sentence for a summary."""
+        classes = (self.well, self.fairly, self.hardly, self.not_at_all, self.dropped)
+        poor = [f"worse: {len(self.hardly)}"] if self.hardly else []
+        if self.negligible:
+            poor[0] += f", {len(self.negligible)} of which change the torque of this motion little"
         parts = [
-            f"Determined to {100 * WELL:g} % or better: {len(self.well)} of {total} parameters; to"
-            f" {100 * HARDLY:g} %: {len(self.fairly)}; hardly: {len(self.hardly)}"
-            + (
-                f", {len(self.negligible)} of which make next to no torque in this motion"
-                if self.negligible
-                else ""
-            )
+            f"Standard error at most {100 * LIMITS.well:g} %: {len(self.well)} of"
+            f" {sum(map(len, classes))} parameters",
+            f"at most {100 * LIMITS.poor:g} %: {len(self.fairly)} more",
+            *poor,
+            *([f"undetermined: {len(self.not_at_all)}"] if self.not_at_all else []),
+            *([f"dropped: {len(self.dropped)}"] if self.dropped else []),
         ]
-        if self.not_at_all:
-            parts.append(f"not at all: {len(self.not_at_all)}")
-        if self.dropped:
-            parts.append(f"dropped as needless: {len(self.dropped)}")
-        return (
-            "; ".join(parts)
-            + "."
-            + (
-                f" What would help: {'; '.join(tip.motion for tip in self.advice[:2])}."
-                if self.advice
-                else ""
-            )
-        )
+        return f"{'; '.join(parts)}."
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """The whole, in sentences."""
+        """Classes, correlated parameters and advice, in sentences."""
+        well, poor = f"{100 * LIMITS.well:g} %", f"{100 * LIMITS.poor:g} %"
+        classes = (
+            (f"Standard error at most {well}", self.well, ""),
+            (f"Standard error of {well} to {poor}", self.fairly, ""),
+            (
+                f"Standard error above {poor}",
+                self.hardly,
+                f" {len(self.negligible)} of these change the torque of this motion little."
+                if self.negligible
+                else "",
+            ),
+            ("Undetermined", self.not_at_all, ""),
+            (
+                "Dropped, set to zero after an F-test",
+                self.dropped,
+                " Errors of the others hold if these are zero.",
+            ),
+        )
         found = [
-            f"Determined to {100 * WELL:g} % or better ({len(self.well)}): {_listed(self.well)}."
+            f"{what} ({len(names)}): {joined(names, MOST_LISTED)}.{remark}"
+            for what, names, remark in classes
+            if names
         ]
-        if self.fairly:
-            found.append(
-                f"To between {100 * WELL:g} and {100 * HARDLY:g} % ({len(self.fairly)}):"
-                f" {_listed(self.fairly)}."
-            )
-        if self.hardly:
-            text = f"Hardly ({len(self.hardly)}): {_listed(self.hardly)}"
-            if self.negligible:
-                text += f"; of these {len(self.negligible)} make next to no torque in this motion"
-            found.append(text + ".")
-        if self.not_at_all:
-            found.append(f"Not at all ({len(self.not_at_all)}): {_listed(self.not_at_all)}.")
-        if self.dropped:
-            found.append(
-                f"Dropped, set to zero because an F-test does not miss them ({len(self.dropped)}):"
-                f" {_listed(self.dropped)}. They have no error; those of the others hold if they"
-                " are zero."
-            )
         for each in self.combinations:
             found.append(
-                f"Trade-off: {each.text} hardly changes the torque of this recording; the error of"
-                f" {each.names[0]} is {significant(each.spread, 2)} times what it would be if the"
-                " others were known."
+                f"Correlated: {each.text} hardly changes the torque of this recording. The error of"
+                f" {each.names[0]} is {significant(each.spread, 2)} times its error with the others"
+                " known."
             )
         for tip in self.advice:
             found.append(
-                f"{tip.motion[0].upper()}{tip.motion[1:]}, for {EXTRA_SECONDS:g} s, would bring the"
-                f" errors of {_listed(tip.names)} to about {share(tip.ratio, 0)} of what they are."
+                f"{LIMITS.seconds:g} s more of {tip.motion} would reduce the errors of"
+                f" {joined(tip.names, MOST_LISTED)} to about {share(tip.ratio, 0)}."
             )
         return tuple(found)
 
@@ -177,34 +173,47 @@ class Determination:
 
 
 def determination(result: IdentificationResult, *, motions: bool = True) -> Determination:
-    """Say what the recording behind a result determines and, unless `motions` is False, which
-    further motion would help.
+    """Class the parameters of a result by how well its recordings determine them.
 
-    The combinations are the directions of the largest variance, in parameters scaled to unit error
-    if all others were known (Belsley, Kuh & Welsch, Regression Diagnostics, 1980). Help is judged
-    by adding the information of 20 s of every kind of motion within the robot's limits: slow poses,
-    steady fast travel and hard acceleration of each joint, and of all at once.
+    Correlated parameters are the directions of largest variance, in parameters scaled to unit error
+    with all others known (Belsley, Kuh and Welsch, Regression Diagnostics, 1980).
+
+    Parameters
+    ----------
+    result
+        The result.
+    motions
+        Find the further motion that helps: slow poses, steady fast motion or hard acceleration of
+        each joint, or of all, within the limits, by the information that 20 s of it add.
+
+    Returns
+    -------
+    Determination
+        Classes, correlated parameters and advice.
     """
     names = np.array(result.base.names)
     dropped = result.dropped
-    told = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
+    determined = np.array([parameter.determined for parameter in result.parameters]) & ~dropped
     size = np.fmax(np.abs(result.estimates), np.abs(np.nan_to_num(result.cad_values, nan=0.0)))
     error = result.std_errors
-    well, hardly = told & (error <= WELL * size), told & (error > HARDLY * size)
+    well, hardly = (
+        determined & (error <= LIMITS.well * size),
+        determined & (error > LIMITS.poor * size),
+    )
     with one_blas_thread():
         information = known_information(result)
         negligible = hardly & ~np.array(
             [parameter.poorly_determined for parameter in result.parameters]
         )
-        combinations = _combinations(result, information, told)
-        weak = np.flatnonzero(~well & ~(negligible & told) & ~dropped)
+        combinations = _combinations(result, information, determined)
+        weak = np.flatnonzero(~well & ~(negligible & determined) & ~dropped)
         advice = _advice(result, information, weak) if motions and weak.size else ()
     return Determination(
         well=tuple(names[well]),
-        fairly=tuple(names[told & ~well & ~hardly]),
+        fairly=tuple(names[determined & ~well & ~hardly]),
         hardly=tuple(names[hardly]),
         negligible=tuple(names[negligible]),
-        not_at_all=tuple(names[~told & ~dropped]),
+        not_at_all=tuple(names[~determined & ~dropped]),
         dropped=tuple(names[dropped]),
         combinations=combinations,
         advice=advice,
@@ -212,49 +221,40 @@ def determination(result: IdentificationResult, *, motions: bool = True) -> Dete
 
 
 def _combinations(
-    result: IdentificationResult, information: Array, told: NDArray[np.bool_]
+    result: IdentificationResult, information: Array, determined: Mask
 ) -> tuple[Combination, ...]:
-    """Directions of large variance in parameters scaled to unit diagonal information, the largest
-    first, each parameter named first once.
-    """
-    seen = np.flatnonzero(told & (np.diag(information) > 0))
+    """Return directions of large variance with unit diagonal information, the largest first."""
+    seen = np.flatnonzero(determined & (np.diag(information) > 0))
     scale = 1.0 / np.sqrt(np.diag(information)[seen])
     scaled = information[np.ix_(seen, seen)] * np.outer(scale, scale)
     eigenvalues, vectors = np.linalg.eigh(scaled)
     found: list[Combination] = []
     for value, vector in zip(eigenvalues, vectors.T, strict=True):
-        if value > 1.0 / TRADES**2 or len(found) == MOST_COMBINATIONS:
+        if value > 1.0 / LIMITS.correlated**2 or len(found) == LIMITS.combinations:
             break
         if value <= 0:
             continue
         order = np.argsort(-np.abs(vector), kind="stable")
-        part = [int(i) for i in order if abs(vector[i]) >= TAKES_PART * abs(vector[order[0]])]
+        part = [int(i) for i in order if abs(vector[i]) >= LIMITS.named * abs(vector[order[0]])]
         spread = float(abs(vector[order[0]]) / np.sqrt(value))
         if (
             len(part) < 2
-            or spread < TRADES
+            or spread < LIMITS.correlated
             or any(result.base.names[seen[part[0]]] == each.names[0] for each in found)
         ):
             continue
         listed = [result.base.names[seen[i]] for i in part]
-        text = ", ".join(
+        moves = [
             f"{name} {'up' if vector[i] * vector[part[0]] > 0 else 'down'}"
-            for i, name in zip(part[:MOST_NAMED], listed, strict=False)
-        )
-        if len(part) > MOST_NAMED:
-            text += f" and {len(part) - MOST_NAMED} more"
-        found.append(Combination(tuple(listed), text, spread))
+            for i, name in zip(part, listed, strict=True)
+        ]
+        found.append(Combination(tuple(listed), joined(moves, MOST_NAMED), spread))
     return tuple(found)
 
 
-def _advice(
-    result: IdentificationResult, information: Array, weak: NDArray[np.int64]
-) -> tuple[Advice, ...]:
-    """Return the motions that would help the weak parameters, the gentlest first.
-
-    Slow poses, then one joint at a time, then all at once.
-    """
-    independent = result.effective_samples / max(result.duration, 1e-9) * EXTRA_SECONDS
+def _advice(result: IdentificationResult, information: Array, weak: Indices) -> tuple[Advice, ...]:
+    """Return the motions that help the weak parameters: slow poses, one joint at a time, all."""
+    independent = result.effective_samples / max(result.duration, 1e-9) * LIMITS.seconds
     before, ceiling = _errors(information, weak)
     ratios, texts = [], []
     for text, q, qd, qdd in _motions(result.model):
@@ -266,7 +266,7 @@ def _advice(
     left = np.ones(weak.size, dtype=bool)
     found: list[Advice] = []
     for some in (slice(0, 1), slice(1, -1), slice(1, -1), slice(-1, None)):
-        served = left & (table[some] < HELPS)
+        served = left & (table[some] < LIMITS.helps)
         best = int(np.argmax(served.sum(axis=1)))
         if not served[best].any():
             continue
@@ -279,16 +279,11 @@ def _advice(
     return tuple(found)
 
 
-def _errors(
-    information: Array, weak: NDArray[np.int64], scale: Array | None = None
-) -> tuple[Array, Array]:
-    """Return the standard errors of the weak parameters, and the scaling used.
-
-    What nothing tells has an error as large as the scaling allows.
-    """
+def _errors(information: Array, weak: Indices, scale: Array | None = None) -> tuple[Array, Array]:
+    """Return the standard errors of the weak parameters, and the scaling used."""
     diagonal = np.diag(information)
     size = scale if scale is not None else 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    whitened = information * np.outer(size, size) + UNTOLD * np.eye(len(size))
+    whitened = information * np.outer(size, size) + LIMITS.undetermined * np.eye(len(size))
     return np.sqrt(np.diag(np.linalg.inv(whitened)))[weak] * size[weak], size
 
 
@@ -302,42 +297,33 @@ def _information_of(result: IdentificationResult, q: Array, qd: Array, qdd: Arra
 
 
 def _motions(model: RobotModel) -> Iterator[tuple[str, Array, Array, Array]]:
-    """Yield kinds of motion as states drawn within the limits.
-
-    What it is called, q, qd and qdd, each (DRAWS, n).
-    """
+    """Yield kinds of motion: name, and states q, qd and qdd (draws, n) within the limits."""
     bounds = MotionBounds.assumed(model)
     rng = np.random.default_rng(0)
     n = model.n_joints
-    q = rng.uniform(bounds.lower, bounds.upper, size=(DRAWS, n))
-    speed, acceleration = (rng.uniform(-1.0, 1.0, size=(DRAWS, n)) for _ in range(2))
+    q = rng.uniform(bounds.lower, bounds.upper, size=(LIMITS.draws, n))
+    speed, acceleration = (rng.uniform(-1.0, 1.0, size=(LIMITS.draws, n)) for _ in range(2))
     still = np.zeros_like(q)
-    slow = SLOW * speed * bounds.velocity
-    yield "slow travel through poses all over the joint ranges", q, slow, still
+    slow = LIMITS.slow * speed * bounds.velocity
+    yield "slow motion through poses all over the joint ranges", q, slow, still
     for k, name in enumerate(model.joint_names):
         alone = np.zeros(n)
         alone[k] = 1.0
         yield (
-            f"steady travel of {name} from slow to its fastest, both ways",
+            f"steady motion of {name} at all speeds, both ways",
             q,
             slow + alone * speed * bounds.velocity,
             still,
         )
         yield (
-            f"accelerating {name} hard, the others in changing poses",
+            f"hard acceleration of {name} with the others in changing poses",
             q,
             slow + alone * speed * bounds.velocity,
             alone * acceleration * bounds.acceleration,
         )
     yield (
-        "accelerating all joints hard, at once and all over their ranges",
+        "hard acceleration of all joints at once, all over their ranges",
         q,
         speed * bounds.velocity,
         acceleration * bounds.acceleration,
     )
-
-
-def _listed(names: tuple[str, ...], most: int = 14) -> str:
-    return (
-        ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-    ) or "none"

@@ -1,50 +1,68 @@
-"""An identification on one screen.
-
-Verdict first, then every parameter beside its CAD value, then every joint.
-"""
+"""Summary of an identification: heading, findings, joints, parameters, notes."""
 
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from asbuilt.findings import Finding, ranked
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
 from asbuilt.tables import (
+    WIDTH,
     Cell,
     Column,
     Shown,
     Table,
     beside,
     deviation,
+    numbered,
     percent,
     rounded,
     share,
     significant,
+    wrapped,
 )
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 
 EXPRESSION_WIDTH = 34
+MOST_FINDINGS = 3
+FINDING_LINES = 2
+MOST_PARAMETERS = 10
 DROPPED = "dropped"
-"""What stands for the error of a parameter that was set to zero as needless."""
+"""Text for the error of a parameter that the estimator set to zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Hold the heading (pairs of label and text), the table of parameters, the table of joints and
-    the numbered notes.
+    """Hold a summary for text, HTML and CSV.
 
-    The text holds no date, no colour and no terminal width: the same result always reads the same.
+    The text has no date, no colour and no terminal width: equal results have equal summaries.
+
+    Parameters
+    ----------
+    title
+        Robot, estimator and number of parameters.
+    heading
+        Pairs of label and value.
+    findings
+        What is wrong, or worth knowing, the worst first.
+    parameters, joints
+        All parameters beside their CAD values, and the torque errors of all joints.
+    notes
+        Assumptions: the standard errors, what is determined, then the estimator's decisions.
     """
 
     title: str
     heading: tuple[tuple[str, str], ...]
+    findings: tuple[Finding, ...]
     parameters: Table
     joints: Table
     notes: tuple[str, ...]
@@ -52,37 +70,40 @@ class Summary:
     def __str__(self) -> str:
         return self.as_text()
 
-    def as_text(self) -> str:
-        """Return the summary in fixed-width characters, lines ending in a newline."""
-        left, right = self.heading[::2], self.heading[1::2]
-        width = max(len(text) for _, text in left) + 4
-        lines = [self.title]
-        for (label, text), (second, other) in zip(left, right, strict=True):
-            lines.append(f"{label:<13}{text:<{width}}{second:<19}{other}".rstrip())
-        body, joints = self.parameters.as_text().splitlines(), self.joints.as_text().splitlines()
-        rule = "-" * max(len(line) for line in body + lines)
-        lines += [
-            rule,
-            body[0],
-            *[line for line in body[1:] if not line.startswith("---")],
-            rule,
-            *joints,
-        ]
-        lines += [f"[{number}] {note}" for number, note in enumerate(self.notes, start=1)]
-        return "\n".join(lines) + "\n"
+    def _repr_html_(self) -> str:
+        return self.as_html()
+
+    def as_text(self, full: bool = False) -> str:
+        """Return the summary in fixed-width characters, lines ending in a newline.
+
+        Parameters
+        ----------
+        full
+            Show all findings, parameters and notes; else what fits one screen of 80 columns.
+        """
+        rule = "-" * WIDTH
+        parts = [wrapped(self.title), *_heading_lines(self.heading)]
+        if self.findings:
+            parts += [rule, *finding_lines(self.findings, full)]
+        parts += [rule, self.joints.as_text(full).rstrip("\n")]
+        parts += [rule, self.parameters.as_text(full).rstrip("\n")]
+        parts += numbered(self.notes if full else self.notes[:2])
+        return "\n".join(parts) + "\n"
 
     def as_html(self) -> str:
-        """Return a fragment: heading, both tables and the notes; every text is escaped."""
+        """Return a fragment: heading, findings, both tables and the notes, every text escaped."""
         pairs = "".join(
             f"<dt>{html.escape(label)}</dt><dd>{html.escape(text)}</dd>"
             for label, text in self.heading
         )
-        notes = "".join(f"<li>{html.escape(note)}</li>" for note in self.notes)
-        tables = self.parameters.as_html("parameters") + "\n" + self.joints.as_html("joints")
+        findings, notes = (
+            "".join(f"<li>{html.escape(text)}</li>" for text in texts)
+            for texts in ((each.text for each in self.findings), self.notes)
+        )
         return (
-            "<section"
-            f' class="summary"><h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n{tables}\n<ol'
-            f' class="notes">{notes}</ol></section>\n'
+            f'<section class="summary"><h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n'
+            f'<ul class="findings">{findings}</ul>\n{self.joints.as_html("joints")}\n'
+            f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
 
     def as_csv(self) -> str:
@@ -90,56 +111,125 @@ class Summary:
         return self.parameters.as_csv()
 
 
-def summarise(result: IdentificationResult) -> Summary:
-    """Return the summary of a result."""
+def summarise(
+    result: IdentificationResult,
+    *,
+    findings: Sequence[Finding] | None = None,
+    mass: tuple[float, float] | None = None,
+) -> Summary:
+    """Summarise a result.
+
+    Parameters
+    ----------
+    result
+        The result.
+    findings
+        Findings of the study; None: those of the result.
+    mass
+        Total mass of the links by CAD and as built [kg], if known.
+    """
+    said = ranked(result.findings if findings is None else findings)
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_joints))
-    method = method_title(result.method)
     drives = f" + {n_drive} drive" if n_drive else ""
-    held_out = (
-        f" (held out {', '.join(share(metrics.relative_error) for metrics in result.validation)})"
-        if result.validation
-        else ""
+    return Summary(
+        title=(
+            f"{result.robot} - {method_title(result.method)},"
+            f" {result.n_base - n_drive} base{drives} parameters"
+        ),
+        heading=(*_heading(result, mass), ("status", _status(result, said))),
+        findings=said,
+        parameters=_parameter_table(result),
+        joints=_joint_table(result),
+        notes=(
+            result.errors_sentence,
+            determination(result, motions=False).in_short,
+            *result.notes,
+        ),
     )
-    non_passive = ", ".join(non_passive_drives(result.base, result.estimates))
-    impossible = f"{non_passive} BELOW ZERO" if non_passive else "IMPOSSIBLE FOR REAL BODIES"
-    consistency = {True: "OK", False: impossible, None: "not decided"}[result.physically_consistent]
+
+
+def finding_lines(findings: Sequence[Finding], full: bool = False) -> list[str]:
+    """Return ranked findings as lines of 80 columns; without `full` the first few, shortened."""
+    shown = findings if full else [each for each in findings if each.severity != "info"]
+    shown = shown if full else shown[:MOST_FINDINGS]
+    lines = [
+        wrapped(
+            finding.text,
+            f"{finding.severity.upper():<7}  ",
+            lines=None if full else FINDING_LINES,
+        )
+        for finding in shown
+    ]
+    hidden = len(findings) - len(shown)
+    if hidden:
+        lines.append(f"... {hidden} more finding{'s' if hidden > 1 else ''}")
+    return lines
+
+
+def _heading(
+    result: IdentificationResult, mass: tuple[float, float] | None
+) -> tuple[tuple[str, str], ...]:
+    held_out = [share(metrics.relative_error) for metrics in result.validation]
+    negative = ", ".join(non_passive_drives(result.base, result.estimates))
+    inconsistent = f"NEGATIVE {negative}" if negative else "PHYSICALLY INCONSISTENT"
     condition = (
         f"{significant(result.condition_number)} (scaled"
         f" {significant(result.scaled_condition_number)})"
         if np.isfinite(result.condition_number)
         else "infinite"
     )
-    heading = (
+    pairs = [
         ("samples", f"{result.n_samples} x {result.model.n_joints} joints"),
         ("condition number", condition),
         ("rank", f"{result.rank} of {result.n_base}"),
-        ("relative error", share(result.train.relative_error) + held_out),
-        ("consistency", consistency),
-        ("status", _status(result)),
-    )
-    return Summary(
-        title=f"{result.robot} - {method}, {result.n_base - n_drive} base{drives} parameters",
-        heading=heading,
-        parameters=_parameter_table(result),
-        joints=_joint_table(result),
-        notes=_notes(result),
-    )
+        (
+            "relative error",
+            share(result.train.relative_error)
+            + (f" (held out {', '.join(held_out)})" if held_out else ""),
+        ),
+        (
+            "consistency",
+            {True: "OK", False: inconsistent, None: "not checked"}[result.physically_consistent],
+        ),
+    ]
+    if mass is not None:
+        pairs.append(
+            ("mass of links", f"CAD {significant(mass[0])}, as built {significant(mass[1])} kg")
+        )
+    return tuple(pairs)
 
 
-def _status(result: IdentificationResult) -> str:
-    verdicts = []
-    if result.undetermined:
-        verdicts.append(_counted(len(result.undetermined), "DIRECTION", "NOT EXCITED"))
+def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:
+    """Return the pairs in two columns, a pair that does not fit on a line of its own."""
+    lines: list[str] = []
+    width = max(len(text) for _, text in heading[: len(heading) - 1 : 2]) + 2
+    open_line = ""
+    for label, text in heading:
+        right = f"{label:<18}{text}"
+        if open_line and len(open_line) + len(right) <= WIDTH:
+            lines[-1] = open_line + right
+            open_line = ""
+        else:
+            lines.append(wrapped(text, f"{label:<15}"))
+            open_line = f"{label:<15}{text:<{width}}"
+            open_line = open_line if len(open_line) < WIDTH // 2 + 2 else ""
+    return [line.rstrip() for line in lines]
+
+
+def _status(result: IdentificationResult, findings: Sequence[Finding]) -> str:
     poor = sum(parameter.poorly_determined for parameter in result.parameters)
-    if poor:
-        verdicts.append(_counted(poor, "PARAMETER", "POORLY DETERMINED"))
-    if not verdicts and result.warnings:
-        verdicts.append(_counted(len(result.warnings), "WARNING", "").strip())
+    verdicts = [
+        f"{count} {noun}{'' if count == 1 else 'S'} {verdict}".rstrip()
+        for count, noun, verdict in (
+            (len(result.undetermined), "DIRECTION", "UNDETERMINED"),
+            (poor, "PARAMETER", "POORLY DETERMINED"),
+        )
+        if count
+    ]
+    n = sum(finding.severity != "info" for finding in findings)
+    if not verdicts and n:
+        verdicts = [f"{n} WARNING{'' if n == 1 else 'S'}"]
     return ", ".join(verdicts) or "OK"
-
-
-def _counted(count: int, noun: str, verdict: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 'S'} {verdict}"
 
 
 def _parameter_table(result: IdentificationResult) -> Table:
@@ -153,71 +243,76 @@ def _parameter_table(result: IdentificationResult) -> Table:
         Column("%", align="right"),
         Column("CAD vs built"),
     )
-    return Table(columns, tuple(_parameter_row(parameter) for parameter in result.parameters))
+    rows = tuple(_parameter_row(parameter) for parameter in result.parameters)
+    return Table(columns, rows, important=_important(result))
+
+
+def _important(result: IdentificationResult) -> tuple[int, ...]:
+    """Return the places of the parameters that differ most from CAD, or from zero without CAD.
+
+    The difference in standard errors is the torque that no other parameter can make up for, in
+    units of the noise.
+    """
+    cad = np.nan_to_num(result.cad_values, nan=0.0)
+    error = result.std_errors
+    sigmas = np.divide(
+        np.abs(result.estimates - cad), error, out=np.zeros_like(error), where=error > 0
+    )
+    most = np.argsort(-np.nan_to_num(sigmas), kind="stable")[:MOST_PARAMETERS]
+    return tuple(sorted(most.tolist()))
 
 
 def _parameter_row(parameter: IdentifiedParameter) -> tuple[Cell, ...]:
     estimate, error = rounded(parameter.estimate, parameter.std_error)
     sigmas = parameter.difference_in_sigmas
-    if parameter.dropped:
-        error = DROPPED
+    outcome = deviation(sigmas) if parameter.determined else "UNDETERMINED"
     return (
         parameter.id,
         parameter.expression,
         parameter.unit,
         Shown(parameter.cad, beside(parameter.cad, parameter.std_error) if parameter.cad else "0"),
         Shown(parameter.estimate, estimate),
-        Shown(parameter.std_error, error),
+        Shown(parameter.std_error, DROPPED if parameter.dropped else error),
         Shown(100.0 * parameter.relative_error, percent(parameter.estimate, parameter.std_error)),
-        Shown(
-            sigmas,
-            (
-                DROPPED
-                if parameter.dropped
-                else deviation(sigmas)
-                if parameter.determined
-                else "NOT EXCITED"
-            ),
-        ),
+        Shown(sigmas, DROPPED if parameter.dropped else outcome),
     )
 
 
 def _joint_table(result: IdentificationResult) -> Table:
+    """Return RMS torque errors of the data fitted and held out, and of CAD."""
+    kinds = ["N m" if joint.is_revolute else "N" for joint in result.model.joints]
+    mixed = len(set(kinds)) > 1
+    unit = "" if mixed else kinds[0]
     held_out = [
         Column(
-            f"RMS held out {i}" if len(result.validation) > 1 else "RMS held out", align="decimal"
+            f"held out {i}" if len(result.validation) > 1 else "held out",
+            unit,
+            "decimal",
+            detail=i > 2,
         )
         for i in range(1, len(result.validation) + 1)
     ]
-    cad = "RMS CAD" if result.cad.source == result.train.source else "RMS CAD held out"
+    cad = "CAD" if result.cad.source == result.train.source else "CAD held out"
     columns = (
-        Column("joint"),
-        Column("RMS", align="decimal"),
+        Column("joint", width=24),
+        *([Column("unit")] if mixed else []),
+        Column("RMS error", unit, "decimal"),
         *held_out,
-        Column(cad, align="decimal"),
-        Column("R2", align="decimal", style=".4f"),
+        Column(cad, unit, "decimal"),
+        Column("of torque", "%", "decimal", ".1f"),
+        Column("R2", "", "decimal", ".4f"),
     )
+    judged = result.validation[0] if result.validation else result.train
     rows: list[tuple[Cell, ...]] = []
     for k, name in enumerate(result.joint_names):
-        errors = [
-            result.train.rms[k],
-            *[metrics.rms[k] for metrics in result.validation],
-            result.cad.rms[k],
-        ]
+        errors = [each.rms[k] for each in (result.train, *result.validation, result.cad)]
         rows.append(
             (
                 name,
-                *[Shown(float(error), significant(float(error))) for error in errors],
+                *([kinds[k]] if mixed else []),
+                *(Shown(float(error), significant(float(error))) for error in errors),
+                100.0 * float(judged.relative_error_per_joint[k]),
                 float(result.train.r_squared[k]),
             )
         )
     return Table(columns, tuple(rows))
-
-
-def _notes(result: IdentificationResult) -> tuple[str, ...]:
-    return (
-        *result.notes,
-        result.errors_sentence,
-        determination(result, motions=False).in_short,
-        *[warning.message for warning in result.warnings],
-    )
