@@ -207,10 +207,10 @@ def test_what_is_open_can_be_refused(robot):
     model, base, beta = robot
     information = accumulate(model, base, moved(model, base, beta, 0.01, still=(6,))[0])
     with pytest.raises(
-        IdentifiabilityError, match=r"determines \d+ of the 64 parameters.*Fv7.*Move the joints"
+        IdentifiabilityError, match=r"determines \d+ of 64 parameters.*Fv7.*move the joints"
     ):
         fit_least_squares(information, prior=beta, undetermined="refuse")
-    with pytest.raises(IdentifiabilityError, match="give CAD values"):
+    with pytest.raises(IdentifiabilityError, match="toward CAD"):
         fit_least_squares(information)
 
 

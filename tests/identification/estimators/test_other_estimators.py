@@ -104,7 +104,7 @@ def test_total_least_squares_without_a_solution_is_refused(robot):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=5.0, seconds=1.0, seed=2, parallel=False)
     with pytest.raises(
-        IdentifiabilityError, match="total least squares has no trustworthy solution"
+        IdentifiabilityError, match="total least squares has no reliable solution"
     ):
         methods["total"].estimate(data_of(robot, samples))
 

@@ -1,4 +1,4 @@
-"""Estimators whose every link is a real body: least torque error alone, or with a pull to CAD."""
+"""Physically consistent estimators: least torque error, alone or regularised toward CAD."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from scipy.linalg import lapack, solve_triangular
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import UsageError
+from asbuilt.findings import joined
 from asbuilt.identification.bodies.body_bounds import (
     BodyBounds,
     generous_bounds,
@@ -30,6 +31,7 @@ from asbuilt.identification.estimators.least_squares import (
     Refit,
     fit_least_squares,
     noise_floor,
+    residual_deviation,
 )
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
 from asbuilt.identification.estimators.prior_weight import WEIGHTS, choose_weight
@@ -41,34 +43,36 @@ if TYPE_CHECKING:
 Metric = Literal["entropic", "euclidean"]
 
 QUIETEST = 1e-5
-"""Noise of a joint, as a fraction of its torque RMS, below which its weight grows no further.
-
-Simulations have none, and programs round.
-"""
+"""Least noise of a joint in torque RMS; simulations have none, and programs round."""
 REWEIGHTINGS = 2
 ROUGH = 1e-3
-"""Squared distance from the minimum, in squared standard errors or so, at which fits that only
-choose the weight of CAD end.
+"""Squared distance from the minimum, in squared standard errors, at which a fit that only serves
+to choose the weight of CAD ends.
 """
 START_SLACK = 0.1
-"""Where bounded drive parameters start, in units of their scale."""
+"""Start of bounded drive parameters, in units of their scale."""
 WEAKEST_BELIEF = 1.0
-"""Weight of CAD in the errors of an estimate that does not lean on it.
-
-Every body is known to lie within a factor of e or so of its CAD.
+"""Weight of CAD in the standard errors of an estimate that is not regularised toward CAD: links
+lie within a factor of about e of CAD.
 """
 STRONGEST_BELIEF = 25.0
-"""In the errors, no CAD is believed to better than a fifth."""
+"""Largest weight of CAD in standard errors: CAD is accurate to a fifth at best."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConsistentEstimate(Estimate):
-    """Hold an estimate with bodies behind it.
+    """Hold an estimate with standard parameters.
 
-    `standard` (n_standard,) gives `beta`, with `P_i >= part P0_i > 0` for every link.
-
-    `prior_weight` is what a divergence of 1 from CAD costs in units of the squared weighted
-    residual, `belief` the weight that the errors were judged with.
+    Parameters
+    ----------
+    standard
+        Standard parameters (n_standard,) that give `beta`.
+    part
+        Largest t such that `P_i >= t P0_i` for every link, P0 being CAD.
+    prior_weight
+        Cost of a divergence of 1 from CAD in units of the squared weighted residual.
+    belief
+        The same weight in the standard errors.
     """
 
     standard: Array = field(default_factory=lambda: np.zeros(0))
@@ -83,10 +87,7 @@ class ConsistentEstimate(Estimate):
     "the best fit of physically consistent links and passive drives, by conic program",
 )
 def estimate_consistent(data: EstimationData) -> ConsistentEstimate:
-    """Estimate the real bodies and passive drives that fit best.
-
-    The conic program, with the tiniest pull to CAD.
-    """
+    """Estimate the physically consistent parameters of least torque error by a conic program."""
     return fit_consistent(data.information, _prior(data))
 
 
@@ -127,12 +128,11 @@ def fit_consistent(
     bounds: BodyBounds | None = None,
     weights: Array | None = None,
 ) -> ConsistentEstimate:
-    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2` over real bodies.
+    """Minimise `sum_k w_k^2 |tau_k - W_k K chi|^2` over physically consistent parameters chi.
 
-    `P_i >= SMALLEST_PART P0_i`, within `bounds` (`generous_bounds` by default).
-
-    Without `weights` they are 1 / sigma_k of a consistent fit, settled in two rounds. What the
-    torques leave open lies next to CAD.
+    Every link has `P_i >= SMALLEST_PART P0_i`, within `bounds` (`generous_bounds` by default).
+    Without `weights` they are 1 / sigma_k of a consistent fit, after two iterations. Undetermined
+    directions stay next to CAD.
     """
     limits = generous_bounds(prior) if bounds is None else bounds
     with one_blas_thread():
@@ -140,13 +140,8 @@ def fit_consistent(
         w, rounds = _joint_weights(information, problem, weights)
         fit = problem.fit(information.stacked(w))
         near = np.flatnonzero(limits.slack(fit.chi) <= 1e-6 * (1.0 + np.abs(limits.offsets)))
-        notes = (
-            (
-                f"real bodies and passive drives, by conic program: {len(limits.labels)} bounds, of"
-                " which active: "
-                f"{', '.join(limits.labels[j] for j in near[:8]) or 'none'}{f' and {len(near) - 8} more' if len(near) > 8 else ''}"
-            ),
-        )
+        active = joined([limits.labels[j] for j in near], 8) if len(near) else "none"
+        note = f"Physically consistent by conic program; active of {len(limits.labels)} bounds: "
         return _estimate(
             "consistent",
             information,
@@ -155,7 +150,7 @@ def fit_consistent(
             fit.chi,
             TINY_WEIGHT,
             rounds,
-            notes,
+            (f"{note}{active}",),
             lambda factor: problem.fit(factor).chi,
         )
 
@@ -169,17 +164,17 @@ def fit_toward_cad(
     bounds: BodyBounds | None = None,
     weights: Array | None = None,
 ) -> ConsistentEstimate:
-    """Estimate by `min sum_k w_k^2 |tau_k - W_k K chi|^2 / 2 + weight * distance(chi, CAD)` over
-    real bodies and passive drives.
+    """Minimise `sum_k w_k^2 |tau_k - W_k K chi|^2 / 2 + weight * distance(chi, CAD)`.
 
-    The distance is the divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method)
-    or half its quadratic form at CAD (`"euclidean"`: a conic program). The entropic minimum is
-    reached through those of stronger pulls, each from the last, for bodies may lie far from CAD.
-    `weight` None is chosen by `choose_weight`. Drive parameters, on which CAD knows next to
-    nothing, are not pulled. Raises `UsageError` for another metric.
+    The minimum is over physically consistent links and passive drives. The distance is the
+    divergence of `CadPrior` (`"entropic"`: a smooth problem, own Newton method) or half its
+    quadratic form at CAD (`"euclidean"`: a conic program). The entropic minimum is reached through
+    those of larger weights, each from the last, since links may lie far from CAD. `choose_weight`
+    chooses a `weight` of None. Drive parameters, for which CAD has no reliable values, are not
+    regularised. Raises `UsageError` for another metric.
     """
     if metric not in ("entropic", "euclidean"):
-        raise UsageError(f"there is no metric {metric!r}; there are entropic and euclidean")
+        raise UsageError(f"unknown metric {metric!r}; available: entropic, euclidean")
     base = information.base
     limits = (
         non_negative_drives(prior)
@@ -203,21 +198,23 @@ def fit_toward_cad(
 
         def exactly(factor: Array) -> Array:
             return (
-                path.exactly(factor, pull) if metric == "entropic" else conic.fit(factor, pull).chi
+                path.exactly(factor, chosen)
+                if metric == "entropic"
+                else conic.fit(factor, chosen).chi
             )
 
         if weight is None:
             choice = choose_weight(information, w, base.regrouping, roughly)
-            pull, reason = choice.weight, choice.reason
+            chosen, reason = choice.weight, choice.reason
         else:
-            pull, reason = float(weight), f"weight of CAD {weight:g}, as given"
+            chosen, reason = float(weight), f"weight of CAD {weight:g}, as given"
         return _estimate(
             metric,
             information,
             prior,
             w,
             exactly(information.stacked(w)),
-            pull,
+            chosen,
             rounds,
             (reason,),
             exactly,
@@ -232,18 +229,14 @@ class _EntropicPath:
         self._reached: dict[float, EntropicFits] = {}
 
     def roughly(self, factors: Array, weight: float) -> Array:
-        """Return the fits of many factors, to a small part of a standard error, from those of the
-        same factors with the last weight.
-        """
+        """Return the fits of many factors, to a small part of a standard error, for one weight."""
         stronger = [self._reached[other] for other in self._reached if other > weight]
         start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
         self._reached[weight] = self._problem.fit(factors, weight, start, close=ROUGH)
         return self._reached[weight].chi
 
     def exactly(self, factor: Array, weight: float) -> Array:
-        """Return the fit of one factor, from that of the last of the factors fitted with this
-        weight, or through stronger weights.
-        """
+        """Return the fit of one factor, from the last rough one or through stronger weights."""
         if weight not in self._reached:
             self._reached.clear()
             for each in (*(stronger for stronger in WEIGHTS if stronger > weight), weight):
@@ -254,10 +247,7 @@ class _EntropicPath:
 
 
 def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
-    """Return parameters strictly inside: CAD, its bounded drives off zero.
-
-    Nearest to it with room to spare where bounds exclude it.
-    """
+    """Return parameters strictly inside the bounds: CAD if possible, else the nearest."""
     chi = prior.parameters.copy()
     lifted = prior.non_negative
     chi[lifted] = np.maximum(
@@ -265,8 +255,8 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     )
     if np.all(bounds.slack(chi) > 0):
         return chi
-    room = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
-    tighter = BodyBounds(bounds.rows, bounds.offsets - room, bounds.labels)
+    margin = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
+    tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
     p = len(prior.parameters)
     nothing = np.zeros((p + 1, p + 1))
     return fit_consistent_bodies(
@@ -275,10 +265,7 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:
-    """Return the noise (n,) below which that of no joint is taken.
-
-    `QUIETEST` of its torque RMS, `noise_floor` where it has no torque.
-    """
+    """Return the least noise (n,): `QUIETEST` of the torque RMS, `noise_floor` without torque."""
     rms = np.sqrt(information.torque_energy / information.n_samples)
     return np.where(rms > 0.0, QUIETEST * rms, noise_floor(information))
 
@@ -327,11 +314,11 @@ def _estimate(
     """Return the estimate with its errors.
 
     The errors are those of the normal approximation to the posterior, `K H^-1 K^T` with H the
-    information of the data plus `belief` times the metric of the bodies halfway between CAD and
-    estimate. The belief is the smallest of the weight used, of 25, of the weight that the distance
-    of the found bodies from CAD bears out (as many determined parameters as twice the divergence
-    times the weight: MacKay, Neural Computation 4, 1992), and, where the fit does not lean on CAD,
-    of 1. Active bounds are not taken as known, so these errors are rather too large than too small.
+    information of the data plus `belief` times the metric halfway between CAD and estimate. The
+    belief is the smallest of 25, the weight used (1 without regularisation), and the weight that
+    the distance from CAD supports (as many determined parameters as twice the divergence times the
+    weight: MacKay, Neural Computation 4, 1992). Active bounds are not taken as known, so these
+    errors are rather too large than too small.
     """
     base = information.base
     free = fit_least_squares(information, weights=weights, prior=base.regrouping @ prior.parameters)
@@ -350,23 +337,12 @@ def _estimate(
     solution: FactorSolution = replace(
         free.solution, x=beta, inverse_root=root, residual_energy=energy
     )
-    spent = np.array(
-        [
-            float(np.sum((w * R[:-1, :-1] @ root[support]) ** 2))
-            for support, R, w in zip(
-                information.support, information.joint_factors, weights, strict=True
-            )
-        ]
-    )
-    sigma = np.sqrt(
-        information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0)
-    )
     part = float(prior.relative_eigenvalues(chi).min())
     return ConsistentEstimate(
         method=method,
         beta=beta,
         covariance=max(energy / max(n_rows - free.rank, 1), 1.0) * root @ root.T,
-        sigma=sigma,
+        sigma=residual_deviation(information, beta, root, weights),
         weights=weights,
         solution=solution,
         undetermined=free.undetermined,
@@ -375,8 +351,8 @@ def _estimate(
         converged=True,
         notes=(
             *notes,
-            f"every link is a real body: its pseudo-inertia is at least {part:.2g} of that of CAD",
-            f"standard errors believe CAD with weight {belief:.3g}",
+            f"Every link is physically consistent, its pseudo-inertia at least {part:.2g} of CAD",
+            f"Standard errors use CAD with weight {belief:.3g}",
             *prior.notes,
         ),
         refit=lambda factor: base.regrouping @ again(factor),
@@ -409,10 +385,10 @@ def _belief_and_root(
             solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1]))
         )
 
-    told = inertial - float(np.sum((np.sqrt(weight) * bodies @ inverse_root(weight)) ** 2))
+    determined = inertial - float(np.sum((np.sqrt(weight) * bodies @ inverse_root(weight)) ** 2))
     moved = float(prior.strength @ prior.divergence(chi))
     belief = min(
-        weight, STRONGEST_BELIEF, max(told, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny)
+        weight, STRONGEST_BELIEF, max(determined, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny)
     )
     p = len(R)
     wide = inverse_root(belief)[:p]

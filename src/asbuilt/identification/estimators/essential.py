@@ -1,4 +1,4 @@
-"""Only the parameters that the torques call for."""
+"""Weighted least squares with insignificant parameters set to zero."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import fdtri
 
+from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
+from asbuilt.findings import joined
 from asbuilt.identification.errors.uncertainty import block_uncertainty
-from asbuilt.identification.estimators.least_squares import Estimate, Weighted, estimate_wls
+from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls, solve_factor
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.triangular import triangular_factor
 
 SIGNIFICANCE = 0.05
-"""Chance of an F as large without any effect, from which a parameter is called essential."""
+"""Significance level of the F-test below which a parameter is essential."""
 MOST_LISTED = 12
 
 
@@ -26,14 +28,15 @@ MOST_LISTED = 12
     held_fixed=(JOINT_WEIGHTS, "the selection of parameters"),
 )
 def estimate_essential(data: EstimationData) -> Estimate:
-    """Estimate by weighted least squares, then set parameters to zero one by one, that of least
-    effect first, while an F-test allows it.
+    """Set parameters of the wls estimate to zero one by one while an F-test allows it.
 
-    Dropping d of the r determined parameters is allowed while `F = (SSE_reduced - SSE) / (d s^2)`,
-    times effective samples per sample since residuals are correlated, stays below the quantile of
-    F(d, n N_eff - r). Source: Pham & Gautier, CDC 1991; Gautier & Khalil, IEEE Trans. Robotics and
-    Automation 6, 1990; Hocking, Biometrics 32, 1976 (backward elimination). Weights are those of
-    the full fit.
+    The parameter of least effect goes first. Dropping d of the r determined parameters is allowed
+    while `F = (SSE_reduced - SSE) / (d s^2)`, times effective samples per sample since residuals
+    are correlated, stays below the quantile of F(d, n N_eff - r). Weights are those of the full
+    fit.
+
+    Source: Pham & Gautier, CDC 1991; Gautier & Khalil, IEEE Trans. Robotics and Automation 6, 1990;
+    Hocking, Biometrics 32, 1976 (backward elimination).
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
@@ -48,11 +51,14 @@ def estimate_essential(data: EstimationData) -> Estimate:
         factor = information.stacked(start.weights)
         loss = 0.0
         fixed = start.beta.copy()
+
+        def reduced() -> Array:
+            others = np.where(np.isin(np.arange(base.n_base), kept), 0.0, fixed)
+            rest = factor[:, -1] - factor[:, :-1] @ others
+            return triangular_factor(np.column_stack([factor[:, kept], rest]))
+
         while len(kept) > 1:
-            rest = factor[:, -1] - factor[:, :-1] @ np.where(
-                np.isin(np.arange(base.n_base), kept), 0.0, fixed
-            )
-            r = triangular_factor(np.column_stack([factor[:, kept], rest]))
+            r = reduced()
             scale = np.linalg.norm(r[:-1, :-1], axis=0)
             inverse = np.linalg.inv(r[:-1, :-1] / scale)
             increase = (inverse @ r[:-1, -1]) ** 2 / np.sum(inverse**2, axis=1)
@@ -69,22 +75,14 @@ def estimate_essential(data: EstimationData) -> Estimate:
         beta = fixed.copy()
         root, solution = start.solution.inverse_root, start.solution
         if dropped:
-            rest = factor[:, -1] - factor[:, :-1] @ np.where(
-                np.isin(np.arange(base.n_base), kept), 0.0, fixed
-            )
-            solution = Weighted.factored(
-                triangular_factor(np.column_stack([factor[:, kept], rest])), n_rows
-            ).solve()
+            solution = solve_factor(reduced(), n_rows)
             beta[kept] = solution.x
             root = np.zeros((base.n_base, solution.rank))
             root[kept] = solution.inverse_root
     names = [base.names[j] for j in sorted(dropped)]
-    listed = ", ".join(names[:MOST_LISTED]) + (
-        f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
-    )
     note = (
         f"{len(kept)} of {base.n_base} parameters are essential at the {100 * SIGNIFICANCE:g} %"
-        f" level; set to zero: {listed}."
+        f" level; set to zero: {joined(names, MOST_LISTED)}."
         if names
         else "Every parameter is essential."
     )

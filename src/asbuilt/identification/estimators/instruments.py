@@ -1,4 +1,4 @@
-"""Instrumental variables: a simulated motion that shares the recorded motion but not its noise."""
+"""Instrumental variables from a simulated motion without the noise of the recorded one."""
 
 from __future__ import annotations
 
@@ -41,16 +41,14 @@ LOWEST = 2.0
 STEP = 0.05
 """Largest simulation step, in units of 1 / the controller's angular frequency."""
 LED_IN = 1.0
-"""Time [s] that each stretch is simulated before it counts."""
+"""Time [s] that each segment is simulated before it counts."""
 LEAST_INERTIA = 0.01
-"""Smallest inertia of a combination of joints, in mean inertias, of a mass matrix that is taken for
-positive definite.
-"""
-STRETCHES = 64
-"""Stretches of a recording that are simulated side by side."""
+"""Smallest eigenvalue of a positive definite mass matrix, in mean inertias of the joints."""
+SEGMENTS = 64
+"""Segments of a recording that are simulated side by side."""
 MOST_ITERATIONS = 4
 CONVERGENCE = 1e-2
-"""Change of the estimate, in standard errors, at which simulating again is of no use."""
+"""Change of the estimate, in standard errors, at which the iteration ends."""
 
 
 @estimator(
@@ -61,18 +59,17 @@ CONVERGENCE = 1e-2
     held_fixed=(JOINT_WEIGHTS, "the simulated motion"),
 )
 def estimate_iv(data: EstimationData) -> Estimate:
-    """Estimate beta with `Z^T (tau - W beta) = 0`, Z the regressor along a simulated motion, rows
-    weighted joint by joint.
+    """Solve `Z^T (tau - W beta) = 0` with Z the regressor along a simulated motion.
 
-    Noise in the recorded motion makes W err and biases least squares toward zero; Z errs
-    independently of it, so that the estimate is consistent (IDIM-IV: Janot, Vandanjon & Gautier,
-    IEEE Trans. Control Systems Technology 22, 2014). There the simulation follows the commanded
-    motion under the robot's own controller. Recordings hold neither, so here the identified model
-    follows the recorded positions q under a joint controller with compensated gravity, Coriolis
-    torques and drives, `M(q_s) qdd_s = J (w^2 (q - q_s) + 2 w (qd - qd_s))`, J the mean inertia of
-    each joint, which passes the motion but little of the noise beyond w, three bandwidths of the
-    motion. Noise below it stays in Z: of the bias that part remains. Simulated and estimated in
-    turn until the estimate rests.
+    Noise in the recorded motion biases least squares toward zero; errors of Z are independent of
+    it, so that the estimate is consistent (IDIM-IV: Janot, Vandanjon & Gautier, IEEE Trans. Control
+    Systems Technology 22, 2014). There the simulation follows the commanded motion under the
+    robot's controller. Recordings hold neither, so the identified model follows the recorded
+    positions q under a joint controller that compensates gravity, Coriolis torques and drives,
+    `M(q_s) qdd_s = J (w^2 (q - q_s) + 2 w (qd - qd_s))`, J the mean inertia of each joint. It
+    passes the motion and little noise above w, three bandwidths of the motion; the bias by noise
+    below w remains. Rows are weighted joint by joint. Simulation and estimation alternate to
+    convergence.
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
@@ -90,31 +87,38 @@ def estimate_iv(data: EstimationData) -> Estimate:
             )
         )
         estimate, iterations = renewed, iterations + 1
-    told = estimate.std_errors > 0
+    determined = estimate.std_errors > 0
     shift = np.where(
-        told, np.abs(estimate.beta - start.beta) / np.where(told, estimate.std_errors, 1.0), 0.0
+        determined,
+        np.abs(estimate.beta - start.beta) / np.where(determined, estimate.std_errors, 1.0),
+        0.0,
     )
     largest = int(np.argmax(shift))
     note = (
         f"Instruments from {iterations} simulations that follow the recorded positions up to"
-        f" {hertz:.3g} Hz; against wls {base.names[largest]} moved most, {shift[largest]:.2g}"
-        " textbook standard errors."
+        f" {hertz:.3g} Hz. The largest change from wls is that of {base.names[largest]},"
+        f" {shift[largest]:.2g} textbook standard errors."
     )
     return estimate.renewed(
-        "iv", estimate.information or information, estimate.solution, sigma=estimate.sigma, own_information=estimate.information,
-        iterations=iterations, converged=moves <= 1.0, notes=(note,),
-    )  # fmt: skip
+        "iv",
+        estimate.information or information,
+        estimate.solution,
+        sigma=estimate.sigma,
+        own_information=estimate.information,
+        iterations=iterations,
+        converged=moves <= 1.0,
+        notes=(note,),
+    )
 
 
 def follow(
     model: RobotModel, base: BaseParameters, beta: Array, samples: Samples, bandwidth: float
 ) -> Samples:
-    """Return the samples with the motion of a simulated robot with these base parameters that
-    follows their positions; torques stay.
+    """Return the samples with the motion of a simulated robot that follows their positions.
 
-    Linearly implicit Euler steps, many stretches side by side, each led in by a second. Where the
-    mass matrix of beta is not positive definite that of the design is taken, and unit inertias
-    where that is not either.
+    Torques stay. Linearly implicit Euler steps, many segments side by side, each led in by a
+    second. If the mass matrix of beta is not positive definite that of the design serves, or unit
+    inertias.
     """
     links, armature, inertia = _inertia(
         model, base, beta, samples.q[:: max(1, samples.n_samples // 200)]
@@ -123,7 +127,7 @@ def follow(
     substeps = max(1, int(np.ceil(w / samples.rate / STEP)))
     h = 1.0 / (samples.rate * substeps)
     q, qd, qdd = (np.array(x) for x in (samples.q, samples.qd, samples.qdd))
-    first, length, lead = _stretches(samples)
+    first, length, lead = _segments(samples)
     at = np.maximum(first - lead, 0)
     state, rate = samples.q[at].copy(), samples.qd[at].copy()
     identity = np.eye(model.n_joints)
@@ -159,7 +163,7 @@ def follow(
 def _inertia(
     model: RobotModel, base: BaseParameters, beta: Array, postures: Array
 ) -> tuple[Array, Array, Array]:
-    """Return the inertial parameters and armatures that move, and the mean inertia of each joint."""
+    """Return inertial parameters, armatures and mean joint inertias of the simulated robot."""
     chi = np.zeros(base.n_standard)
     chi[base.columns] = beta
     found = dict(zip(base.standard_names, chi, strict=True))
@@ -178,9 +182,9 @@ def _inertia(
     return np.zeros(10 * model.n_joints), np.ones(model.n_joints), np.ones(model.n_joints)
 
 
-def _stretches(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return first sample, length and lead-in of each stretch, no stretch across a gap."""
-    longest = max(1, -(-samples.n_samples // STRETCHES))
+def _segments(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return first sample, length and lead-in of each segment, none across a gap."""
+    longest = max(1, -(-samples.n_samples // SEGMENTS))
     first, length, lead = [], [], []
     for start, stop in samples.segments:
         for a in range(start, stop, longest):
@@ -191,9 +195,7 @@ def _stretches(samples: Samples) -> tuple[NDArray[np.int64], NDArray[np.int64], 
 
 
 def _bandwidth(samples: Samples) -> float:
-    """Return the frequency [Hz] below which 95 % of the velocity's power lies, from the longest
-    segment.
-    """
+    """Return the frequency [Hz] below which 95 % of the velocity's power lies (longest segment)."""
     start, stop = max(samples.segments, key=lambda segment: segment[1] - segment[0])
     velocity = samples.qd[start:stop] - samples.qd[start:stop].mean(axis=0)
     power = np.sum(
@@ -210,7 +212,6 @@ def _instrumented(data: EstimationData, start: Estimate, instruments: Rows) -> E
     """Return the estimate by two-stage least squares: W projected on Z, then the torque on that."""
     information, rows, base = data.information, data.rows, data.base
     p, n, weights = base.n_base, information.n_joints, start.weights
-    prior = None if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
     with one_blas_thread():
         growing = GrowingFactor(2 * p + 1, ROWS_AT_ONCE)
         for z, block in zip(instruments, rows, strict=True):
@@ -224,12 +225,10 @@ def _instrumented(data: EstimationData, start: Estimate, instruments: Rows) -> E
                 growing.append(weights[k] * both)
         factor = growing.factor()
         zz, zw = factor[:p, :p], factor[:p, p:]
-        told = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
-        projection = np.linalg.lstsq(zz[:, told], zw[:, :-1], rcond=1e-12)[0]
+        excited = np.abs(np.diag(zz)) > 1e-10 * np.linalg.norm(zz, axis=0)
+        projection = np.linalg.lstsq(zz[:, excited], zw[:, :-1], rcond=1e-12)[0]
         beta = solve_factor(
-            triangular_factor(zw[told]),
-            information.n_samples * n,
-            prior if prior is not None else np.zeros(p),
+            triangular_factor(zw[excited]), information.n_samples * n, data.prior_values
         ).x
 
         def projected() -> Iterator[RowBlock]:
@@ -238,7 +237,7 @@ def _instrumented(data: EstimationData, start: Estimate, instruments: Rows) -> E
                 for k, support in enumerate(rows.support):
                     full = np.zeros((p, block.time.n_samples))
                     full[support] = z.rows[k][:-1]
-                    stage = projection.T @ full[told]
+                    stage = projection.T @ full[excited]
                     error = block.rows[k][-1] - beta[support] @ block.rows[k][:-1]
                     made.append(np.vstack([stage, error + beta @ stage]))
                 yield RowBlock(tuple(made), block.time, block.seconds)

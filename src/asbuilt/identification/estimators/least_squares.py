@@ -1,7 +1,4 @@
-"""Least squares on square-root information.
-
-Ordinary, or with a weight per joint, and honest about what the data leave open.
-"""
+"""Least squares on square-root information, ordinary or with a weight per joint."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from scipy.linalg import lapack, qr
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
@@ -30,13 +27,9 @@ Refit = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 WEIGHT_CONVERGENCE = 1e-8
 MOST_ITERATIONS = 50
 WELL_CONDITIONED = 1e7
-"""Condition number, in the Frobenius norm and with scaled columns, up to which substitution is as
-good as singular values.
-"""
+"""Scaled condition number (Frobenius) up to which substitution is as good as singular values."""
 SMALLEST_NOISE = 1e-9
-"""Noise of a joint as a fraction of the largest torque RMS below which its weight grows no further:
-simulations have none.
-"""
+"""Least noise of a joint in the largest torque RMS; simulations have none."""
 LARGE_CONDITION = 200.0
 """Scaled condition number above which model errors are amplified (below 100 is good: Gautier and
 Khalil, Int. J. Robotics Research 11, 1992).
@@ -47,12 +40,27 @@ MOST_TERMS = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FactorSolution:
-    """Solve `min |[W | tau] (-x, 1)|` from the triangular factor of [W | tau], W with m rows and p
-    columns, its columns scaled to unit length.
+    """Hold the minimiser x of `|W x - tau|`.
 
     `x = toward + D^-1 V S^-1 U^T (z - R toward)` over the `rank` singular values above
-    `rank_tolerance`; `inverse_root` (p, rank) is D^-1 V S^-1, so that (W^T W)^+ = inverse_root
-    inverse_root^T. `open_directions` (p - rank, p) span what does not change `W x`, in units of x.
+    `rank_tolerance`, columns scaled by D to unit length.
+
+    Parameters
+    ----------
+    x
+        Minimiser, shape (p,).
+    rank
+        Numeric rank of W.
+    residual_energy
+        Squared norm of the residual.
+    inverse_root
+        `D^-1 V S^-1`, shape (p, rank); times its transpose it is the pseudo-inverse of `W^T W`.
+    open_directions
+        Directions that do not change `W x`, in units of x, shape (p - rank, p).
+    singular_values
+        Of the scaled columns, largest first, shape (p,).
+    condition_number, scaled_condition_number
+        Of W, and with columns scaled to unit length; infinite without full rank.
     """
 
     x: Array
@@ -66,21 +74,18 @@ class FactorSolution:
 
 
 def rank_tolerance(n_rows: int, n_columns: int) -> float:
-    """Return the fraction of the largest singular value below which a singular value is rounding.
-
-    4 eps max(m, p).
-    """
+    """Return `4 eps max(m, p)`, below which a relative singular value is rounding."""
     return 4.0 * float(np.finfo(np.float64).eps) * max(n_rows, n_columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighted:
-    """Hold the singular value decomposition `R D^-1 = U S V^T` of the triangular factor [R | z] of
-    `n_rows` weighted rows, columns scaled to length 1.
+    """Hold `R D^-1 = U S V^T` of the triangular factor [R | z] of weighted rows.
 
-    Only the `rank` singular values above `rank_tolerance` are in `u`, `s`, `vt`; `null` (p - rank,
-    p) are the other right vectors. What the rows leave open is resolved toward `toward`. Source:
-    Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5 (column scaling) and 5.5 (rank).
+    D scales columns to length 1. Only the `rank` singular values above `rank_tolerance` are in `u`,
+    `s`, `vt`; `null` (p - rank, p) are the other right vectors. Undetermined directions are
+    resolved toward `toward`. Source: Golub & Van Loan, Matrix Computations, 2013, sections 5.3.5
+    (column scaling) and 5.5 (rank).
     """
 
     factor: Array
@@ -94,10 +99,7 @@ class Weighted:
 
     @classmethod
     def factored(cls, factor: Array, n_rows: int, toward: Array | None = None) -> Weighted:
-        """Decompose a triangular factor (p + 1, p + 1).
-
-        Without `toward` open directions go to zero.
-        """
+        """Decompose a triangular factor (p + 1, p + 1) of `n_rows` rows."""
         p = len(factor) - 1
         r = factor[:p, :p]
         length = np.linalg.norm(r, axis=0)
@@ -140,28 +142,46 @@ class Weighted:
 
 
 def solve_factor(factor: Array, n_rows: int, toward: Array | None = None) -> FactorSolution:
-    """Solve least squares from the triangular factor (p + 1, p + 1) of `n_rows` rows, by singular
-    values of its column-scaled form.
+    """Solve least squares from the triangular factor (p + 1, p + 1) of `n_rows` rows.
 
-    What the rows leave open is resolved toward `toward` (p,), zero where none is given.
+    Undetermined directions are resolved toward `toward` (p,), zero by default.
     """
     return Weighted.factored(factor, n_rows, toward).solve()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """Hold a least-squares estimate of p base parameters from n joints.
+    """Hold an estimate of p base parameters from n joints.
 
-    `weights` (n,) multiplied each joint's rows; `sigma` (n,) is the residual standard deviation of
-    each joint; `covariance` (p, p) is the textbook one, `inverse_root inverse_root^T` times the
-    variance of a weighted residual; `solution` says the rest. `undetermined` names the directions
-    this recording leaves open, `determined` (p,) is False for the parameters they contain; those
-    lean on the prior. `information` is what the solution solves, where that is not the information
-    of the samples themselves (rows weighted one by one, say); `notes` say in sentences what was
-    decided, `warnings` (code, message) what is wrong with it. `dropped` (p,) says which parameters
-    were set to zero as needless; None where none can be. `refit` makes beta of the triangular
-    factor of other rows, weighted alike, all that was chosen held fixed; None where beta is linear
-    in the torque.
+    Parameters
+    ----------
+    method
+        Name of the estimator.
+    beta
+        Base parameters, shape (p,).
+    covariance
+        Textbook covariance (p, p), `inverse_root inverse_root^T` times the residual variance.
+    sigma
+        Residual standard deviation of each joint, shape (n,).
+    weights
+        Factors of the rows of each joint, shape (n,).
+    solution
+        Rank, conditioning and the inverse root of the information.
+    undetermined
+        Directions that this recording does not determine, as text.
+    determined
+        False for the parameters in such directions, which keep the prior there, shape (p,).
+    iterations, converged
+        Of the weights, or whatever the estimator iterates.
+    information
+        What the solution solves, if not the information of the samples (such as reweighted rows).
+    notes, findings
+        What was decided, and what is wrong with it.
+    dropped
+        Parameters set to zero as insignificant, shape (p,); None if the method drops none.
+    refit
+        Gives beta for the triangular factor of other rows with equal weights, all choices fixed;
+        None if beta is linear in the torque.
     """
 
     method: str
@@ -205,10 +225,7 @@ class Estimate:
         notes: tuple[str, ...] = (),
         dropped: NDArray[np.bool_] | None = None,
     ) -> Estimate:
-        """Return the estimate that another method makes of it: the same directions, other values.
-
-        `information` is what its rows are judged on.
-        """
+        """Return another method's estimate in the same directions, its errors by `information`."""
         found = solution.x if beta is None else beta
         root = solution.inverse_root if inverse_root is None else inverse_root
         error = information.stacked(self.weights) @ np.append(-found, 1.0)
@@ -219,7 +236,7 @@ class Estimate:
             beta=found,
             covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
             sigma=(
-                _deviation(information, found, solution.inverse_root, self.weights)
+                residual_deviation(information, found, solution.inverse_root, self.weights)
                 if sigma is None
                 else sigma
             ),
@@ -234,10 +251,7 @@ class Estimate:
 
 
 def noise_floor(information: SquareRootInformation) -> float:
-    """Return the least noise that a joint is taken to have.
-
-    `SMALLEST_NOISE` of the largest torque RMS, 1 where there is no torque at all.
-    """
+    """Return the least noise: `SMALLEST_NOISE` of the largest torque RMS, 1 without torque."""
     return (
         SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples))
         or 1.0
@@ -251,31 +265,41 @@ def fit_least_squares(
     prior: ArrayLike | None = None,
     undetermined: Literal["toward_prior", "refuse"] = "toward_prior",
 ) -> Estimate:
-    """Estimate beta with `min sum_k weights_k^2 |tau_k - W_k beta|^2`.
+    """Minimise `sum_k weights_k^2 |tau_k - W_k beta|^2`.
 
-    `weights` None is ordinary least squares; `"joint"` takes 1 / sigma_k, sigma_k^2 = |e_k|^2 / (N
-    - t_k) with t_k the parameters that joint k spends, and iterates until the weights rest
-    (Gautier, IROS 1997); or n positive numbers are given.
+    Parameters
+    ----------
+    information
+        Square-root information of n joints and p base parameters.
+    weights
+        None for ordinary least squares; `"joint"` for 1 / sigma_k with `sigma_k^2 = |e_k|^2 / (N -
+        t_k)`, t_k the parameters that joint k spends, iterated to convergence (Gautier, IROS 1997);
+        or n positive numbers.
+    prior
+        Values (p,) toward which undetermined directions are resolved by the smallest change in
+        parameters scaled to equal torque; NaN counts as 0.
+    undetermined
+        `"refuse"` raises for undetermined directions.
 
-    Directions that the recording does not excite are resolved toward `prior` (p,), NaN counting as
-    0: the smallest change from it in parameters scaled to equal torque. Raises
-    `IdentifiabilityError`, naming them, where there is no prior or `undetermined` is `"refuse"`, and
-    where rows are fewer than parameters.
+    Raises
+    ------
+    IdentifiabilityError
+        If directions are undetermined without prior or refused, or rows are fewer than parameters.
     """
     n, rows = information.n_joints, information.n_samples
     if rows * n <= information.base.n_base:
         raise IdentifiabilityError(
             f"{rows} samples of {n} joints give {rows * n} torques, too few for"
-            f" {information.base.n_base} parameters of {information.base.robot}; record longer,"
-            " decimate less or choose fewer drive terms"
+            f" {information.base.n_base} parameters of {information.base.robot}",
+            cure=Cure("record longer, decimate less or choose fewer drive terms"),
         )
     toward = None if prior is None else np.nan_to_num(np.asarray(prior, dtype=np.float64), nan=0.0)
     floor = noise_floor(information)
     iterated = isinstance(weights, str)
     if iterated and weights != "joint":
         raise UsageError(
-            f"weights {weights!r} are unknown; give 'joint', None or {n} positive numbers, one per"
-            " joint"
+            f"weights {weights!r} are unknown; expected 'joint', None or {n} positive numbers, one"
+            " per joint"
         )
     w = np.ones(n) if weights is None or isinstance(weights, str) else positive_weights(weights, n)
     iterations, converged = 0, True
@@ -285,15 +309,15 @@ def fit_least_squares(
             if not iterated:
                 break
             x, root = _solved(information.stacked(w), rows * n, toward)
-            renewed = 1.0 / np.maximum(_deviation(information, x, root, w), floor)
+            renewed = 1.0 / np.maximum(residual_deviation(information, x, root, w), floor)
             converged = bool(np.all(np.abs(renewed - w) <= WEIGHT_CONVERGENCE * renewed))
             if converged or iterations > MOST_ITERATIONS:
                 break
             w = renewed
         solution = solve_factor(information.stacked(w), rows * n, toward)
-        sigma = _deviation(information, solution.x, solution.inverse_root, w)
+        sigma = residual_deviation(information, solution.x, solution.inverse_root, w)
     if solution.rank < information.base.n_base and (toward is None or undetermined == "refuse"):
-        raise IdentifiabilityError(_refusal(information, solution))
+        raise _refusal(information, solution)
     variance = solution.residual_energy / max(rows * n - solution.rank, 1)
     return Estimate(
         method="ols" if weights is None else "wls",
@@ -313,7 +337,7 @@ def fit_least_squares(
 
 @estimator("ols", "ordinary least squares", "equal weight for every torque", held_fixed=())
 def estimate_ols(data: EstimationData) -> Estimate:
-    """Estimate by ordinary least squares: every torque counts alike."""
+    """Estimate by ordinary least squares: equal weight for every torque."""
     return fit_least_squares(data.information, prior=data.prior, undetermined=data.undetermined)
 
 
@@ -343,9 +367,7 @@ def combination(direction: Array, names: tuple[str, ...]) -> str:
 
 
 def _solved(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Array]:
-    """Return x and the inverse root of `solve_factor`, by substitution where the triangle is far
-    from singular: a third of the time.
-    """
+    """Return x and the inverse root of `solve_factor`, by substitution if well conditioned."""
     r = factor[:-1, :-1]
     scale = np.linalg.norm(r, axis=0)
     if np.all(scale > 0.0):
@@ -358,7 +380,7 @@ def _solved(factor: Array, n_rows: int, toward: Array | None) -> tuple[Array, Ar
     return solution.x, solution.inverse_root
 
 
-def _deviation(
+def residual_deviation(
     information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array
 ) -> Array:
     """Return the standard deviation of each joint's residual, shape (n,)."""
@@ -369,10 +391,7 @@ def _deviation(
 
 
 def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:
-    """Parameters that each joint spends, shape (n,): the trace of its part of the hat matrix.
-
-    They add up to the rank.
-    """
+    """Return the trace (n,) of each joint's part of the hat matrix; the sum is the rank."""
     parts = []
     for support, factor, weight in zip(
         information.support, information.joint_factors, weights, strict=True
@@ -382,23 +401,24 @@ def _spent(information: SquareRootInformation, inverse_root: Array, weights: Arr
     return np.array(parts)
 
 
-def _refusal(information: SquareRootInformation, solution: FactorSolution) -> str:
+def _refusal(information: SquareRootInformation, solution: FactorSolution) -> IdentifiabilityError:
     names = [
         combination(direction, information.base.names) for direction in solution.open_directions
     ]
     listed = "; ".join(names[:8]) + (f"; and {len(names) - 8} more" if len(names) > 8 else "")
-    return (
-        f"the recording determines {solution.rank} of the {information.base.n_base} parameters of"
-        f" {information.base.robot}; nothing in it tells {listed}. Move the joints concerned more"
-        " (several at once, both directions, changing speed), or give CAD values to lean on"
+    return IdentifiabilityError(
+        f"the recording determines {solution.rank} of {information.base.n_base} parameters of"
+        f" {information.base.robot}; undetermined: {listed}",
+        cure=Cure(
+            "move the joints concerned more (several at once, both directions, changing speed), or"
+            " resolve these directions toward CAD",
+            settings={"undetermined": "toward_prior"},
+        ),
     )
 
 
 def positive_weights(weights: ArrayLike, n: int) -> Array:
-    """Return weights of n joints as an array.
-
-    Raises `UsageError` where they are not n positive numbers.
-    """
+    """Return weights of n joints as an array; raises `UsageError` unless n positive numbers."""
     w = np.asarray(weights, dtype=np.float64)
     if w.shape != (n,) or not np.all(np.isfinite(w)) or np.any(w <= 0):
         raise UsageError(f"weights must be {n} positive numbers, one per joint, got {w.tolist()}")
@@ -406,9 +426,7 @@ def positive_weights(weights: ArrayLike, n: int) -> Array:
 
 
 def _echelon(null: Array, scale: Array) -> Array:
-    """Rows spanning those of `null` / `scale` with as few non-zeros as reduction gives, largest
-    coefficient 1.
-    """
+    """Return rows spanning those of `null` / `scale` with few non-zeros, largest coefficient 1."""
     if len(null) == 0:
         return np.zeros((0, len(scale)))
     _, _, pivots = qr(null, mode="economic", pivoting=True)

@@ -1,4 +1,4 @@
-"""Maximum likelihood for torque noise that joints share."""
+"""Maximum likelihood for torque noise that is correlated across joints."""
 
 from __future__ import annotations
 
@@ -37,13 +37,12 @@ MOST_ITERATIONS = 100
     held_fixed=("the noise covariance of the joints",),
 )
 def estimate_ml(data: EstimationData) -> Estimate:
-    """Estimate beta and the covariance Omega (n, n) of the joints' noise together.
+    """Minimise `N log det Omega + sum_t e_t^T Omega^-1 e_t` over beta and Omega (n, n).
 
-    `min N log det Omega + sum_t e_t^T Omega^-1 e_t`.
+    Omega is the covariance of the noise of the joints, independent from sample to sample:
+    generalised least squares with `Omega = E^T E / N` of the residuals E, iterated to convergence.
+    One pass reduces `[W_1 .. W_n | tau_1 .. tau_n]` to its triangle, which serves all iterations.
 
-    Noise is independent from sample to sample but not from joint to joint: generalised least
-    squares with `Omega = E^T E / N` of the residuals E, iterated until Omega rests. One pass
-    reduces `[W_1 .. W_n | tau_1 .. tau_n]` to its triangle, from which every iteration is solved.
     Source: Zellner, JASA 57, 1962 (seemingly unrelated regressions); Oberhofer & Kmenta,
     Econometrica 42, 1974 (iterated: maximum likelihood).
     """
@@ -64,7 +63,6 @@ def estimate_ml(data: EstimationData) -> Estimate:
             first += len(support) + 1
         stack = np.array(joints)
         beta, whitener, iterations, converged = start.beta, np.eye(n), 0, False
-        prior = None if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
         while not converged and iterations < MOST_ITERATIONS:
             errors = stack @ np.append(-beta, 1.0)
             covariance = errors @ errors.T / (n_samples - p / n) + floor**2 * np.eye(n)
@@ -74,11 +72,7 @@ def estimate_ml(data: EstimationData) -> Estimate:
             )
             whitener = renewed
             whitened = np.tensordot(whitener, stack, axes=1).reshape(-1, p + 1)
-            beta = solve_factor(
-                triangular_factor(whitened),
-                n_samples * n,
-                prior if prior is not None else np.zeros(p),
-            ).x
+            beta = solve_factor(triangular_factor(whitened), n_samples * n, data.prior_values).x
             iterations += 1
 
         def mixed() -> Iterator[RowBlock]:
@@ -98,8 +92,8 @@ def estimate_ml(data: EstimationData) -> Estimate:
     correlation = covariance / np.outer(deviation, deviation) - np.eye(n)
     i, j = divmod(int(np.argmax(np.abs(correlation))), n)
     note = (
-        f"Residuals of the joints are correlated, most those of {information.joint_names[i]} and"
-        f" {information.joint_names[j]} ({correlation[i, j]:+.2f}); the estimate allows for that."
+        f"Residuals are most correlated between {information.joint_names[i]} and"
+        f" {information.joint_names[j]} ({correlation[i, j]:+.2f}); the estimate accounts for it."
     )
     return fitted.renewed(
         "ml",

@@ -1,7 +1,4 @@
-"""How much to trust CAD.
-
-Chosen by predicting time blocks that were held out, without a second look at the samples.
-"""
+"""The weight of CAD, chosen by the prediction of held-out time blocks."""
 
 from __future__ import annotations
 
@@ -16,27 +13,20 @@ from asbuilt.identification.information.square_root_information import SquareRoo
 from asbuilt.identification.information.triangular import triangular_factor
 
 Fits = Callable[[Array, float], Array]
-"""Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, called for every weight in
-turn.
-"""
+"""Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, by descending weight."""
 
 WEIGHTS: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
-"""Weights to choose from, strongest first.
-
-What a divergence of 1 from CAD costs, in units of the squared weighted residual.
-"""
+"""Costs of a divergence of 1 from CAD, in squared weighted residuals, largest first."""
 MOST_GROUPS = 8
-"""The blocks are held out in so many groups of neighbours,"""
+"""Groups of neighbouring blocks that are held out."""
 FEWEST_GROUPS = 3
-"""and with fewer the default weight is taken."""
+"""Groups below which `DEFAULT_WEIGHT` is taken."""
 DEFAULT_WEIGHT = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WeightChoice:
-    """Hold the weight chosen, and the mean squared weighted error on held-out groups, (n_weights,
-    n_groups), by which it was.
-    """
+    """Hold a weight, and the mean squared errors on held-out groups (n_weights, n_groups)."""
 
     weight: float
     weights: tuple[float, ...]
@@ -51,8 +41,7 @@ def choose_weight(
     fits: Fits,
     weights: tuple[float, ...] = WEIGHTS,
 ) -> WeightChoice:
-    """Return the strongest trust in CAD that predicts held-out time blocks as well as the best,
-    within one standard error of the difference.
+    """Return the largest weight whose held-out error is within one standard error of the least.
 
     The blocks form up to 8 groups of neighbours; each is predicted from the others with every
     weight. The error of a group is `|w (tau - W beta)|^2 / (N n)`; the standard error is that of
@@ -67,7 +56,7 @@ def choose_weight(
             (DEFAULT_WEIGHT,),
             np.zeros((1, 0)),
             f"weight of CAD {DEFAULT_WEIGHT:g}, the default: {information.n_blocks} time blocks are"
-            " too few to choose it",
+            f" too few to choose it, {FEWEST_GROUPS} are needed",
         )
     groups = np.array_split(np.arange(information.n_blocks), n_groups)
     held = np.array([information.select(group).stacked(joint_weights) for group in groups])
@@ -86,14 +75,13 @@ def choose_weight(
     excess = errors - errors[best]
     standard_error = excess.std(axis=1, ddof=1) / np.sqrt(n_groups)
     chosen = int(np.flatnonzero(excess.mean(axis=1) <= standard_error)[0])
-    judged = f"on {n_groups} groups of time blocks held out in turn"
     if chosen == best:
-        why = f"the best of {len(weights)} {judged}, with an error of {means[best]:.3g}"
+        why = f"the least error, {means[best]:.3g}, on {n_groups} groups of held-out time blocks"
     else:
         why = (
-            f"the strongest of {len(weights)} whose error {judged}, {means[chosen]:.3g}, lies"
-            f" within one standard error ({standard_error[chosen]:.2g}) of the least,"
-            f" {means[best]:.3g} at {weights[best]:g}"
+            f"the largest of {len(weights)} whose error on {n_groups} groups of held-out time"
+            f" blocks, {means[chosen]:.3g}, is within one standard error"
+            f" ({standard_error[chosen]:.2g}) of the least, {means[best]:.3g} at {weights[best]:g}"
         )
     return WeightChoice(
         weights[chosen], weights, errors, f"weight of CAD {weights[chosen]:g}: {why}"
@@ -101,10 +89,7 @@ def choose_weight(
 
 
 def _without_each(factors: Array) -> Array:
-    """Return the triangular factors of all but each, (m, p + 1, p + 1).
-
-    Those before it joined with those after it.
-    """
+    """Return the triangular factors of all but each, (m, p + 1, p + 1)."""
 
     def joined(one: Array, other: Array) -> Array:
         return triangular_factor(np.vstack([one, other]))

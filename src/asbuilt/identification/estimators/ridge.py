@@ -30,7 +30,7 @@ def estimate_ridge(data: EstimationData) -> Estimate:
     """
     information = data.information
     start = estimate_wls(data)
-    prior = np.zeros(data.base.n_base) if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
+    prior = data.prior_values
     errors = np.zeros(len(RIDGES))
     with one_blas_thread():
         for training, held in folds(information):

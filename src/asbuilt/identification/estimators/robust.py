@@ -1,4 +1,4 @@
-"""Estimators that a collision, a contact or a burst of bad samples does not carry away."""
+"""Robust estimators, for collisions, contacts and bursts of bad samples."""
 
 from __future__ import annotations
 
@@ -23,40 +23,35 @@ from asbuilt.identification.information.square_root_information import reduce_ro
 MAD_TO_SIGMA = 1.4826022185056018
 """Standard deviation of a normal distribution in medians of the absolute deviation."""
 HUBER = 1.345
-"""Residual, in robust standard deviations, up to which Huber's loss is that of least squares.
+"""Threshold of Huber's loss in robust standard deviations.
 
-95 % efficient where noise is normal (Holland & Welsch, 1977).
+95 % efficient for normal noise (Holland & Welsch, Communications in Statistics A6, 1977).
 """
 BISQUARE = 4.685
-"""And from which Tukey's bisquare gives no weight at all: 95 % efficient, too."""
+"""Threshold of Tukey's bisquare; also 95 % efficient (ibid.)."""
 MOST_ITERATIONS = 60
 SCALE_ITERATIONS = 25
-"""Iterations after which the scales rest, so that the steps converge."""
+"""Iterations after which the scales are held fixed, so that the steps converge."""
 STEP = 1e-6
 """Length of the last step, in standard errors of all parameters together."""
-TOLD = 1e-12
-"""Eigenvalue of the information, relative to the largest, below which a direction is not looked at."""
+NEGLIGIBLE = 1e-12
+"""Eigenvalue of the information, relative to the largest, below which a direction is ignored."""
 LEAST_SLOPE = 0.1
-"""Mean of rho'', of a joint or along a direction, below which it is taken no smaller."""
+"""Least mean of rho'', of a joint or along a direction."""
 OUTLYING = 4.0
-"""Residual, in robust standard deviations, that is called an outlier in the notes."""
+"""Residual of an outlier, in robust standard deviations."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """A loss rho(r) of standardised residuals r.
-
-    `weight(r)` = rho'(r) / r and `slope(r)` = rho''(r).
-    """
+    """Hold a loss rho(r) of standardised residuals: rho'(r) / r and rho''(r)."""
 
     weight: Callable[[Array], Array]
     slope: Callable[[Array], Array]
 
 
 def huber_loss(threshold: float = HUBER) -> Loss:
-    """Return Huber's loss, r^2 / 2 up to the threshold and linear beyond (Huber, Ann. Math. Stat.
-    35, 1964).
-    """
+    """Return Huber's loss, linear beyond the threshold (Huber, Ann. Math. Stat. 35, 1964)."""
     return Loss(
         lambda r: threshold / np.maximum(np.abs(r), threshold),
         lambda r: np.where(np.abs(r) <= threshold, 1.0, 0.0),
@@ -64,9 +59,7 @@ def huber_loss(threshold: float = HUBER) -> Loss:
 
 
 def bisquare_loss(threshold: float = BISQUARE) -> Loss:
-    """Return Tukey's bisquare, which gives residuals beyond the threshold no weight at all (Beaton
-    & Tukey, Technometrics 16, 1974).
-    """
+    """Return Tukey's bisquare, constant beyond the threshold (Technometrics 16, 1974)."""
 
     def share(r: Array) -> Array:
         return np.asarray(np.maximum(1.0 - (r / threshold) ** 2, 0.0))
@@ -82,14 +75,13 @@ def bisquare_loss(threshold: float = BISQUARE) -> Loss:
     held_fixed=(ROW_WEIGHTS,),
 )
 def estimate_huber(data: EstimationData) -> Estimate:
-    """Estimate beta with `min sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss,
-    by iteratively reweighted least squares.
+    """Minimise `sum_k sum_t rho((tau_kt - W_kt beta) / sigma_k)`, rho Huber's loss.
 
-    sigma_k is 1.4826 times the median absolute residual of joint k. Errors are those of least
-    squares on pseudo-values `W beta + sigma rho'(r) / s` with weights `sqrt(s) / sigma`, which has
-    the same solution. Source: Huber, Robust Statistics, 1981, chapter 7, with s = mean(rho''); here
-    s is less by what `_slope_where_it_counts` says, for outliers of a robot sit where its joints
-    turn back.
+    By iteratively reweighted least squares; sigma_k is 1.4826 times the median absolute residual of
+    joint k. Errors are those of least squares on pseudo-values `W beta + sigma rho'(r) / s` with
+    weights `sqrt(s) / sigma`, which has the same solution. Source: Huber, Robust Statistics, 1981,
+    chapter 7, with s = mean(rho''); here `_slope_where_it_counts` lowers s, since outliers of a
+    robot cluster where its joints reverse.
     """
     return _robust(data, "huber", huber_loss(), estimate_wls(data))
 
@@ -102,9 +94,7 @@ def estimate_huber(data: EstimationData) -> Estimate:
     held_fixed=(ROW_WEIGHTS,),
 )
 def estimate_bisquare(data: EstimationData) -> Estimate:
-    """Estimate as `estimate_huber` from where that ends, with Tukey's bisquare at its scale.
-
-    Gross outliers count for nothing.
+    """Continue `estimate_huber` with Tukey's bisquare at its scale.
 
     Source: Yohai, Annals of Statistics 15, 1987 (a redescending step at a fixed robust scale).
     """
@@ -167,11 +157,11 @@ def _robust(
     outlying = np.array([float(np.mean(np.abs(r) > OUTLYING)) for r in standard])
     worst = int(np.argmax(outlying))
     note = (
-        f"{100 * outlying.mean():.2g} % of the torques lie beyond {OUTLYING:g} robust standard"
-        f" deviations, most on joint {information.joint_names[worst]} ({100 * outlying[worst]:.2g}"
-        " %), and count for less."
+        f"{100 * outlying.mean():.2g} % of the torques are beyond {OUTLYING:g} robust standard"
+        f" deviations and have less weight, most at joint {information.joint_names[worst]}"
+        f" ({100 * outlying[worst]:.2g} %)."
         if outlying.any()
-        else f"No torque lies beyond {OUTLYING:g} robust standard deviations."
+        else f"No torque is beyond {OUTLYING:g} robust standard deviations."
     )
     return fitted.renewed(
         name,
@@ -188,13 +178,12 @@ def _robust(
 def _slope_where_it_counts(
     rows: Rows, residuals: list[list[Array]], sigma: Array, slope: Array, loss: Loss, root: Array
 ) -> float:
-    """Return the part of the mean slopes (n,) that the information really has, 1 where outliers are
-    strewn evenly over the motion.
+    """Return the part of the mean slopes (n,) that the information has.
 
     The covariance of an M-estimate is `A^-1 B A^-1` with `A = sum rho''(r) w w^T`. Pseudo-values
-    take `A0 = sum mean(rho'') w w^T` instead: the variance is then too small by the mean of `m^-2`
-    over the eigenvalues m of A in coordinates where A0 is 1, and one factor for all rows makes up
-    for it.
+    use `A0 = sum mean(rho'') w w^T`: the variance is then too small by the mean of `m^-2` over the
+    eigenvalues m of A in coordinates where A0 is 1, which one factor for all rows corrects. It is 1
+    if outliers are distributed evenly over the motion.
     """
     p = root.shape[1]
     assumed, found = np.zeros((p, p)), np.zeros((p, p))
@@ -204,18 +193,16 @@ def _slope_where_it_counts(
             assumed += slope[k] * seen @ seen.T
             found += (seen * loss.slope(residuals[k][b] / sigma[k])) @ seen.T
     eigenvalues, vectors = np.linalg.eigh(assumed)
-    told = eigenvalues > TOLD * eigenvalues.max(initial=0.0)
-    if not told.any():
+    kept = eigenvalues > NEGLIGIBLE * eigenvalues.max(initial=0.0)
+    if not kept.any():
         return 1.0
-    turned = vectors[:, told] / np.sqrt(eigenvalues[told])
+    turned = vectors[:, kept] / np.sqrt(eigenvalues[kept])
     parts = np.maximum(np.linalg.eigvalsh(turned.T @ found @ turned), LEAST_SLOPE)
     return float(min(1.0 / np.sqrt(np.mean(parts**-2.0)), 1.0))
 
 
 def outlying_share(data: EstimationData, robust: Estimate) -> tuple[float, float]:
-    """Return the share of torques beyond 4 robust standard deviations, and the largest residual
-    variance of a joint in robust variances.
-    """
+    """Return the share of outliers, and the largest residual variance in robust variances."""
     standard = [
         np.concatenate(e) / s
         for e, s in zip(_residuals(data.rows, robust.beta), robust.sigma, strict=True)
@@ -225,7 +212,7 @@ def outlying_share(data: EstimationData, robust: Estimate) -> tuple[float, float
 
 
 def _residuals(rows: Rows, beta: Array) -> list[list[Array]]:
-    """Residuals per joint and block."""
+    """Return residuals per joint and block."""
     blocks = [
         [
             columns[-1] - beta[support] @ columns[:-1]

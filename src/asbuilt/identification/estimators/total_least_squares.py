@@ -6,18 +6,19 @@ import numpy as np
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.findings import Cure
 from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls, rank_tolerance
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.triangular import triangular_factor
 
 LARGEST_SHARE = 0.9
-"""Smallest singular value with the torque, in that without it, from which the solution is refused.
+"""Ratio of the smallest singular values with and without torque above which no solution is given.
 
-1 would be no solution at all.
+At 1 the problem has no solution (Golub & Van Loan, 1980).
 """
 EXACT_TERMS = ("Fo",)
-"""Symbols of the drive terms whose columns are constants, known without error."""
+"""Symbols of drive terms whose columns are constant, hence without error."""
 
 
 @estimator(
@@ -27,20 +28,24 @@ EXACT_TERMS = ("Fo",)
     held_fixed=(JOINT_WEIGHTS, "the share of errors in the motion"),
 )
 def estimate_total(data: EstimationData) -> Estimate:
-    """Estimate beta with `min |[E D^-1 | e / |tau|]|_F` such that `(W + E) beta = tau - e`, rows
-    weighted joint by joint, D the column lengths.
+    """Minimise `|[E D^-1 | e / |tau|]|_F` subject to `(W + E) beta = tau - e`.
 
-    Errors of a column are taken as large relative to it as those of the torque relative to the
-    torque; columns of offsets are exact. From the triangular factor: exact columns first, the rest
-    by its smallest singular value s, `(W^T W - s^2 D^2) beta = W^T tau`; what no sample tells is
-    that of the prior. Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns as in
-    Van Huffel & Vandewalle, The Total Least Squares Problem, 1991, section 3.5. Errors are first
-    order. Raises `IdentifiabilityError` where torque errors are as large as what the weakest column
-    combination adds.
+    Rows are weighted joint by joint, and D holds the column lengths: errors of a column are as
+    large relative to it as those of the torque. Columns of offsets are exact and solved first; the
+    smallest singular value s gives the rest, `(W^T W - s^2 D^2) beta = W^T tau`. Undetermined
+    directions keep the prior. Standard errors are first order.
+
+    Source: Golub & Van Loan, SIAM J. Numer. Anal. 17, 1980; exact columns: Van Huffel &
+    Vandewalle, The Total Least Squares Problem, 1991, section 3.5.
+
+    Raises
+    ------
+    IdentifiabilityError
+        If torque errors are as large as the contribution of the weakest combination of columns.
     """
     information, base = data.information, data.base
     start = estimate_wls(data)
-    prior = np.zeros(base.n_base) if data.prior is None else np.nan_to_num(data.prior, nan=0.0)
+    prior = data.prior_values
     with one_blas_thread():
         factor = information.stacked(start.weights)
         length = np.linalg.norm(factor[:, :-1], axis=0)
@@ -57,7 +62,7 @@ def estimate_total(data: EstimationData) -> Estimate:
         kept = s > rank_tolerance(information.n_samples * information.n_joints, base.n_base) * max(
             s.max(initial=0.0), 1.0
         )
-        untold = vt[~kept].T
+        left_open = vt[~kept].T
         u, s, v = u[:, kept], s[kept], vt[kept].T
         z = u.T @ r[first:-1, -1]
         left = np.hypot(np.linalg.norm(r[first:-1, -1] - u @ z), r[-1, -1])
@@ -69,12 +74,13 @@ def estimate_total(data: EstimationData) -> Estimate:
         )
         if len(s) and smallest > LARGEST_SHARE * s[-1]:
             raise IdentifiabilityError(
-                f"total least squares has no trustworthy solution: the errors ({smallest:.3g} of"
-                " the torque) are as large as what the weakest combination of parameters of"
-                f" {base.robot} adds ({s[-1]:.3g} of its columns); use wls, or a richer motion"
+                f"total least squares has no reliable solution: errors of {smallest:.3g} of the"
+                " torque are as large as the contribution of the weakest combination of parameters"
+                f" of {base.robot} ({s[-1]:.3g})",
+                cure=Cure("use wls, or a motion with more excitation", settings={"method": "wls"}),
             )
         y = toward.copy()
-        y[first:] = v @ (s * z / (s**2 - smallest**2)) + untold @ (untold.T @ toward[first:])
+        y[first:] = v @ (s * z / (s**2 - smallest**2)) + left_open @ (left_open.T @ toward[first:])
         known = r[:first, -1] - r[:first, first:-1] @ y[first:] - r[:first, :first] @ toward[:first]
         y[:first] += np.linalg.lstsq(r[:first, :first], known, rcond=None)[0]
         beta = np.zeros(base.n_base)
@@ -84,7 +90,7 @@ def estimate_total(data: EstimationData) -> Estimate:
         values, axes = np.linalg.eigh(np.eye(root.shape[1]) - noisy.T @ noisy)
         root = root @ (axes / np.sqrt(np.maximum(values, 1e-6)))
     note = (
-        f"Errors of regressor and torque taken as alike relative to their size: {smallest:.2g}."
+        f"Relative errors of regressor columns and torque are assumed equal: {smallest:.2g}."
         " Standard errors are first order."
     )
     return start.renewed(

@@ -1,4 +1,4 @@
-"""What estimators estimate from."""
+"""Data that estimators use."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
+
+import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -24,13 +26,24 @@ Undetermined = Literal["toward_prior", "refuse"]
 class EstimationData:
     """Hold all that an estimator may use.
 
-    The robot, the square-root information, the samples behind it and the values by design.
-
-    `samples` can be gone through again and again; None where only the information is at hand.
-    `prior` (p,) are the base parameters by design, NaN where the description is silent; directions
-    that nothing excites are resolved toward it, or refused (`undetermined`). `every` n gives the rows
-    of each n-th time block alone. `loading` is the robot whose rigid-body torque loads friction
-    that depends on it, where that is not `model`.
+    Parameters
+    ----------
+    model
+        The robot as designed.
+    information
+        Square-root information of the samples.
+    samples
+        The samples themselves, iterable more than once; None if only the information is at hand.
+    prior
+        Base parameters by design (p,), NaN where the description has no value.
+    undetermined
+        Whether directions without excitation are resolved toward `prior`, or refused.
+    block_seconds
+        Length of a time block [s].
+    every
+        Use the rows of every n-th time block alone.
+    loading
+        Robot whose rigid-body torque loads load-dependent friction; `model` if None.
     """
 
     model: RobotModel
@@ -47,12 +60,15 @@ class EstimationData:
         """The base parameters."""
         return self.information.base
 
+    @property
+    def prior_values(self) -> Array:
+        """The prior with 0 where the description has no value, shape (p,)."""
+        prior = np.zeros(self.base.n_base) if self.prior is None else self.prior
+        return np.nan_to_num(prior, nan=0.0)
+
     @cached_property
     def rows(self) -> Rows:
-        """The rows behind the information, time block by time block.
-
-        Raises `UsageError` where the samples are not at hand.
-        """
+        """The rows behind the information, by time block."""
         return self.rows_of(self.batches)
 
     def rows_of(self, samples: Iterable[Samples]) -> Rows:
@@ -61,10 +77,10 @@ class EstimationData:
 
     @property
     def batches(self) -> Iterable[Samples]:
-        """The samples; raises `UsageError` where they are not at hand."""
+        """The samples; raises `UsageError` if only the information is at hand."""
         if self.samples is None:
             raise UsageError(
-                "this estimator goes over the samples again; call identify with them, or use wls,"
-                " which needs the information alone"
+                "this estimator needs the samples, and only their information is at hand; use an"
+                " estimator that needs the information alone, such as wls"
             )
         return self.samples
