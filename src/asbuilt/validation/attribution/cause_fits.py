@@ -1,72 +1,68 @@
-"""Fits of any combination of causes to what CAD predicts wrongly, from triangular factors alone."""
+"""Fits of combinations of causes to the torque error of CAD, from triangular factors alone."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import combinations, pairwise
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 from scipy.special import fdtrc
 
-from asbuilt.arrays import Array, Indices
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.description.model import RobotModel
 from asbuilt.identification.information.cause_data import TILTS, CauseData
 from asbuilt.identification.information.triangular import triangular_factor
-from asbuilt.validation.attribution.causes import BEFORE, CAUSE_OF_TERM, CAUSES, Subset
-from asbuilt.validation.prediction import design_values
+from asbuilt.validation.attribution.causes import CAUSES, Subset
+from asbuilt.validation.prediction import cad_values
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-WEAKEST = 1e-10
-"""Squared singular value of the fit, relative to the largest with columns scaled alike, below which
-a direction is left alone.
-"""
-MOST_EXCHANGES = 30
-"""Rounds in which parameters that cannot be negative are set to zero or freed again."""
-NEARLY = 6.0
-"""Difference in score, as of a deviance, within which two combinations are about as likely (Kass &
-Raftery, J. Am. Stat. Assoc. 90, 1995: not strong evidence).
-"""
-WORTH_TELLING = 0.05
-"""Share of the error from which a cause is held against others."""
-MOSTLY_LEFT = 0.5
-"""Share of the error below which a combination of causes has taken most of it away."""
-OWN = 0.5
-"""Two causes cannot be told apart where without either one the error grows by less than this part
-of that cause's share.
-"""
-NOISE_FLOOR = 1e-4
-"""Smallest RMS of a joint, as a fraction of its torque, that is worth explaining."""
-USUAL_GAIN = 0.1
-"""Standard deviation of torque gains from 1 that is believed before any measurement."""
-USUAL_TILT = np.deg2rad(1.0)
-"""Standard deviation of tilts of the mounting that is believed before any measurement [rad]."""
-POSSIBLE_REACH = 1.0
-"""Farthest that the centre of a body carried at the flange may be from the last joint's frame [m]."""
+@dataclass(frozen=True, slots=True)
+class FitAssumptions:
+    """Numerical limits of the fits, and what is assumed before any measurement."""
+
+    weakest: float = 1e-10
+    """Squared singular value, relative to the largest with columns scaled alike, below which a
+    direction is not fitted."""
+    noise_floor: float = 1e-4
+    """Smallest RMS error of a joint worth explaining, as a fraction of its torque."""
+    gain: float = 0.1
+    """Standard deviation of torque gains from 1 (catalogue tolerances of torque constants)."""
+    tilt: float = float(np.deg2rad(1.0))
+    """Standard deviation of tilts of the base [rad]; a robot on an unlevelled table."""
+    reach: float = 1.0
+    """Farthest centre of a payload from the frame of the last joint [m]."""
+
+
+ASSUMED = FitAssumptions()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CauseModel:
     """Hold the fit of one combination of causes.
 
-    `rms` (n,) is the error of each joint on the data judged by, `rms_fitted` on the data used;
-    `values` are the parameters by name; `told` how many of them the data tell, `rank` without those
-    that would be negative and are zero; `bic` the Bayesian information criterion with as many
-    samples as are independent, who also set the `std_errors`; `possible` is False where the payload
-    would be no body: without mass, or out of reach.
+    | attribute | meaning |
+    |---|---|
+    | `causes` | the combination |
+    | `rms`, `rms_fitted` | (n,) error of each joint on the validation and on the training data |
+    | `rank`, `n_free` | number of parameters determined, with and without bounds |
+    | `weighted_energy` | sum of squared errors in units of the noise |
+    | `bic` | Bayesian information criterion of the training data |
+    | `score` | deviance of the validation data, with a penalty for parameters |
+    | `values`, `std_errors` | parameters by place, and their standard errors |
+    | `possible` | False if the payload has no mass or is out of reach |
     """
 
     causes: Subset
     rms: Array
     rms_fitted: Array
     rank: int
-    told: int
+    n_free: int
     weighted_energy: float
     bic: float
     score: float
@@ -77,10 +73,7 @@ class CauseModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """One step of the nested models.
-
-    The cause taken up, the errors then, and the F-test of what it explains beyond the model before.
-    """
+    """Hold one step of the nested models: the cause added, the errors, and the F-test."""
 
     cause: str
     rms: Array
@@ -92,17 +85,20 @@ class Step:
 
 
 class CauseFits:
-    """Fit combinations of causes, each once."""
+    """Fit combinations of causes, each once.
+
+    The unknowns are the parameters of the links and drives, two tilts of the base, a torque gain of
+    each joint and the ten inertial parameters of a payload, all as changes from CAD.
+    """
 
     def __init__(
         self, result: IdentificationResult, cause_data: CauseData, cad: RobotModel | None
     ) -> None:
         self.result, self.cause_data = result, cause_data
-        self.model = result.model if cad is None else cad
         n, p = cause_data.n_joints, len(cause_data.names)
         base = result.base
         design = np.nan_to_num(
-            result.cad_values if cad is None else design_values(result, cad), nan=0.0
+            result.cad_values if cad is None else cad_values(result, cad), nan=0.0
         )
         x = np.zeros(p)
         x[cause_data.places(base.names)] = design
@@ -110,7 +106,6 @@ class CauseFits:
         links = [name for name, j in zip(base.names, base.columns, strict=True) if j < 10 * n]
         self.rigid = cause_data.places(links)
         K = base.regrouping[: len(links), 10 * (n - 1) : 10 * n]
-        self.non_negative: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self.names = (
             *cause_data.names,
             *(f"gain {k + 1}" for k in range(n)),
@@ -120,7 +115,7 @@ class CauseFits:
             [self._widened(factor, x, K, k) for k, factor in enumerate(cause_data.whole(factors))]
             for factors in (cause_data.fitted, cause_data.judged)
         )
-        floor = NOISE_FLOOR * np.sqrt(
+        floor = ASSUMED.noise_floor * np.sqrt(
             [float(f[:, -1] @ f[:, -1]) / cause_data.n_fitted for f in cause_data.fitted]
         )
         self.floor = np.maximum(floor, np.finfo(float).tiny)
@@ -134,105 +129,104 @@ class CauseFits:
         )
         length = np.linalg.norm(stacked[:, :-1], axis=0)
         self.present = length > 1e-9 * length.max(initial=0.0)
-        self.columns = self._columns()
-        self.belief = np.zeros(len(self.names))
-        self.belief[self.columns["gain"]], self.belief[self.columns["mounting"]] = (
-            1.0 / USUAL_GAIN,
-            1.0 / USUAL_TILT,
-        )
-        belief = self.belief * np.sqrt(cause_data.n_fitted / self.independent)
-        self.length = np.where(self.present, np.hypot(length, belief), 1.0)
-        scaled, belief = stacked[:, :-1] / self.length, belief / self.length
-        self.gram, self.right = scaled.T @ scaled + np.diag(belief**2), scaled.T @ stacked[:, -1]
+        self.columns, self.non_negative = self._columns()
+        self.prior = np.zeros(len(self.names))
+        self.prior[self.columns["gain"]] = 1.0 / ASSUMED.gain
+        self.prior[self.columns["mounting"]] = 1.0 / ASSUMED.tilt
+        prior = self.prior * np.sqrt(cause_data.n_fitted / self.independent)
+        self.length = np.where(self.present, np.hypot(length, prior), 1.0)
+        self.matrix = np.vstack([stacked[:, :-1] / self.length, np.diag(prior / self.length)])
+        self.target = np.concatenate([stacked[:, -1], np.zeros(len(self.names))])
         self.causes = tuple(cause for cause in CAUSES if np.any(self.present[self.columns[cause]]))
         self._known: dict[Subset, CauseModel] = {}
 
     def _widened(self, rows: Array, x: Array, K: Array, joint: int) -> Array:
-        """Columns of the cause data, a gain per joint, ten of a payload.
-
-        Last the torque less that of CAD.
-        """
+        """Return the columns with those of gains and payload, and the torque less that of CAD."""
         A = rows[:, :-1]
         n = self.cause_data.n_joints
         gains = np.zeros((len(rows), n))
         gains[:, joint] = A @ x
         return np.hstack([A, gains, A[:, self.rigid] @ K, (rows[:, -1] - A @ x)[:, None]])
 
-    def _columns(self) -> dict[str, Indices]:
+    def _columns(self) -> tuple[dict[str, Indices], Mask]:
+        """Return the places of each cause's parameters, and which parameters cannot be negative."""
         n, names = self.cause_data.n_joints, list(self.names)
         found: dict[str, list[int]] = {cause: [] for cause in CAUSES}
         found["links"] = self.rigid.tolist()
+        non_negative = np.zeros(len(names), dtype=bool)
         for term in self.cause_data.drive.terms:
-            symbols = [f"{symbol}{k + 1}" for k in range(n) for symbol in term.symbols]
-            found[CAUSE_OF_TERM.get(term.key, "richer friction")] += [
-                names.index(symbol) for symbol in symbols
-            ]
+            places = [names.index(f"{symbol}{k + 1}") for k in range(n) for symbol in term.symbols]
+            cause = term.cause or "richer friction"
+            found[cause] += places
+            non_negative[places] = cause in ("friction", "armature")
         found["mounting"] = [names.index(name) for name in TILTS]
         found["gain"] = [names.index(f"gain {k + 1}") for k in range(n)]
         found["payload"] = [names.index(f"payload {i}") for i in range(10)]
-        self.non_negative = np.zeros(len(names), dtype=bool)
-        for term in self.cause_data.drive.terms:
-            if CAUSE_OF_TERM.get(term.key) in ("friction", "armature"):
-                self.non_negative[
-                    [names.index(f"{symbol}{k + 1}") for k in range(n) for symbol in term.symbols]
-                ] = True
-        return {cause: np.array(sorted(places), dtype=np.int64) for cause, places in found.items()}
+        return {
+            cause: np.array(sorted(places), dtype=np.int64) for cause, places in found.items()
+        }, non_negative
 
     def fit(self, causes: Subset) -> CauseModel:
-        """Fit a combination."""
+        """Fit a combination by least squares; friction and armature are not negative."""
         if causes not in self._known:
-            places = np.concatenate(
-                [np.array([], dtype=np.int64), *(self.columns[cause] for cause in sorted(causes))]
+            inside = self.present & np.isin(
+                np.arange(len(self.names)), [j for cause in causes for j in self.columns[cause]]
             )
-            places = places[self.present[places]]
-            x, spread, rank, told = np.zeros(len(self.names)), np.zeros(len(self.names)), 0, 0
-            free, bounded = np.ones(places.size, dtype=bool), self.non_negative[places]
-            floor = np.where(bounded, -self.design[places] * self.length[places], 0.0)
-            right = self.right[places] - self.gram[np.ix_(places, places)] @ floor
-            for _ in range(MOST_EXCHANGES):
-                some = places[free]
-                eigenvalues, vectors = np.linalg.eigh(self.gram[np.ix_(some, some)])
-                kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
-                V, y = vectors[:, kept], np.zeros(places.size)
-                y[free], rank = V @ ((V.T @ right[free]) / eigenvalues[kept]), int(kept.sum())
-                told = rank if free.all() else told
-                pull = right - self.gram[np.ix_(places, places)] @ y
-                out = free & bounded & (y < 0)
-                back = ~free & (pull > WEAKEST * np.abs(right).max(initial=0.0))
-                if not (out | back).any():
-                    break
-                free ^= out | back
-            x[places] = (
-                (np.where(bounded, np.maximum(y, 0.0), y) + floor) / self.length[places]
-                if places.size
-                else 0.0
-            )
-            if places.size:
-                spread[some] = np.sqrt(np.sum(V**2 / eigenvalues[kept], axis=1)) / self.length[some]
-            self._known[causes] = self._judged(causes, x, spread, rank, told)
+            self._known[causes] = self._judged(causes, *self._solved(np.flatnonzero(inside)))
         return self._known[causes]
 
-    def _judged(self, causes: Subset, x: Array, spread: Array, rank: int, told: int) -> CauseModel:
+    def _solved(self, places: Indices) -> tuple[Array, Array, int, int]:
+        """Return values, their spread, rank, and rank without bounds of some parameters.
+
+        The active bounds are those of `scipy.optimize.lsq_linear`; directions that the data hardly
+        determine are then left out of the free parameters.
+        """
+        x, spread = np.zeros(len(self.names)), np.zeros(len(self.names))
+        if not places.size:
+            return x, spread, 0, 0
+        lower = np.where(
+            self.non_negative[places], -self.design[places] * self.length[places], -np.inf
+        )
+        start = np.where(np.isfinite(lower), lower, 0.0)
+        A = self.matrix[:, places]
+        b = self.target - A @ start
+        y, variance, n_free = _least_squares(A, b)
+        rank, free = n_free, np.ones(places.size, dtype=bool)
+        if np.any(np.isfinite(lower) & (y < 0)):
+            U, s, Vt = np.linalg.svd(A, full_matrices=False)
+            kept = s**2 > ASSUMED.weakest * s[0] ** 2
+            truncated = (U[:, kept] * s[kept]) @ Vt[kept]
+            bounds = (np.where(np.isfinite(lower), 0.0, -np.inf), np.inf)
+            free = lsq_linear(truncated, b, bounds, method="bvls").active_mask == 0
+            y, variance = np.zeros(places.size), np.zeros(places.size)
+            y[free], variance[free], rank = _least_squares(A[:, free], b)
+        x[places] = (y + start) / self.length[places]
+        spread[places] = np.sqrt(variance) / self.length[places]
+        return x, spread, rank, n_free
+
+    def _judged(
+        self, causes: Subset, x: Array, spread: Array, rank: int, n_free: int
+    ) -> CauseModel:
         e = self.cause_data
-        rms_fitted = _rms(self.fitted, x, e.n_fitted)
+        rms_fitted, rms = _rms(self.fitted, x, e.n_fitted), _rms(self.judged, x, e.n_judged)
         n_rows = self.independent * e.n_joints
         energy = (
             float(np.sum((self.weights * np.maximum(rms_fitted, self.floor)) ** 2))
             * self.independent
         )
         noise = energy / max(n_rows - rank, 1.0) * e.n_fitted / self.independent
-        rms = _rms(self.judged, x, e.n_judged)
+        payload = x[self.columns["payload"]]
         return CauseModel(
             causes=causes,
             rms=rms,
             score=float(
                 2.0 * self.independent_judged * np.sum(np.log(np.maximum(rms, self.floor)))
                 + rank
-                + np.sum((self.belief * x) ** 2)
+                + np.sum((self.prior * x) ** 2)
             ),
             rms_fitted=rms_fitted,
             rank=rank,
-            told=told,
+            n_free=n_free,
             weighted_energy=energy,
             bic=float(
                 2.0 * self.independent * np.sum(np.log(np.maximum(rms_fitted, self.floor)))
@@ -242,25 +236,19 @@ class CauseFits:
             std_errors=spread * np.sqrt(noise),
             possible="payload" not in causes
             or "links" in causes
-            or self._is_body(x[self.columns["payload"]]),
+            or bool(payload[9] > 0 and np.linalg.norm(payload[6:9]) <= ASSUMED.reach * payload[9]),
         )
 
-    @staticmethod
-    def _is_body(body: Array) -> bool:
-        return bool(body[9] > 0 and np.linalg.norm(body[6:9]) <= POSSIBLE_REACH * body[9])
-
     def steps(self) -> tuple[Step, ...]:
-        """Return the nested models, each step tested against what the whole of them leaves, so that
-        causes not yet taken up do not hide it.
-        """
+        """Return the nested models, each step tested against the residual of the last of them."""
         models = [self.fit(frozenset(self.causes[:place])) for place in range(len(self.causes) + 1)]
         n_rows = self.independent * self.cause_data.n_joints
-        whole = next((model for model in reversed(models) if model.told < n_rows), models[0])
-        left = n_rows - whole.told
+        whole = next((model for model in reversed(models) if model.n_free < n_rows), models[0])
+        left = n_rows - whole.n_free
         found = [Step("CAD", models[0].rms, models[0].rms_fitted, 0, models[0].bic, np.nan, np.nan)]
         for cause, (before, now) in zip(self.causes, pairwise(models), strict=True):
-            more, f, probability = now.told - before.told, np.nan, np.nan
-            if more > 0 and left > 0 and whole.weighted_energy > 0 and now.told <= whole.told:
+            more, f, probability = now.n_free - before.n_free, np.nan, np.nan
+            if more > 0 and left > 0 and whole.weighted_energy > 0 and now.n_free <= whole.n_free:
                 f = max(
                     0.0,
                     (before.weighted_energy - now.weighted_energy)
@@ -269,164 +257,21 @@ class CauseFits:
                 )
                 probability = float(fdtrc(more, left, f))
             found.append(
-                Step(cause, now.rms, now.rms_fitted, now.told, now.bic, float(f), probability)
+                Step(cause, now.rms, now.rms_fitted, now.n_free, now.bic, float(f), probability)
             )
         return tuple(found)
 
-    @cached_property
-    def rivals(self) -> tuple[CauseModel, ...]:
-        """All combinations that could be, the best first.
 
-        A payload is a body, and beside free links, to which it adds nothing, in none.
-        """
-        every = (
-            frozenset(some)
-            for size in range(len(self.causes) + 1)
-            for some in combinations(self.causes, size)
-        )
-        fits = [self.fit(some) for some in every if not {"payload", "links"} <= some]
-        return tuple(
-            sorted(
-                (fit for fit in fits if fit.possible),
-                key=lambda fit: (round(fit.score, 6), len(fit.causes)),
-            )
-        )
-
-    @cached_property
-    def chosen(self) -> CauseModel:
-        """The combination with the fewest causes among those about as likely as the best."""
-        likely = [fit for fit in self.rivals if fit.score <= self.rivals[0].score + NEARLY]
-        return min(likely, key=lambda fit: len(fit.causes))
-
-    @cached_property
-    def untold(self) -> CauseModel | None:
-        """The combination that takes most of the error away, more than half, where none is chosen
-        for want of independent samples; None elsewhere.
-        """
-        if self.chosen.causes:
-            return None
-
-        def left(fit: CauseModel) -> float:
-            return float(self.weights**2 @ fit.rms**2)
-
-        best = min(self.rivals, key=left)
-        return best if left(best) < MOSTLY_LEFT * left(self.chosen) else None
-
-    @property
-    def tells_payload(self) -> bool:
-        """Whether the torques of this robot feel the mass of a body at the flange at all.
-
-        Those of a single hinge do not.
-        """
-        return bool(self.present[self.columns["payload"][9]])
-
-    @cached_property
-    def possible_payload(self) -> tuple[CauseModel, float, float, Array]:
-        """The fit with a payload in place of free links, its mass and error [kg] and its centre
-        [m].
-        """
-        fit = self.fit((self.chosen.causes - {"links"}) | {"payload"})
-        body, mass_error = (
-            fit.values[self.columns["payload"]],
-            float(fit.std_errors[self.columns["payload"]][9]),
-        )
-        return (
-            fit,
-            float(body[9]),
-            mass_error,
-            body[6:9] / body[9] if body[9] else np.full(3, np.inf),
-        )
-
-    @cached_property
-    def weighed(self) -> tuple[str, ...]:
-        """The causes chosen, and a payload where it could be part of what is put down to the links.
-
-        Where such a body can be.
-        """
-        causes = self.chosen.causes
-        if "links" in causes and "payload" in self.causes:
-            fit, *_ = self.possible_payload
-            without = self.fit(causes - {"links"})
-            if fit.possible and fit.score < without.score:
-                causes = causes | {"payload"}
-        return tuple(cause for cause in CAUSES if cause in causes)
-
-    def sizes(self, weighed: tuple[str, ...]) -> dict[str, Array]:
-        """Return the parameters of each cause weighed, (columns,).
-
-        A general cause has what the special one that it contains leaves.
-
-        Richer friction is what remains of it beside the plain friction nearest to the whole, joint
-        by joint; links what remains beside the payload.
-        """
-        inside = {
-            cause: np.isin(np.arange(len(self.names)), self.columns[cause]) for cause in weighed
-        }
-        found = {cause: np.where(inside[cause], self.chosen.values, 0.0) for cause in weighed}
-        if {"payload", "links"} <= set(weighed):
-            found["payload"] = np.where(inside["payload"], self.possible_payload[0].values, 0.0)
-            found["links"] = found["links"] - found["payload"]
-        if {"friction", "richer friction"} <= set(weighed):
-            for rows in self.fitted:
-                plain, rich = (
-                    np.flatnonzero(inside[cause] & (np.abs(rows[:, :-1]) > 0).any(axis=0))
-                    for cause in ("friction", "richer friction")
-                )
-                if plain.size and rich.size:
-                    moved = np.linalg.lstsq(
-                        rows[:, plain], rows[:, rich] @ self.chosen.values[rich], rcond=None
-                    )[0]
-                    found["friction"][plain] += moved
-                    found["richer friction"][plain] -= moved
-        return found
-
-    def parts(self, weighed: tuple[str, ...]) -> dict[str, Array]:
-        """Divide the drop of the mean squared error of every joint among causes of the sizes found
-        together.
-
-        With the torques y_i of the causes, e = tau - tau_CAD and r = e - sum y, the Shapley value
-        of the drop |e|^2 - |e - sum_S y|^2 is y_i . (e + r).
-        """
-        sizes = self.sizes(weighed)
-        found = {cause: np.zeros(self.cause_data.n_joints) for cause in weighed}
-        for k, rows in enumerate(self.judged):
-            torque = {cause: rows[:, :-1] @ size for cause, size in sizes.items()}
-            e = rows[:, -1]
-            both = 2.0 * e - np.sum(list(torque.values()), axis=0) if torque else e
-            for cause, y in torque.items():
-                found[cause][k] = float(y @ both) / self.cause_data.n_judged
-        return found
-
-    def alike(self, shares: Mapping[str, Array]) -> tuple[tuple[str, str], ...]:
-        """Pairs of which one does what the other would, seen over all joints, each joint's error in
-        units of its noise.
-        """
-        size = self.weights**2 * self.fit(frozenset()).rms ** 2
-        total = {cause: float(size @ share) for cause, share in shares.items()}
-        causes = frozenset(total)
-
-        def lost(*without: str) -> float:
-            return float(
-                self.weights**2
-                @ (self.fit(causes - set(without)).rms ** 2 - self.fit(causes).rms ** 2)
-            )
-
-        worth = WORTH_TELLING * sum(size)
-        found = []
-        for one, two in combinations(total, 2):
-            if (
-                BEFORE.get(two) == one
-                or BEFORE.get(one) == two
-                or min(total[one], total[two]) < worth
-            ):
-                continue
-            if (
-                lost(one) < OWN * total[one]
-                and lost(two) < OWN * total[two]
-                and lost(one, two) > 2.0 * (lost(one) + lost(two))
-            ):
-                found.append((one, two))
-        return tuple(found)
+def _least_squares(A: Array, b: Array) -> tuple[Array, Array, int]:
+    """Return min |A y - b| without weak directions, the variances for unit noise, and the rank."""
+    eigenvalues, vectors = np.linalg.eigh(A.T @ A)
+    kept = eigenvalues > ASSUMED.weakest * eigenvalues.max(initial=0.0)
+    V = vectors[:, kept]
+    return (
+        V @ ((V.T @ (A.T @ b)) / eigenvalues[kept]),
+        np.sum(V**2 / eigenvalues[kept], axis=1),
+        int(kept.sum()),
+    )
 
 
 def _rms(rows: Sequence[Array], x: Array, n: int) -> Array:

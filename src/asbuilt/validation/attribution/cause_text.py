@@ -1,4 +1,4 @@
-"""What an attribution says in sentences."""
+"""Sentences about the causes of the torque error of CAD."""
 
 from __future__ import annotations
 
@@ -7,218 +7,214 @@ from collections.abc import Mapping
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.findings import joined
 from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
 from asbuilt.tables import share as percentage
-from asbuilt.validation.attribution.cause_fits import NEARLY, POSSIBLE_REACH, CauseFits
-from asbuilt.validation.attribution.causes import CAUSES
+from asbuilt.validation.attribution.cause_choice import LIMITS, CauseChoice
+from asbuilt.validation.attribution.cause_fits import ASSUMED
+from asbuilt.validation.attribution.causes import CAUSES, Subset
 from asbuilt.validation.prediction import torque_units
 
-WORTH_SAYING = 0.05
-"""Share of the error from which a cause is named."""
-MOSTLY = 0.5
-"""Share of the error left unexplained from which no cause is named."""
+SHORT: dict[str, str] = {
+    "friction": "friction",
+    "offset": "offset",
+    "payload": "payload",
+    "gain": "gain",
+    "mounting": "tilt",
+    "links": "links",
+}
+"""Names of causes in tables, where shorter."""
+MOST_LEFT = 0.5
+"""Share of the error left unexplained above which a joint's causes are not named."""
 
 
-def findings(fits: CauseFits, alike: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
-    """Say what the causes weighed amount to, what was ruled out, and what this recording does not
-    tell apart.
-    """
-    weighed = fits.weighed
-    found = []
-    if "payload" in fits.causes and fits.tells_payload and {"payload", "links"} & set(weighed):
-        _, mass, error, centre = fits.possible_payload
-        away = float(np.linalg.norm(centre))
-        where = ", ".join(f"{1e3 * float(c):.0f}" for c in centre)
-        body = (
-            f"{plus_minus(mass, error)} kg, its centre at ({where}) mm in the frame of"
-            f" {fits.result.model.link_names[-1]}"
-        )
-        if "links" not in weighed:
-            found.append(f"The last link carries {body}.")
-        elif "payload" in weighed:
-            found.append(
-                f"A body at the flange of {body}, would explain much of what a changed mass"
-                " distribution of the links explains; free links can imitate any payload, so only"
-                " simplicity speaks for it."
-            )
-        elif mass <= 0:
-            found.append(
-                "A payload is no explanation: it would have a mass of"
-                f" {plus_minus(mass, error)} kg."
-            )
-        elif away > POSSIBLE_REACH:
-            found.append(
-                f"A payload is no explanation: its centre would lie {significant(away, 2)} m off"
-                " the last joint."
-            )
+def sentences_on_causes(
+    choice: CauseChoice, correlated: tuple[tuple[str, str], ...]
+) -> tuple[str, ...]:
+    """Return sentences on the sizes of the causes, and on what the recording cannot decide."""
+    fits, weighed = choice.fits, choice.weighed
+    found = [*_on_undecided(choice), *_on_payload(choice)]
     if "mounting" in weighed:
-        place = fits.columns["mounting"]
-        tilts = [
-            plus_minus(*np.rad2deg([fits.chosen.values[j], fits.chosen.std_errors[j]]).tolist())
-            for j in place
-        ]
-        turned = " and ".join(
-            f"{tilt} about {_axis(axis)}"
-            for tilt, axis in zip(tilts, fits.cause_data.tilt_axes, strict=True)
-        )
-        sure = np.any(
-            np.abs(fits.chosen.values[place]) >= SIGNIFICANT_SIGMAS * fits.chosen.std_errors[place]
-        )
-        found.append(
-            f"The root frame {'stands' if sure else 'may stand'} askew by {turned}, in degrees."
-        )
+        found.append(_on_tilt(choice))
     if "gain" in weighed:
-        told = [
-            (name, 100 * fits.chosen.values[j], 100 * fits.chosen.std_errors[j])
-            for name, j in zip(fits.cause_data.joint_names, fits.columns["gain"], strict=True)
-        ]
-        listed = ", ".join(
-            f"{name} {g:+.1f} +/- {e:.1f} %"
-            for name, g, e in told
-            if abs(g) >= SIGNIFICANT_SIGMAS * e
-        )
-        found.append(
-            "Torques read larger or smaller than they are:"
-            f" {listed or 'by no more than their errors at any one joint'}."
-        )
-    for one, two in alike:
-        found.append(
-            f"This recording does not tell {CAUSES[one]} from {CAUSES[two]}: with either in the"
-            " model the other adds little, and their shares are divided between them for want of"
-            " better."
-        )
-    rival = next(
-        (
-            fit
-            for fit in fits.rivals
-            if fits.chosen.causes - fit.causes and fit.score <= fits.chosen.score + NEARLY
-        ),
-        None,
-    )
-    if rival is not None:
-        instead = (
-            ", ".join(
-                CAUSES[cause] for cause in CAUSES if cause in rival.causes - fits.chosen.causes
-            )
-            or "nothing"
-        )
-        replaced = ", ".join(
-            CAUSES[cause] for cause in CAUSES if cause in fits.chosen.causes - rival.causes
-        )
-        found.append(
-            f"About as likely, for what this recording tells: {instead} in place of {replaced}."
-        )
-    if fits.untold is not None:
-        listed = ", ".join(CAUSES[cause] for cause in CAUSES if cause in fits.untold.causes)
-        found.append(
-            f"Too little is held out to tell why CAD is off: {listed} together take most of the"
-            f" error away, but {fits.untold.rank} parameters stand against some"
-            f" {significant(fits.independent_judged, 2)} independent samples of each joint. Record"
-            " longer, or judge by a recording of its own (--validate)."
-        )
-        return tuple(found)
-    missing = [
-        CAUSES[cause]
-        for cause in fits.causes
-        if cause not in weighed and not (cause == "payload" and "links" in weighed)
+        found.append(_on_gains(choice))
+    found += [
+        f"This recording cannot separate {CAUSES[one]} from {CAUSES[two]}; their shares are divided"
+        " evenly."
+        for one, two in correlated
     ]
-    if missing:
-        found.append(f"Not needed to explain this recording: {', '.join(missing)}.")
+    if choice.rival is not None:
+        instead = choice.rival.causes - choice.chosen.causes
+        replaced = choice.chosen.causes - choice.rival.causes
+        found.append(
+            f"About as likely on this recording: {_listed(instead) or 'no cause'} instead of"
+            f" {_listed(replaced)}."
+        )
+    missing = frozenset(fits.causes) - set(weighed)
+    missing -= {"payload"} if "links" in weighed else frozenset()
+    if missing and choice.undecided is None:
+        found.append(f"Not needed to explain this recording: {_listed(missing)}.")
     return tuple(found)
 
 
-def sentence(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
-    """Say by how much CAD is off at joint k and of what that is made.
-
-    `left` is the share that stays unexplained.
-    """
+def sentence(choice: CauseChoice, k: int, shares: Mapping[str, Array], left: float) -> str:
+    """Return the CAD error of joint k and its causes; `left` is the share unexplained."""
+    fits = choice.fits
     unit = torque_units(fits.result.model)[k]
-    head = (
-        f"{fits.cause_data.joint_names[k]}: CAD is off by"
-        f" {significant(float(fits.fit(frozenset()).rms[k]))} {unit} RMS"
+    error = significant(float(fits.fit(frozenset()).rms[k]))
+    return (
+        f"{fits.cause_data.joint_names[k]}: RMS error of CAD {error} {unit};"
+        f" {reason(choice, k, shares, left)}."
     )
-    return f"{head}; {reason(fits, k, shares, left)}."
 
 
-def reason(fits: CauseFits, k: int, shares: Mapping[str, Array], left: float) -> str:
-    """Say of what the CAD error of joint k is made, the largest cause first.
-
-    What works against it is said to.
-    """
-    with_it, against = (
-        sorted(
-            (cause for cause, share in shares.items() if sign * share[k] >= WORTH_SAYING),
-            key=lambda cause: -abs(shares[cause][k]),
-        )
-        for sign in (1, -1)
+def reason(choice: CauseChoice, k: int, shares: Mapping[str, Array], left: float) -> str:
+    """Return the causes of joint k's CAD error with share and size, the largest first."""
+    if choice.undecided is not None:
+        return "too few validation samples to attribute it"
+    with_it, against = (_ordered(k, shares, sign) for sign in (1, -1))
+    if not with_it or left > MOST_LEFT:
+        return f"no cause explains {'it' if left > 1.0 - LIMITS.share else 'most of it'}"
+    parts, opposed = (
+        [f"{percentage(float(shares[each][k]), 0)} {_amount(choice, each, k)}" for each in causes]
+        for causes in (with_it, against)
     )
-    if fits.untold is not None:
-        return "too little is held out to tell why"
-    if not with_it or left > MOSTLY:
-        return f"no cause explains {'it' if left > 1.0 - WORTH_SAYING else 'most of it'}"
-    parts = [
-        f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in with_it
-    ]
     parts[0] = parts[0].replace(" % ", " % of the squared error is ", 1)
-    opposed = ", ".join(
-        f"{percentage(float(shares[cause][k]), 0)} {_amount(fits, cause, k)}" for cause in against
-    )
     return "; ".join(
         [
             ", ".join(parts),
-            *([f"against that, {opposed}"] if opposed else []),
+            *([f"against that, {', '.join(opposed)}"] if opposed else []),
             f"{percentage(left, 0)} unexplained",
         ]
     )
 
 
-def _amount(fits: CauseFits, cause: str, k: int) -> str:
-    """Say what a cause amounts to at a joint."""
-    fit, names = fits.chosen, list(fits.names)
-    unit = torque_units(fits.result.model)[k]
-    size = fits.sizes(fits.weighed)[cause]
+def short_reason(choice: CauseChoice, k: int, shares: Mapping[str, Array], left: float) -> str:
+    """Return the causes of joint k's CAD error with their shares, for a table."""
+    with_it = _ordered(k, shares, 1)
+    if choice.undecided is not None or not with_it or left > MOST_LEFT:
+        return "unexplained"
+    return ", ".join(
+        f"{SHORT.get(cause, cause)} {percentage(float(shares[cause][k]), 0)}" for cause in with_it
+    )
+
+
+def _ordered(k: int, shares: Mapping[str, Array], sign: int) -> list[str]:
+    return sorted(
+        (cause for cause, share in shares.items() if sign * share[k] >= LIMITS.share),
+        key=lambda cause: -abs(shares[cause][k]),
+    )
+
+
+def _listed(causes: Subset) -> str:
+    return joined([CAUSES[cause] for cause in CAUSES if cause in causes]) if causes else ""
+
+
+def _on_undecided(choice: CauseChoice) -> list[str]:
+    fits, most = choice.fits, choice.undecided
+    if most is None:
+        return []
+    return [
+        "Too few validation samples to attribute the error of CAD:"
+        f" {_listed(most.causes)} together explain most of it, but with {most.rank} parameters for"
+        f" about {significant(fits.independent_judged, 2)} independent samples of each joint."
+        " Record longer, or validate on a recording of its own."
+    ]
+
+
+def _on_payload(choice: CauseChoice) -> list[str]:
+    fits, weighed = choice.fits, choice.weighed
+    if not ("payload" in fits.causes and choice.has_payload and {"payload", "links"} & {*weighed}):
+        return []
+    _, mass, error, centre = choice.possible_payload
+    place = ", ".join(f"{1e3 * float(c):.0f}" for c in centre)
+    body = (
+        f"{plus_minus(mass, error)} kg with its centre of mass at ({place}) mm in the frame of"
+        f" {fits.result.model.link_names[-1]}"
+    )
+    away = float(np.linalg.norm(centre))
+    if "links" not in weighed:
+        return [f"The last link carries {body}."]
+    if "payload" in weighed:
+        return [
+            f"A payload of {body} would explain much of what a changed mass distribution of the"
+            " links explains; the recording cannot separate the two."
+        ]
+    if mass <= 0:
+        return [f"A payload is ruled out: its mass would be {plus_minus(mass, error)} kg."]
+    if away > ASSUMED.reach:
+        return [
+            f"A payload is ruled out: its centre of mass would be {significant(away, 2)} m from"
+            " the last joint."
+        ]
+    return []
+
+
+def _on_tilt(choice: CauseChoice) -> str:
+    fits, fit = choice.fits, choice.chosen
+    place = fits.columns["mounting"]
+    tilts = " and ".join(
+        f"{plus_minus(*np.rad2deg([fit.values[j], fit.std_errors[j]]).tolist())} deg about"
+        f" {_axis(axis)}"
+        for j, axis in zip(place, fits.cause_data.tilt_axes, strict=True)
+    )
+    sure = np.any(np.abs(fit.values[place]) >= SIGNIFICANT_SIGMAS * fit.std_errors[place])
+    return f"The base {'is' if sure else 'may be'} tilted by {tilts}."
+
+
+def _on_gains(choice: CauseChoice) -> str:
+    fits, fit = choice.fits, choice.chosen
+    listed = [
+        f"{name} {100 * fit.values[j]:+.1f} +/- {100 * fit.std_errors[j]:.1f} %"
+        for name, j in zip(fits.cause_data.joint_names, fits.columns["gain"], strict=True)
+        if abs(fit.values[j]) >= SIGNIFICANT_SIGMAS * fit.std_errors[j]
+    ]
+    return (
+        f"Torque gains differ from their nominal values: {joined(listed)}."
+        if listed
+        else "Torque gains differ from their nominal values, at no single joint significantly."
+    )
+
+
+def _amount(choice: CauseChoice, cause: str, k: int) -> str:
+    """Return a cause with its size at a joint."""
+    fit, names, size = choice.chosen, choice.fits.names, choice.sizes[cause]
+    unit = torque_units(choice.fits.result.model)[k]
 
     def value(symbol: str) -> float:
         name = f"{symbol}{k + 1}"
         return float(size[names.index(name)]) if name in names else 0.0
 
     if cause == "payload":
-        body = f"{significant(fits.possible_payload[1], 2)} kg at the flange"
-        return f"what {body} would do" if "links" in fit.causes else body
+        body = f"payload ({significant(choice.possible_payload[1], 2)} kg"
+        return f"{body}, if there is one)" if "links" in fit.causes else f"{body})"
     if cause == "friction":
+        design = choice.fits.design
         stated = any(
-            name in names and fits.design[names.index(name)]
-            for name in (f"Fc{k + 1}", f"Fv{k + 1}")
+            design[names.index(name)] for name in (f"Fc{k + 1}", f"Fv{k + 1}") if name in names
         )
         sizes = _friction_sizes(value("Fc"), value("Fv"), unit)
-        return (
-            f"friction ({sizes}{' beside that of CAD' if stated else ''})" if sizes else "friction"
-        )
+        more = " more than in CAD" if stated else ""
+        return f"friction ({sizes}{more})" if sizes else "friction"
     if cause == "offset":
-        return f"an offset of {significant(value('Fo'), 2)} {unit}"
+        return f"offset ({significant(value('Fo'), 2)} {unit})"
     if cause == "armature":
         return f"armature ({significant(value('Ia'), 2)} {'kg m^2' if unit == 'N m' else 'kg'})"
     if cause == "gain":
         return f"torque gain ({100 * value('gain '):+.0f} %)"
     if cause == "mounting":
-        return (
-            "mounting askew"
-            f" ({significant(float(np.rad2deg(np.hypot(*fit.values[fits.columns['mounting']]))), 2)}"
-            " deg)"
-        )
+        tilt = float(np.rad2deg(np.hypot(*fit.values[choice.fits.columns["mounting"]])))
+        return f"base tilt ({significant(tilt, 2)} deg)"
     return CAUSES[cause]
 
 
 def _friction_sizes(coulomb: float, viscous: float, unit: str) -> str:
-    """Return Coulomb and viscous friction in words, what is zero left out."""
     per_speed = f"{unit} {'s/rad' if unit == 'N m' else 's/m'}"
-    parts = [f"Coulomb {significant(coulomb, 2)} {unit}"] if coulomb else []
-    if viscous:
-        parts.append(
-            f"{'viscous' if viscous > 0 else 'falling with speed by'}"
-            f" {significant(abs(viscous), 2)} {per_speed}"
-        )
-    return ", ".join(parts)
+    return ", ".join(
+        f"{name} {significant(value, 2)} {each}"
+        for name, value, each in (("Coulomb", coulomb, unit), ("viscous", viscous, per_speed))
+        if value
+    )
 
 
 def _axis(axis: Array) -> str:

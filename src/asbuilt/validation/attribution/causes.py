@@ -1,4 +1,4 @@
-"""The causes that CAD may have left out, and how to divide what they explain together."""
+"""The causes of the torque error of CAD, and the Shapley value that divides it among them."""
 
 from __future__ import annotations
 
@@ -16,33 +16,25 @@ CAUSES: dict[str, str] = {
     "friction": "viscous and Coulomb friction",
     "richer friction": "richer friction",
     "armature": "armature",
-    "payload": "a body at the flange",
-    "mounting": "mounting askew",
+    "payload": "payload",
+    "mounting": "base tilt",
     "gain": "torque gain",
     "links": "mass distribution of the links",
 }
-"""The causes, in the order in which the nested models take them up, and what they are called in
-sentences.
-"""
+"""Names of the causes in text, in the order in which the nested models add them."""
 BEFORE: dict[str, str] = {"richer friction": "friction", "links": "payload"}
-"""A general cause that contains a special one comes after it in every order."""
-CAUSE_OF_TERM: dict[str, str] = {
-    "offset": "offset",
-    "armature": "armature",
-    "motor_armature": "armature",
-    "viscous": "friction",
-    "coulomb": "friction",
-}
-CAUSE_OF_TERM |= {"motor_viscous": "friction", "motor_coulomb": "friction"}
-"""The cause to which each drive term belongs; richer friction where it is none of these."""
+"""A general cause comes after the special one that it contains in every order."""
 
 
 def shapley_values(causes: tuple[str, ...], worth: Callable[[Subset], Array]) -> dict[str, Array]:
-    """Divide worth(all) - worth(none), each (n,), over the orders that take `BEFORE[c]`, where
-    present, before c: the mean of what a cause adds.
+    """Divide worth(all) - worth(none), each (n,), by the mean of what a cause adds.
 
-    >>> {cause: part.tolist() for cause, part in shapley_values(("payload", "links"), lambda some: np.array([float("links" in some) or 0.5 * len(some)])).items()}
-    {'payload': [0.5], 'links': [0.5]}
+    The mean is over the orders that take `BEFORE[c]`, if present, before c (Faigle and Kern, 1992).
+
+    >>> def worth(some):
+    ...     return np.array([float("links" in some) or 0.5 * len(some)])
+    >>> shapley_values(("payload", "links"), worth)
+    {'payload': array([0.5]), 'links': array([0.5])}
     """
     ways_to, ways_from = _orders(causes)
     values = {some: worth(some) for some in ways_to}
