@@ -24,8 +24,9 @@ from .errors import UsageError as UsageError
 from .excitation.design.design import design_motion as design_motion
 from .excitation.design.options import DesignOptions as DesignOptions
 from .excitation.motions.motion_csv import read_motion as read_motion
-from .experiment.logs.readers import ReadingOptions as ReadingOptions
+from .experiment.logs.options import ReadingOptions as ReadingOptions
 from .experiment.logs.readers import read_recording as read_recording
+from .experiment.logs.recordings import as_recordings as as_recordings
 from .experiment.quality.checks import check_recording as check_recording
 from .experiment.recording import Recording as Recording
 from .experiment.signal.samples import Samples as Samples
@@ -38,7 +39,7 @@ from .findings import Cure as Cure
 from .findings import Finding as Finding
 from .identification.calibration.payload import identify_payload as identify_payload
 from .identification.estimators.recursive import RecursiveIdentification as RecursiveIdentification
-from .identification.identify import identify as identify
+from .identification.identify import identify_samples as identify_samples
 from .identification.result.result import IdentificationResult as IdentificationResult
 from .validation.attribution.attribution import attribute as attribute
 from .validation.comparison.comparison import compare as compare
@@ -47,10 +48,10 @@ from .validation.prediction import validate as validate
 from .workflow.controller_model import compare_with_controller as compare_with_controller
 from .workflow.study import Study as Study
 from .workflow.study import StudyOptions as StudyOptions
-from .workflow.study import run_study as run_study
+from .workflow.study import identify as identify
 from .writers.models.export import export_result as export_result
 from .writers.motion_files import write_motion as write_motion
-from .writers.programs.registry import make_program as make_program
+from .writers.programs.program import make_program as make_program
 from .writers.recording_files import write_recording as write_recording
 from .writers.reports.report import write_report as write_report
 

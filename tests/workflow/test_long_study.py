@@ -15,7 +15,7 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 from command_line import document
 
 
@@ -50,9 +50,9 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
     options = StudyOptions(
         chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3"
     )
-    one = run_study(model, [whole], options=options)
-    other = run_study(
-        model, [RecordingStream(log, {"model": model}, chunk_samples=4000)], options=options
+    one = identify(model, [whole], options=options)
+    other = identify(
+        model, [RecordingStream(log, model, chunk_samples=4000)], options=options
     )
     size = np.abs(one.result.estimates).max()
     np.testing.assert_allclose(other.result.estimates, one.result.estimates, atol=0.02 * size)
@@ -90,7 +90,7 @@ def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch
     )
     whole = [document(capsys, *command) for command in commands]
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
-    monkeypatch.setattr(long_recordings, "read_recording", None)
+    monkeypatch.setattr("asbuilt.experiment.logs.recordings.read_recording", None)
     long = [document(capsys, *command) for command in commands]
     for one, other in zip(whole, long, strict=True):
         for ours, theirs in zip(one["validation"], other["validation"], strict=True):

@@ -16,7 +16,7 @@ from asbuilt.errors import ResultError, UsageError
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel
     from asbuilt.experiment.logs.long_recordings import RecordingStream
-    from asbuilt.experiment.logs.readers import ReadingOptions
+    from asbuilt.experiment.logs.options import ReadingOptions
     from asbuilt.experiment.recording import Recording
     from asbuilt.experiment.signal.signal_chain import SignalChain
     from asbuilt.identification.result.result import IdentificationResult
@@ -68,6 +68,7 @@ Seed = Annotated[int, typer.Option("--seed", min=0, help="seed of everything ran
 AsJson = Annotated[
     bool, typer.Option("--json", help="print one JSON document on stdout and nothing else there")
 ]
+Full = Annotated[bool, typer.Option("--full", help="print all rows and notes whatever their width")]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -150,36 +151,37 @@ class Reading:
         """Return the recordings of a robot, none where no logs are given."""
         from asbuilt.experiment.logs.readers import read_recordings
 
-        return read_recordings(logs or [], **self._options(model))
+        return read_recordings(logs or [], model=model, options=self.options())
 
     def open(
         self, model: RobotModel, logs: Sequence[Path] | None
     ) -> list[Recording | RecordingStream]:
         """Return the recordings of a robot, those too long to be held as streams."""
-        from asbuilt.experiment.logs.long_recordings import open_recordings
+        from asbuilt.experiment.logs.recordings import as_recordings
 
-        return open_recordings(logs or [], **self._options(model))
+        return as_recordings(model, logs or [], self.options())  # type: ignore[return-value]
 
     @property
     def given(self) -> dict[str, bool]:
         """Which of these options were given, by name."""
         return given_options(self)
 
-    def _options(self, model: RobotModel) -> ReadingOptions:
+    def options(self) -> ReadingOptions:
+        """Return the options of `read_recording`."""
+        from asbuilt.experiment.logs.options import ReadingOptions
         from asbuilt.experiment.recording import TORQUE_SOURCES
 
-        return {
-            "model": model,
-            "sheet": self.sheet,
-            "rate": self.rate,
-            "flip_torque": self.flip_torque,
-            "gain": number_list("--gain", self.gain) or None,
-            "torque_source": (
+        return ReadingOptions(
+            sheet=self.sheet,
+            rate=self.rate,
+            flip_torque=self.flip_torque,
+            gain=number_list("--gain", self.gain) or None,
+            torque_source=(
                 None
                 if self.torque_source is None
                 else one_of("--torque-source", self.torque_source, TORQUE_SOURCES)
             ),
-        }
+        )
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,11 @@ class Filtering:
     preset: Annotated[
         str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")
     ] = "default"
+
+    @property
+    def given(self) -> dict[str, bool]:
+        """Which of these options were given, by name."""
+        return given_options(self)
 
     def chain(self) -> SignalChain:
         """Return the named signal chain, with the cutoff and decimation given in place of its own."""
@@ -235,20 +242,10 @@ def robot_as_built(robot: str) -> RobotModel:
 
 
 def read_result(path: Path) -> IdentificationResult:
-    """Read a result file; raises `ResultError` where it cannot be read."""
-    from asbuilt.identification.result.result import IdentificationResult
+    """Read a result file; raises `ResultError` if it cannot be read."""
+    from asbuilt.workflow.result_files import read_result
 
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise ResultError(
-            f"{path} cannot be read as a result ({problem}); give the result.json that `asbuilt"
-            " identify --out DIR` writes"
-        ) from None
-    try:
-        return IdentificationResult.from_json(text)
-    except ResultError as problem:
-        raise ResultError(f"{path}: {problem}") from None
+    return read_result(path)
 
 
 def number_list(option: str, text: str | None, count: int | None = None) -> tuple[float, ...]:

@@ -112,5 +112,7 @@ def test_counting_from_zero_among_names_is_not_guessed(tmp_path: Path) -> None:
     np.savetxt(
         path, np.column_stack([t, q, tau]), delimiter=",", header=",".join(head), comments=""
     )
-    with pytest.raises(RecordingError, match="Choose the right robot, or say in a recording sheet"):
+    with pytest.raises(
+        RecordingError, match="choose the robot that was recorded.*in a recording sheet"
+    ):
         read_recording(path, model=robot_with(("j1", "j2", "j3", "hand")))

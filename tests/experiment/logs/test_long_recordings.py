@@ -12,8 +12,9 @@ from asbuilt.description.load import load_robot
 from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs import long_recordings
-from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long, open_recordings
+from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.logs.recordings import as_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
@@ -43,7 +44,7 @@ def test_what_the_filters_leave_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
     chain = SignalChain(cutoff=5.0).resolved(whole)
     samples = prepare_samples(whole, chain)
-    stream = replace(RecordingStream(log, {"model": model}), chunk_samples=2500)
+    stream = replace(RecordingStream(log, model), chunk_samples=2500)
     pieces = stream.prepared(chain)
     np.testing.assert_allclose(pieces.filtered_times, samples.filtered_times, atol=1e-9)
     for name in ("tau", "q", "qd", "qdd"):
@@ -61,19 +62,19 @@ def test_what_the_filters_leave_is_that_of_the_whole(model, log):
 
 
 def test_the_beginning_is_the_head_and_it_can_be_gone_through_again(model, log):
-    stream = replace(RecordingStream(log, {"model": model}), chunk_samples=5000)
+    stream = replace(RecordingStream(log, model), chunk_samples=5000)
     assert stream.head.n_samples == 12_001
     assert [sum(part.n_samples for part in stream) for _ in range(2)] == [12_001, 12_001]
     assert stream.source == str(log)
 
 
 def test_only_long_files_are_streamed(model, log, monkeypatch):
-    assert isinstance(open_recordings([log], model=model)[0], Recording)
+    assert isinstance(as_recordings(model, [log])[0], Recording)
     assert not is_long(log)
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
-    opened = open_recordings([log], model=model)[0]
+    opened = as_recordings(model, [log])[0]
     assert isinstance(opened, RecordingStream)
-    assert opened.options["model"] is model
+    assert opened.model is model
     assert not is_long(log.parent)
     assert not is_long(log.with_suffix(".npz"))
 
@@ -85,4 +86,4 @@ def test_file_without_samples_is_refused(model, tmp_path):
         | {f"{x}_{k}": pl.Series([], dtype=pl.Float64) for x in ("q", "tau") for k in range(7)}
     ).write_parquet(path)
     with pytest.raises(RecordingError, match="no samples"):
-        _ = RecordingStream(path, {"model": model}).head
+        _ = RecordingStream(path, model).head

@@ -167,9 +167,7 @@ def test_files_of_one_quantity_each_in_shuffled_order(tmp_path: Path, logged: di
     )
     with pytest.raises(
         RecordingError,
-        match=(
-            r"seems to hold the position alone.*run_efforts.csv, run_velocities.csv lie beside it"
-        ),
+        match=(r"holds the position only.*run_efforts.csv, run_velocities.csv lie beside it"),
     ):
         read_recording(paths[0])
     (tmp_path / "all.toml").write_text(
@@ -302,10 +300,10 @@ BAD = {
         "has no columns for joint positions and joint torques. Its columns are: t, x, y",
     ),
     "notau.csv": ("t,q1\n0,1\n", "has no columns for joint torques"),
-    "norate.csv": ("q1,tau1\n0,1\n", "give it with --rate HZ"),
+    "norate.csv": ("q1,tau1\n0,1\n", "no time column and no rate is given"),
     "bare.csv": (
         "0,1,2\n0.1,1,2\n",
-        "has 3 columns without names. Say what they are in a recording sheet bare.toml",
+        "has 3 columns without a header row; name them in a recording sheet bare.toml",
     ),
     "fake.npz": ("PK nonsense", "NumPy cannot read it as an .npz archive"),
     "fake.mat": ("nonsense", "cannot be read as a MATLAB file"),
@@ -319,13 +317,13 @@ BAD = {
     ),
     "preamble.csv": (
         "Robot: R\nDate: D\n\nt,q1,tau1\n0,1,2\n",
-        "remove what stands above the header",
+        "remove the lines above the header",
     ),
     "old.csv": ("t,q1,tau1\r0,1,2\r1,1,2\r", "its lines end in a carriage return alone"),
     "wide.csv": ("\ufefft\0,\0", "it holds binary data"),
-    "log.csv.gz": ("nonsense", "can be read; unpack it first"),
-    "log.xlsx": ("nonsense", "can be read; export the sheet as CSV"),
-    "notes.docx": ("nonsense", "known are .csv, .dat, .tsv, .txt, .parquet"),
+    "log.csv.gz": ("nonsense", "unpack it first"),
+    "log.xlsx": ("nonsense", "export the sheet as CSV"),
+    "notes.docx": ("nonsense", "known are .csv, .dat, .db3, .h5"),
 }
 
 
@@ -366,7 +364,7 @@ def test_binary_pickles_and_missing_files_are_refused(tmp_path: Path) -> None:
         ("packed.csv", "a gzip archive; unpack it"),
         ("book.csv", "a ZIP archive or a spreadsheet"),
         ("folder", "is no ROS 2 bag.*give the file of a recording"),
-        ("pipe.csv", "no regular file"),
+        ("pipe.csv", "not a regular file"),
     ):
         with pytest.raises(RecordingError, match=message):
             read_recording(tmp_path / name)

@@ -344,7 +344,7 @@ def test_text_starts_with_the_verdict_and_fits_a_terminal(
 
 def test_findings_of_one_code_are_one_paragraph(iiwa: RobotModel, clean: Recording) -> None:
     q = clean.q.copy()
-    q[:, [1, 3]] += 2.5
+    q[:, [1, 3]] += 1.5
     check = check_recording(iiwa, replace(clean, q=q, qd=None))
     assert [f.joint for f in check.findings if f.code == "position_limit"] == ["A2", "A4"]
     assert check.as_text().count("position_limit") == 1

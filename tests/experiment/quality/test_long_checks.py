@@ -138,9 +138,7 @@ def test_findings_are_those_of_the_whole(
     spoil, expected = SPOILT[how]
     path = written(spoil(clean), tmp_path / "log.parquet")
     whole = check_recording(iiwa, read_recording(path, model=iiwa))
-    long = check_recording(
-        iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=CHUNK_SAMPLES)
-    )
+    long = check_recording(iiwa, RecordingStream(path, iiwa, chunk_samples=CHUNK_SAMPLES))
     assert expected <= set(whole.codes)
     assert long.as_text() == whole.as_text()
     assert long.findings == whole.findings
@@ -197,7 +195,7 @@ def test_long_recordings_are_not_held(iiwa: RobotModel, clean: Recording, tmp_pa
             ),
             tmp_path / f"{minutes}.parquet",
         )
-        stream = RecordingStream(path, {"model": iiwa}, chunk_samples=4000)
+        stream = RecordingStream(path, iiwa, chunk_samples=4000)
         tracemalloc.start()
         check_recording(iiwa, stream)
         most = tracemalloc.get_traced_memory()[1]
@@ -220,7 +218,7 @@ def test_command_checks_long_files_in_chunks(
     whole = document(capsys, "check", "kuka-iiwa7-r800", path)
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
     monkeypatch.setattr(long_recordings, "CHUNK", CHUNK_SAMPLES)
-    monkeypatch.setattr(long_recordings, "read_recording", None)
+    monkeypatch.setattr("asbuilt.experiment.logs.recordings.read_recording", None)
     long = document(capsys, "check", "kuka-iiwa7-r800", path)
     one, other = whole["recordings"][0], long["recordings"][0]
     assert {key: other[key] for key in other if key != "information"} == {
@@ -238,7 +236,7 @@ def test_information_of_a_stream_is_that_of_the_whole(
     path = written(clean, tmp_path / "log.parquet")
     whole = recorded_information(iiwa, read_recording(path, model=iiwa)).efficiency
     long = recorded_information(
-        iiwa, RecordingStream(path, {"model": iiwa}, chunk_samples=CHUNK_SAMPLES)
+        iiwa, RecordingStream(path, iiwa, chunk_samples=CHUNK_SAMPLES)
     ).efficiency
     np.testing.assert_allclose(long.by_joint, whole.by_joint, rtol=0.1)
 

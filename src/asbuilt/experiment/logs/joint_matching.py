@@ -1,4 +1,4 @@
-"""Which column belongs to which joint, by name."""
+"""Matching of columns to joints by name."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.roles import words_of
+from asbuilt.findings import Cure
 
 _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}
 
@@ -13,13 +14,12 @@ _GENERIC = {"joint", "joints", "jnt", "j", "axis", "link"}
 def match_joints(
     labels: Sequence[str], joint_names: Sequence[str], *, source: str, robot: str
 ) -> tuple[list[int], tuple[str, ...]]:
-    """Return, for each joint of the robot, the position of its label, and notes on what was
-    assumed.
+    """Return the position of each joint's label, and notes on what was assumed.
 
-    Names are equal when their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a
-    name space; joints that the robot does not have are left out, such as a gripper's, unless the
-    labels only count them: a log of seven numbered joints is none of a robot with four. Labels that
-    count (`lbr_joint_0`, ...) go to the robot's joints in numeric order when no name fits.
+    Names are equal if their words are (`Shoulder-Pan` is `shoulder_pan_joint`), also behind a name
+    space. Joints that the robot does not have, such as a gripper's, are left out, unless the labels
+    only count them. If no name fits, labels that count (`lbr_joint_0`, ...) are matched to the
+    robot's joints in numeric order.
 
     Raises
     ------
@@ -28,11 +28,12 @@ def match_joints(
 
     Examples
     --------
-    >>> match_joints(["elbow", "wrist"], ["wrist_joint", "elbow_joint"], source="log", robot="arm")[0]
+    >>> joints = ["wrist_joint", "elbow_joint"]
+    >>> match_joints(["elbow", "wrist"], joints, source="log", robot="arm")[0]
     [1, 0]
     """
     if len(labels) > len(joint_names) and numbers_in(labels) is not None:
-        raise RecordingError(_misfit(labels, joint_names, source, robot))
+        raise _misfit(labels, joint_names, source, robot)
     for simplify in (_itself, _words, _significant_words):
         keys = [simplify(label) for label in labels]
         wanted = [simplify(name) for name in joint_names]
@@ -61,11 +62,11 @@ def match_joints(
         return order, (
             f"joint names of the log and of {robot} differ; they were matched by number: {pairs}",
         )
-    raise RecordingError(_misfit(labels, joint_names, source, robot))
+    raise _misfit(labels, joint_names, source, robot)
 
 
 def numbers_in(labels: Sequence[str]) -> list[int] | None:
-    """Return the number that counts the labels, or None where they differ in more than one number."""
+    """Return the number that counts the labels, None if they differ in more than a number."""
     split = [words_of(label) for label in labels]
     if len({len(words) for words in split}) != 1 or len(labels) < 2:
         return None
@@ -75,22 +76,28 @@ def numbers_in(labels: Sequence[str]) -> list[int] | None:
     return [int(words[varying[0]]) for words in split]
 
 
-def _misfit(labels: Sequence[str], joint_names: Sequence[str], source: str, robot: str) -> str:
+def _misfit(
+    labels: Sequence[str], joint_names: Sequence[str], source: str, robot: str
+) -> RecordingError:
     if len(labels) != len(joint_names):
         problem = f"{source} has {len(labels)} joints but {robot} has {len(joint_names)}"
     else:
         problem = f"the joint names of {source} do not fit {robot}"
-    return (
+    return RecordingError(
         f"{problem}. Joints of the log: {', '.join(labels)}. Joints of {robot}:"
-        f" {', '.join(joint_names)}. Choose the right robot, or say in a recording sheet which"
-        " column is which: joints = [...] with the robot's names in column order."
+        f" {', '.join(joint_names)}",
+        cure=Cure(
+            "choose the robot that was recorded, or give its joint names in column order in a"
+            " recording sheet: joints = [...]"
+        ),
+        file=source,
+        value=list(labels),
+        expected=list(joint_names),
     )
 
 
 def _in_numeric_order(labels: Sequence[str]) -> list[int] | None:
-    """Return the order that sorts labels by their number, if the numbers run on from 0 or 1 without
-    a gap.
-    """
+    """Return the order that sorts labels by their number, if they count from 0 or 1."""
     numbers = numbers_in(labels)
     if numbers is None or sorted(numbers) not in (
         list(range(len(labels))),

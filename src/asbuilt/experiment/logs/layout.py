@@ -1,4 +1,4 @@
-"""Which columns of a log hold what, for which joint."""
+"""Layout of a log: which columns hold which quantity of which joint."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from asbuilt.experiment.logs.joint_matching import match_joints, numbers_in
 from asbuilt.experiment.logs.roles import Role, recognise, unit_scale
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import TorqueSource
+from asbuilt.findings import Cure
 
 _QUANTITIES = ("position", "velocity", "acceleration", "torque")
 _LETTERS = {"q": "position", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
@@ -41,7 +42,7 @@ class Layout:
 
 @dataclass
 class _Group:
-    """Columns of one quantity, with what their names say of the joint."""
+    """Columns of one quantity, with the joints that their names give."""
 
     names: list[str] = field(default_factory=list)
     roles: list[Role] = field(default_factory=list)
@@ -82,9 +83,14 @@ def find_layout(
         )
         listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
         raise RecordingError(
-            f"{source} has no columns for {absent}. Its columns are: {listing}. Usual names are"
-            " q_1, position_1, <joint>_pos and tau_1, effort_1, <joint>_torque; name others in a"
-            ' recording sheet beside the log: [columns] position = ["..."], torque = ["..."].'
+            f"{source} has no columns for {absent}. Its columns are: {listing}",
+            cure=Cure(
+                "name them in a recording sheet beside the log: [columns] position ="
+                ' ["..."], torque = ["..."]; usual names are q_1, position_1, <joint>_pos and'
+                " tau_1, effort_1, <joint>_torque"
+            ),
+            file=source,
+            available=list(names),
         )
     chosen = _chosen(groups, position, torque)
     labels = _sorted_labels(source, "position", position, sheet)
@@ -118,10 +124,7 @@ def find_layout(
 def _chosen(
     groups: Mapping[tuple[str, str], _Group], position: _Group, torque: _Group
 ) -> dict[str, _Group]:
-    """Return the groups by the names of their quantities.
-
-    What is beside position, velocity, acceleration and torque is extra.
-    """
+    """Return the groups by the names of their quantities, extra torques under their own."""
     chosen = {"position": position, "torque": torque}
     for (quantity, kind), group in groups.items():
         if group is position or group is torque or quantity == "time":
@@ -136,10 +139,10 @@ def _chosen(
 def _own_columns(
     names: Sequence[str], model: RobotModel | None, sheet: RecordingSheet
 ) -> dict[str, tuple[str, str]]:
-    """Return the columns that are plainly a quantity's letters and the name of a joint of the
-    robot, for quantities that have one for every joint.
+    """Return the columns named exactly by a quantity's symbol and a joint of the robot.
 
-    No joint's name can then be mistaken for a word, as in `q_tau` of a joint called tau.
+    This holds for quantities that have such a column for every joint, so that no joint's name is
+    mistaken for a word, as in `q_tau` of a joint called tau.
     """
     if model is None or sheet.joints is not None:
         return {}
@@ -174,7 +177,11 @@ def _column(source: str, names: Sequence[str], what: str, column: ColumnName) ->
         if not 1 <= column <= len(names):
             raise RecordingError(
                 f"{source}: the sheet gives column {column} for {what}, but columns run from 1 to"
-                f" {len(names)}"
+                f" {len(names)}",
+                file=source,
+                value=column,
+                lower=1,
+                upper=len(names),
             )
         return names[column - 1]
     if column in names:
@@ -182,7 +189,10 @@ def _column(source: str, names: Sequence[str], what: str, column: ColumnName) ->
     listing = ", ".join(names[:40]) + (", ..." if len(names) > 40 else "")
     raise RecordingError(
         f"{source}: the sheet gives column {column!r} for {what}, which the log does not have; it"
-        f" has {listing}"
+        f" has {listing}",
+        file=source,
+        value=column,
+        available=list(names),
     )
 
 
@@ -196,12 +206,19 @@ def _listed(
     found = [_column(source, names, what, column) for column in columns]
     repeated = [name for name in found if found.count(name) > 1]
     if repeated:
-        raise RecordingError(f"{source}: the sheet gives column {repeated[0]!r} twice for {what}")
+        raise RecordingError(
+            f"{source}: the sheet gives column {repeated[0]!r} twice for {what}",
+            file=source,
+            value=repeated[0],
+        )
     labels = sheet.joints or ["" for _ in found]
     if len(labels) != len(found):
         raise RecordingError(
             f"{source}: the sheet names {len(labels)} joints but gives {len(found)} columns for"
-            f" {what}"
+            f" {what}",
+            file=source,
+            value=len(found),
+            expected=len(labels),
         )
     quantity = what if what in _QUANTITIES else "torque"
     return _Group(found, [Role(quantity, label, k) for k, label in enumerate(labels, start=1)])  # type: ignore[arg-type]
@@ -221,9 +238,9 @@ def _torque_group(groups: Mapping[tuple[str, str], _Group]) -> tuple[_Group | No
 
 
 def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSheet) -> list[str]:
-    """Sort a group by joint number where it only counts, and return its joint labels.
+    """Sort a group by joint number if it only counts, and return its joint labels.
 
-    Where some columns name a joint, numbers are the names of the rest.
+    If some columns name a joint, numbers are the names of the rest.
     """
     _refuse_repeats(source, quantity, group)
     if sheet.joints is None and any(role.joint for role in group.roles):
@@ -238,7 +255,10 @@ def _sorted_labels(source: str, quantity: str, group: _Group, sheet: RecordingSh
         if len(sheet.joints) != len(group.names):
             raise RecordingError(
                 f"{source}: the sheet names {len(sheet.joints)} joints but the log has"
-                f" {len(group.names)} {quantity} columns"
+                f" {len(group.names)} {quantity} columns",
+                file=source,
+                value=len(group.names),
+                expected=len(sheet.joints),
             )
         return list(sheet.joints)
     return [f"joint_{k}" for k in range(1, len(group.names) + 1)]
@@ -251,8 +271,10 @@ def _refuse_repeats(source: str, quantity: str, group: _Group) -> None:
         if place in places:
             raise RecordingError(
                 f"{source}: columns {places[place]!r} and {name!r} both look like the {quantity} of"
-                f" the same joint; say in a recording sheet which one counts: [columns] {quantity}"
-                " = [...]"
+                " the same joint",
+                cure=Cure(f"choose in a recording sheet: [columns] {quantity} = [...]"),
+                file=source,
+                value=[places[place], name],
             )
         places[place] = name
 
@@ -271,8 +293,12 @@ def _sort_by_number(source: str, quantity: str, group: _Group) -> None:
         if missing:
             raise RecordingError(
                 f"{source}: the {quantity} column of joint number {missing[0]} is missing; there"
-                f" are {', '.join(group.names)}. Add it, or say which columns to use in a recording"
-                f" sheet: [columns] {quantity} = [...]"
+                f" are {', '.join(group.names)}",
+                cure=Cure(
+                    f"add it, or choose columns in a recording sheet: [columns] {quantity} = [...]"
+                ),
+                file=source,
+                available=group.names,
             )
 
 
@@ -285,8 +311,11 @@ def _aligned(
     if len(own) != len(labels):
         raise RecordingError(
             f"{source}: {len(labels)} position columns but {len(own)} {quantity} columns"
-            f" ({', '.join(group.names)}); each joint needs one of each. Say in a recording sheet"
-            " which columns to use."
+            f" ({', '.join(group.names)}); each joint needs one of each",
+            cure=Cure(f"choose columns in a recording sheet: [columns] {quantity} = [...]"),
+            file=source,
+            value=len(own),
+            expected=len(labels),
         )
     if not named or list(own) == list(labels):
         return tuple(group.names)
@@ -298,7 +327,10 @@ def _aligned(
         )
     raise RecordingError(
         f"{source}: joints of the {quantity} columns ({', '.join(own)}) are not those of the"
-        f" position columns ({', '.join(labels)})"
+        f" position columns ({', '.join(labels)})",
+        file=source,
+        value=list(own),
+        expected=list(labels),
     )
 
 
@@ -313,8 +345,14 @@ def _order_for(
         raise RecordingError(
             f"{source} has {len(labels)} position columns ({position.names[0]} ..."
             f" {position.names[-1]}) but {model.name} has {model.n_joints} joints"
-            f" ({', '.join(model.joint_names)}). Choose the right robot, or say in a recording"
-            " sheet which columns belong to which joint."
+            f" ({', '.join(model.joint_names)})",
+            cure=Cure(
+                "choose the robot that was recorded, or give the columns of its joints in a"
+                " recording sheet"
+            ),
+            file=source,
+            value=len(labels),
+            expected=model.n_joints,
         )
     return model.joint_names, list(range(len(labels))), ()
 

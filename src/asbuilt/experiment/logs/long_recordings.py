@@ -1,88 +1,94 @@
-"""Recordings too long to be held as logged.
-
-Opened, read stretch by stretch, and thinned while they are read.
-"""
+"""Recordings too long for the memory: read in chunks, thinned while they are read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Unpack
 
 import numpy as np
-import polars as pl
 
 from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.parquet import scan_parquet
-from asbuilt.experiment.logs.readers import (
-    TEXT_SUFFIXES,
-    PathLike,
-    ReadingOptions,
-    grouped_files,
-    read_recording,
-)
+from asbuilt.experiment.logs.formats.log_format import log_format
+from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples, stream_samples
+from asbuilt.findings import Cure
 
 LONG = 200e6
-"""Size [bytes] of the numbers in a Parquet file, or of a text file, from which a recording is read
-in stretches.
-"""
+"""Size [bytes] from which a recording is read in chunks."""
 CHUNK = 30_000
 """Samples read at once."""
 HEAD = 60_000
 """Samples at the beginning by which a recording is checked and its filters are chosen."""
 GROWTH = 60_000
-"""Samples by which the memory for what the filters leave grows, in place."""
+"""Samples by which the memory of the filtered samples grows, in place."""
 COLUMNS = ("t", "q", "qd", "qdd", "tau", "tau_raw")
 
 
 @dataclass(frozen=True, eq=False)
 class RecordingStream:
-    """Name a recording that is read in stretches, as often as it is gone through.
+    """Name a recording that is read in chunks whenever it is iterated.
 
-    >>> stream = RecordingStream(Path("hour.parquet"), {"rate": 1000.0})
-    >>> stream.source
+    Parameters
+    ----------
+    path
+        The log.
+    model
+        Robot whose joints order the columns.
+    options
+        How to read it.
+    chunk_samples
+        Samples per chunk.
+
+    Examples
+    --------
+    >>> RecordingStream(Path("hour.parquet"), options=ReadingOptions(rate=1000.0)).source
     'hour.parquet'
     """
 
     path: Path
+    model: RobotModel | None = field(default=None, repr=False)
     options: ReadingOptions = field(default_factory=ReadingOptions)
     chunk_samples: int = CHUNK
 
     @property
     def source(self) -> str:
-        """Where it is."""
+        """Name of the log."""
         return str(self.path)
 
     def __iter__(self) -> Iterator[Recording]:
-        """Yield its stretches in order."""
+        """Yield its chunks in order."""
         return self._read(self.chunk_samples)
 
     def _read(self, chunk_samples: int) -> Iterator[Recording]:
-        return stream_recording(self.path, chunk_samples=chunk_samples, **self.options)
+        return stream_recording(
+            self.path, model=self.model, options=self.options, chunk_samples=chunk_samples
+        )
 
     @cached_property
     def head(self) -> Recording:
         """The beginning, by which the recording is checked and its filters are chosen.
 
-        Raises `RecordingError` where there is none.
+        Raises
+        ------
+        RecordingError
+            If it holds no samples.
         """
         for recording in self._read(HEAD):
             return recording
-        raise RecordingError(f"{self.path} is not a recording: it holds no samples")
+        raise RecordingError(
+            f"{self.path} is not a recording: it holds no samples", file=self.source
+        )
 
     def prepared(self, chain: SignalChain) -> Samples:
-        """Return its samples after filtering and thinning.
-
-        Only these are held, about 100 MB for an hour of seven joints.
-        """
+        """Return its samples after filtering and thinning, about 100 MB per hour and 7 joints."""
         columns: dict[str, Array] = {}
         bounds, first = [0], None
         for samples in stream_samples(self, chain):
@@ -97,9 +103,14 @@ class RecordingStream:
             bounds += [filled + stop for _, stop in samples.segments]
         if first is None:
             raise RecordingError(
-                f"{self.path}: nothing is left after filtering; raise the cutoff, record longer, or"
-                " check that the robot moves"
+                f"{self.path}: no samples are left after filtering",
+                cure=Cure("raise the cutoff, record longer, or check that the robot moves"),
+                file=self.source,
             )
+        note = (
+            f"read in chunks of {self.chunk_samples} samples; checked and its filters chosen on"
+            f" the first {HEAD}"
+        )
         return Samples(
             **{name: held[: bounds[-1]] for name, held in columns.items()},
             rate=first.rate,
@@ -109,54 +120,25 @@ class RecordingStream:
             torque_source=first.torque_source,
             parallel=first.parallel,
             origin=first.origin,
-            provenance=(
-                *first.provenance,
-                (
-                    f"read in stretches of {self.chunk_samples} samples; checked and its filters"
-                    f" chosen on the first {HEAD}"
-                ),
-            ),
+            provenance=(*first.provenance, note),
         )
 
 
 def head_of(recording: Recording | RecordingStream) -> Recording:
-    """Return what a recording is checked by and its filters are chosen by.
-
-    Itself, or the beginning of a stream.
-    """
+    """Return a recording in memory, or the beginning of a stream."""
     return recording.head if isinstance(recording, RecordingStream) else recording
 
 
 def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
-    """Return the samples of a recording, held or not, after the signal chain, whose open choices
-    are made for it.
-    """
+    """Return the samples of a recording or stream; what the chain leaves open is chosen for it."""
     if isinstance(recording, RecordingStream):
         return recording.prepared(chain.resolved(recording.head))
     return prepare_samples(recording, chain)
 
 
 def is_long(path: Path) -> bool:
-    """Return whether a file should be read in stretches, from its size alone."""
-    suffix = path.suffix.lower()
-    if not path.is_file() or suffix not in {".parquet", *TEXT_SUFFIXES}:
+    """Return whether a file should be read in chunks, by its size."""
+    if not path.is_file() or path.suffix == ".toml":
         return False
-    if suffix == ".parquet":
-        frame, names, _ = scan_parquet(path)
-        return int(frame.select(pl.len()).collect().item()) * len(names) * 8 > LONG
-    return path.stat().st_size > LONG
-
-
-def open_recordings(
-    paths: Sequence[PathLike], **options: Unpack[ReadingOptions]
-) -> list[Recording | RecordingStream]:
-    """Read recordings as `read_recordings` does, but leave those too long to be held as streams."""
-    groups = grouped_files([Path(path) for path in paths])
-    return [
-        (
-            RecordingStream(group[0], options)
-            if len(group) == 1 and is_long(group[0])
-            else read_recording(group, **options)
-        )
-        for group in groups
-    ]
+    stream = log_format(path).stream
+    return stream is not None and stream.n_bytes(path) > LONG

@@ -1,4 +1,4 @@
-"""One recording in several files, one quantity each."""
+"""Recordings in several files of one quantity each."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.table import Table
+from asbuilt.experiment.logs.formats.log_format import LogTable
 from asbuilt.experiment.logs.roles import quantity_of_file, recognise
+from asbuilt.findings import Cure
 
 _QUANTITIES = {"position", "velocity", "acceleration", "torque"}
 
@@ -29,12 +30,11 @@ def role_groups(paths: Sequence[Path]) -> list[list[Path]]:
     return result
 
 
-def merge_role_files(tables: Mapping[str, Table]) -> Table:
+def merge_role_files(tables: Mapping[str, LogTable]) -> LogTable:
     """Join files of one quantity each at equal time stamps.
 
-    A key names the quantity, or is a file name that ends in it.
-
-    Columns that tell no quantity themselves are joints of the file's.
+    A key names the quantity, or is a file name that ends in it. Columns whose names give no
+    quantity are joints of the file's quantity.
 
     Raises
     ------
@@ -48,8 +48,9 @@ def merge_role_files(tables: Mapping[str, Table]) -> Table:
         quantity = key if key in _QUANTITIES else quantity_of_file(Path(key).stem)[0]
         if quantity is None:
             raise RecordingError(
-                f"the name {key!r} does not tell which quantity the file holds; list the files in a"
-                " recording sheet under [files]"
+                f"the name {key!r} does not name the quantity that the file holds",
+                cure=Cure("list the files under [files] in a recording sheet"),
+                file=key,
             )
         parts[quantity] = table
     clocks = {quantity: _clock_column(table) for quantity, table in parts.items()}
@@ -70,7 +71,7 @@ def merge_role_files(tables: Mapping[str, Table]) -> Table:
                 name if role is None or role.quantity == "time" else role.joint or name,
             )
     source = ", ".join(table.source for table in parts.values())
-    return Table(
+    return LogTable(
         source=source,
         columns=columns,
         known=known,
@@ -78,7 +79,7 @@ def merge_role_files(tables: Mapping[str, Table]) -> Table:
     )
 
 
-def _clock_column(table: Table) -> str | None:
+def _clock_column(table: LogTable) -> str | None:
     for name in table.columns:
         role = recognise(name)
         if role is not None and role.quantity == "time" and not role.joint:
@@ -87,7 +88,7 @@ def _clock_column(table: Table) -> str | None:
 
 
 def _common_rows(
-    parts: Mapping[str, Table], clocks: Mapping[str, str | None]
+    parts: Mapping[str, LogTable], clocks: Mapping[str, str | None]
 ) -> tuple[dict[str, NDArray[np.intp] | slice], tuple[str, ...]]:
     lengths = {table.source: table.n_samples for table in parts.values()}
     times = [
@@ -109,8 +110,8 @@ def _common_rows(
     if common.size < 0.5 * shortest:
         raise RecordingError(
             f"files of one recording do not share a clock: {common.size} of {shortest} time stamps"
-            f" are equal ({', '.join(lengths)}); resample them to one clock, or log all quantities"
-            " together"
+            f" are equal ({', '.join(lengths)})",
+            cure=Cure("resample them to one clock, or log all quantities together"),
         )
     rows: dict[str, NDArray[np.intp] | slice] = {}
     for quantity, clock in clocks.items():

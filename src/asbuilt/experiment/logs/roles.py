@@ -1,4 +1,4 @@
-"""What a column of a log means, told from its name."""
+"""Role of a column: quantity, joint and unit by its name."""
 
 from __future__ import annotations
 
@@ -114,14 +114,19 @@ _MEASURED = {
     "log",
     "data",
 }
+_PREFIXES = _MEASURED - {"hat", "joint", "joints", "axis", "j"}
+"""Words before a joint's name that do not belong to it."""
 _MOTOR = {"motor", "motors"}
 _SENSOR = {"sensor", "sensors"}
 _UNITS: dict[str, float] = {
-    "rad": 1.0, "deg": math.pi / 180, "degree": math.pi / 180, "degrees": math.pi / 180, "°": math.pi / 180, "mrad": 1e-3,
-    "m": 1.0, "mm": 1e-3, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "n": 1.0,
-    "nm": 1.0, "n m": 1.0, "n*m": 1.0, "n.m": 1.0, "mnm": 1e-3, "mn m": 1e-3, "knm": 1e3, "kn m": 1e3, "ncm": 1e-2, "n cm": 1e-2,
-    "a": 1.0, "ma": 1e-3,
-}  # fmt: skip
+    **dict.fromkeys(("rad", "m", "s", "sec", "n", "nm", "n m", "n*m", "n.m", "a"), 1.0),
+    **dict.fromkeys(("deg", "degree", "degrees", "°"), math.pi / 180),
+    **dict.fromkeys(("mrad", "mm", "ms", "mnm", "mn m", "ma"), 1e-3),
+    **dict.fromkeys(("us", "µs"), 1e-6),
+    **dict.fromkeys(("knm", "kn m"), 1e3),
+    **dict.fromkeys(("ncm", "n cm"), 1e-2),
+    "ns": 1e-9,
+}
 _UNIT_SUFFIX = re.compile(
     r"(?i)[_ .](deg|degrees|rad|mrad|mnm|nm|ms|us|ns|sec|s|ma)(?:_?(?:p|per)?_?s\d?)?(?=[_ .]?\d*$)"
 )
@@ -130,12 +135,10 @@ _TOKEN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 @dataclass(frozen=True)
 class Role:
-    """What one column holds.
+    """Hold what the name of a column gives.
 
-    `joint` is what the name says of the joint ("" where it only counts), `index` its last number,
-    `scale` to SI.
-
-    `kind` tells apart columns of one quantity: "", "external", "motor" or "sensor".
+    `joint` is the name of the joint ("" if it only counts), `index` its last number, `scale` the
+    factor to SI, `kind` one of "", "external", "motor" or "sensor".
     """
 
     quantity: Quantity
@@ -147,7 +150,7 @@ class Role:
 
 
 def unit_scale(unit: str) -> float | None:
-    """Return the factor from `unit`, such as "deg/s" or "mN m", to SI; None where it is unknown.
+    """Return the factor from `unit`, such as "deg/s" or "mN m", to SI; None if it is unknown.
 
     Examples
     --------
@@ -159,20 +162,20 @@ def unit_scale(unit: str) -> float | None:
 
 
 def words_of(name: str) -> list[str]:
-    """Split a name into lower-case words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
+    """Split a name into words and numbers: "jointTorque_1" -> ["joint", "torque", "1"]."""
     return [word.lower() for word in _TOKEN.findall(name.replace("τ", "tau").replace("θ", "theta"))]
 
 
 def recognise(name: str) -> Role | None:
-    """Return the role that a column's name tells, or None where it tells none (or a desired value,
-    a temperature, ...).
+    """Return the role of a column by its name; None for desired values, temperatures and others.
 
     Examples
     --------
     >>> recognise("q_0")
     Role(quantity='position', joint='', index=0, kind='', scale=1.0, unit='')
-    >>> recognise("joint_3_torque").quantity, recognise("elbow_joint_vel").joint, recognise("target_q_1")
-    ('torque', 'elbow_joint', None)
+    >>> recognise("joint_3_torque").quantity, recognise("elbow_joint_vel").joint
+    ('torque', 'elbow_joint')
+    >>> recognise("target_q_1")
     """
     bare, index, unit = _without_brackets(name.replace("τ", "tau").replace("θ", "theta"))
     spans = [(m.group().lower(), m.start(), m.end()) for m in _TOKEN.finditer(bare)]
@@ -210,24 +213,7 @@ def recognise(name: str) -> Role | None:
     joint = ""
     if named or len(numbers) > 1:
         first, last = rest[0], rest[-1]
-        while (
-            words[first]
-            in {
-                "actual",
-                "measured",
-                "meas",
-                "msr",
-                "filtered",
-                "filt",
-                "raw",
-                "header",
-                "log",
-                "data",
-                "states",
-                "state",
-            }
-            and first < last
-        ):
+        while words[first] in _PREFIXES and first < last:
             first += 1
         contiguous = not any(k in used for k in range(first, last + 1))
         joint = (
@@ -277,7 +263,7 @@ def _without_brackets(name: str) -> tuple[str, int | None, str]:
 
 
 def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
-    """Return the quantity that the words name and which words say so."""
+    """Return the quantity that the words name, and the indices of these words."""
     for k in range(len(words)):
         for pair, quantity in _PAIRS.items():
             if tuple(words[k : k + len(pair)]) == pair:

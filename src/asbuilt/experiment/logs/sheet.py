@@ -1,4 +1,4 @@
-"""The recording sheet: what a log does not say of itself, written beside it in TOML."""
+"""Recording sheets: description of a log in TOML, written beside it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from asbuilt.experiment.logs.roles import unit_scale
 
 ColumnName = int | str
 ROBOT_FIELDS = {"links", "dh", "robot", "gravity"}
-"""Fields by which a robot description is told from a recording sheet."""
+"""Fields of a robot description, which a recording sheet does not have."""
 
 
 def _spread(value: object) -> object:
-    """Spread "2-7" or "q_1 - q_6" over the numbers between, and a single name into a list of one."""
+    """Spread "2-7" or "q_1 - q_6" over the numbers between; a single name is a list of one."""
     if isinstance(value, list):
         spread = [_spread(part) for part in value]
         return [item for part in spread for item in (part if isinstance(part, list) else [part])]
@@ -78,7 +78,7 @@ class SheetUnits(_Part):
 
 
 class SheetWindow(_Part):
-    """A stretch of the recording to keep [s], counted from its first sample."""
+    """A segment of the recording to keep [s], counted from its first sample."""
 
     start: float = 0.0
     stop: float = Field(default=float("inf"))
@@ -102,14 +102,15 @@ class SheetFiles(_Part):
 
 
 class RecordingSheet(_Part):
-    """Describe a log: every field is optional and overrides what would be told from the names.
+    """Describe a log: every field is optional and overrides what the column names give.
 
     `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
     `gains` turn them into N m (amperes times N m/A); both are one number or one per joint.
 
     Examples
     --------
-    >>> RecordingSheet.model_validate({"rate": 100, "columns": {"position": "2-4"}}).columns.position
+    >>> sheet = RecordingSheet.model_validate({"rate": 100, "columns": {"position": "2-4"}})
+    >>> sheet.columns.position
     [2, 3, 4]
     """
 
@@ -127,9 +128,7 @@ class RecordingSheet(_Part):
     topic: str | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
-        """Return which instants t (N,) [s] of a recording that began at `start` lie in one of the
-        windows.
-        """
+        """Return which times (N,) [s] of a recording that began at `start` lie in a window."""
         inside = np.zeros(t.size, dtype=np.bool_)
         for window in self.windows:
             inside |= (t >= start + window.start) & (t < start + window.stop)
@@ -162,29 +161,29 @@ def read_sheet(path: str | Path) -> RecordingSheet:
     Raises
     ------
     RecordingError
-        If the file is no TOML, has a field that a sheet does not have, or a value that makes no
-        sense; the message names field, value and cure.
+        If the file is no TOML, or has an unknown field or an invalid value.
     """
     path = Path(path)
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
-        raise RecordingError(f"recording sheet {path} does not exist") from error
+        raise RecordingError(f"recording sheet {path} does not exist", file=str(path)) from error
     except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"recording sheet {path} cannot be read: {error}") from error
+        raise RecordingError(
+            f"recording sheet {path} cannot be read: {error}", file=str(path)
+        ) from error
     except tomllib.TOMLDecodeError as error:
-        raise RecordingError(f"recording sheet {path} is not TOML: {error}") from error
+        raise RecordingError(
+            f"recording sheet {path} is not TOML: {error}", file=str(path)
+        ) from error
     try:
         return RecordingSheet.model_validate(content)
     except ValidationError as error:
-        raise RecordingError(_explain(path, error)) from error
+        raise RecordingError(_explain(path, error), file=str(path)) from error
 
 
 def sheet_beside(log: Path) -> Path | None:
-    """Return the sheet that lies beside a log.
-
-    `run.csv.toml` or `run.toml`, if its fields are those of a sheet.
-    """
+    """Return the sheet beside a log: `run.csv.toml` or `run.toml`; None if there is none."""
     for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
         if candidate == log or not candidate.is_file():
             continue

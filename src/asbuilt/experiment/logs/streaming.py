@@ -1,154 +1,87 @@
-"""Read a recording longer than memory, a stretch at a time."""
+"""Reading of a recording in chunks, for logs that exceed the memory."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Unpack
+from typing import Any
 
-import polars as pl
-
-from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.delimited import (
-    bad_cell,
-    find_dialect,
-    scan_delimited,
-    without_blank_lines,
-)
-from asbuilt.experiment.logs.formats.parquet import scan_parquet, seconds
-from asbuilt.experiment.logs.formats.table import Table
+from asbuilt.experiment.logs.assembly import apply_sheet, build_recording, clock_origin
+from asbuilt.experiment.logs.formats.frames import numbers
+from asbuilt.experiment.logs.formats.log_format import LogTable, log_format
 from asbuilt.experiment.logs.layout import find_layout
-from asbuilt.experiment.logs.readers import (
-    TEXT_SUFFIXES,
-    PathLike,
-    ReadingOptions,
-    apply_sheet,
-    build_recording,
-    check_readable,
-    clock_origin,
-    find_sheet,
-    read_recording,
-)
-from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
+from asbuilt.experiment.logs.readers import check_readable, find_sheet, read_recording
 from asbuilt.experiment.recording import Recording
+
+_STREAMED = ("position", "velocity", "acceleration", "torque")
 
 
 def stream_recording(
-    path: PathLike, *, chunk_samples: int = 200_000, **options: Unpack[ReadingOptions]
+    path: PathLike,
+    *,
+    model: RobotModel | None = None,
+    options: ReadingOptions | None = None,
+    chunk_samples: int = 200_000,
+    **settings: Any,
 ) -> Iterator[Recording]:
-    """Read a recording in consecutive stretches of `chunk_samples`, the last of which may be
-    shorter.
+    """Read a recording in consecutive chunks.
 
-    Parquet is read in slices and delimited text lazily, so memory depends on the stretch, not on
-    the length; other formats are read whole first. Extra quantities are left out. Options are those
-    of `read_recording`.
+    Parquet and delimited text are read lazily, so memory depends on the chunk, not on the length;
+    other formats are read whole first. Extra quantities are left out.
+
+    Parameters
+    ----------
+    path
+        The log.
+    chunk_samples
+        Samples per chunk; the last chunk may be shorter.
+    model, options, **settings
+        As of `read_recording`.
 
     Raises
     ------
     RecordingError
-        As `read_recording`; a bad cell is reported when its stretch is reached.
+        As `read_recording`; a bad cell is reported when its chunk is reached.
     """
     if chunk_samples < 1:
-        raise RecordingError(f"chunk_samples must be at least 1, got {chunk_samples}")
-    path = Path(path)
-    check_readable(path)
-    described, notes = find_sheet(path, options.get("sheet"))
-    suffix = path.suffix.lower()
-    blank = described.separator == " " or (
-        suffix in TEXT_SUFFIXES and find_dialect(path).separator == ""
-    )
-    if (
-        described.files.position is not None
-        or blank
-        or (suffix != ".parquet" and suffix not in TEXT_SUFFIXES)
-    ):
-        whole = read_recording(path, **(options | {"sheet": described}))
-        yield from (
-            whole.taken(slice(begin, begin + chunk_samples))
-            for begin in range(0, whole.n_samples, chunk_samples)
+        raise RecordingError(
+            f"chunk_samples must be at least 1, got {chunk_samples}", value=chunk_samples, lower=1
         )
+    path, chosen = Path(path), reading_options(options, settings)
+    check_readable(path)
+    sheet, notes = find_sheet(path, chosen.sheet)
+    listed = sheet.files.position is not None
+    stream = None if listed or path.suffix == ".toml" else log_format(path).stream
+    names = None if stream is None else stream.columns(path, sheet)
+    if stream is None or names is None:
+        whole = read_recording(path, model=model, options=replace(chosen, sheet=sheet))
+        for begin in range(0, whole.n_samples, chunk_samples):
+            yield whole.taken(slice(begin, begin + chunk_samples))
         return
     source = str(path)
-    layout = find_layout(
-        source, _column_names(path, described), model=options.get("model"), sheet=described
-    )
-    layout = replace(
-        layout,
-        quantities={
-            k: v
-            for k, v in layout.quantities.items()
-            if k in {"position", "velocity", "acceleration", "torque"}
-        },
-    )
-    rate = options.get("rate")
-    if rate is None:
-        rate = described.rate
-    windowless = described.model_copy(update={"windows": []})
+    layout = find_layout(source, names, model=model, sheet=sheet)
+    quantities = {name: layout.quantities[name] for name in _STREAMED if name in layout.quantities}
+    layout = replace(layout, quantities=quantities)
+    rate = chosen.rate if chosen.rate is not None else sheet.rate
+    windowless = sheet.model_copy(update={"windows": []})
     origin: float | None = None
     start = 0.0
-    for first, frame in _frames(path, described, layout.columns, chunk_samples):
-        table = Table(
-            source=source, columns={name: _numbers(frame[name]) for name in layout.columns}
-        )
+    for first, frame in stream.frames(path, sheet, layout.columns, chunk_samples):
+        columns = {name: numbers(frame[name]) for name in layout.columns}
+        table = LogTable(source=source, columns=columns)
         if origin is None and layout.time is not None:
             t = table.columns[layout.time] * layout.scales[layout.time]
             origin = clock_origin(t)
             start = float(t[0]) - origin
         chunk = build_recording(table, layout, rate=rate, first_sample=first, origin=origin)
-        chunk = apply_sheet(
-            replace(chunk, notes=(*notes, *chunk.notes)),
-            windowless,
-            flip_torque=options.get("flip_torque", False),
-            gain=options.get("gain"),
-            torque_source=options.get("torque_source"),
-        )
-        if described.windows:
-            inside = described.in_windows(chunk.t, start)
+        chunk = apply_sheet(replace(chunk, notes=(*notes, *chunk.notes)), windowless, chosen)
+        if sheet.windows:
+            inside = sheet.in_windows(chunk.t, start)
             if not inside.any():
                 continue
             chunk = chunk.taken(inside)
         yield chunk
-
-
-def _column_names(path: Path, sheet: RecordingSheet) -> tuple[str, ...]:
-    if path.suffix.lower() == ".parquet":
-        return scan_parquet(path)[1]
-    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
-    if dialect.headless and sheet.columns.position is None:
-        raise RecordingError(
-            f"{path} has {len(dialect.names)} columns without names; say what they are in a"
-            " recording sheet: [columns] position = ..."
-        )
-    return tuple(name for name in dialect.names if name not in dialect.text_columns)
-
-
-def _frames(
-    path: Path, sheet: RecordingSheet, columns: list[str], chunk_samples: int
-) -> Iterator[tuple[int, pl.DataFrame]]:
-    """Yield the index of the first row, and the frame of the needed columns."""
-    if path.suffix.lower() == ".parquet":
-        scanned = scan_parquet(path)[0]
-        total = int(scanned.select(pl.len()).collect().item())
-        for begin in range(0, total, chunk_samples):
-            yield begin, scanned.select(columns).slice(begin, chunk_samples).collect()
-        return
-    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
-    done = 0
-    try:
-        for frame in without_blank_lines(
-            scan_delimited(path, dialect).select(columns)
-        ).collect_batches(chunk_size=chunk_samples, maintain_order=True):
-            yield done, frame
-            done += frame.height
-    except pl.exceptions.PolarsError as error:
-        raise RecordingError(bad_cell(path, dialect, error)) from error
-
-
-def _numbers(series: pl.Series) -> Array:
-    if series.dtype in (pl.Datetime, pl.Duration):
-        return seconds(series)
-    if series.dtype != pl.Float64:
-        series = series.cast(pl.Float64)
-    return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()

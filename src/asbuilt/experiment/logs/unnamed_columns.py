@@ -1,4 +1,4 @@
-"""What the columns of a log without names seem to hold, told from their values."""
+"""Guess of what the columns of a log without a header row hold, from their values."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from asbuilt.arrays import Array
 
 
 def suggest_sheet(columns: Mapping[str, Array], n_joints: int | None) -> str:
-    """Write the recording sheet that columns without names seem to ask for.
+    """Return a recording sheet for columns without names, as far as their values decide it.
 
-    A rising column is time, a group that is another's derivative its velocity.
-
-    Groups that the values do not tell apart are left for the reader to name.
+    An increasing column is time, a group that is another's derivative its velocity; the first of
+    the other groups is torque.
     """
     values = list(columns.values())
-    has_time = int(bool(values) and _rises(values[0]))
+    has_time = int(bool(values) and _increases(values[0]))
     n_rest = len(values) - has_time
     if n_joints is None:
         n_joints = _joints_by_derivative(values[has_time:], values[0] if has_time else None)
@@ -50,15 +49,13 @@ def suggest_sheet(columns: Mapping[str, Array], n_joints: int | None) -> str:
     return "\n".join(lines)
 
 
-def _rises(values: Array) -> bool:
+def _increases(values: Array) -> bool:
     finite = values[np.isfinite(values)]
     return finite.size > 1 and bool(np.all(np.diff(finite) >= 0)) and finite[-1] > finite[0]
 
 
 def _position_and_velocity(t: Array, groups: list[Array]) -> tuple[int, int | None]:
-    """Return the pair of groups of which the second follows the derivative of the first, or the
-    first group alone.
-    """
+    """Return the groups of which the second follows the derivative of the first, or the first."""
     best, pair = 0.8, None
     for i, q in enumerate(groups):
         for k, qd in enumerate(groups):
@@ -68,7 +65,7 @@ def _position_and_velocity(t: Array, groups: list[Array]) -> tuple[int, int | No
 
 
 def _derivative_match(t: Array, q: Array, qd: Array) -> float:
-    """Return the median correlation of the columns of qd with the derivative of the columns of q."""
+    """Return the median correlation of the columns of qd with the derivative of q."""
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = np.gradient(q, axis=0) / np.gradient(t)[:, None]
     matches = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,41 +12,46 @@ import polars as pl
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.table import Table
+from asbuilt.experiment.logs.formats.frames import numbers
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogStream,
+    LogTable,
+)
+from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.findings import Cure
 
 _SEPARATORS = (",", ";", "\t", "|")
 _COMMENTS = ("#", "%")
 _PACKED = {
-    b"\xff\xfe": "UTF-16 text; save it as UTF-8",
-    b"\xfe\xff": "UTF-16 text; save it as UTF-8",
-    b"\x1f\x8b": "a gzip archive; unpack it",
-    b"PK\x03\x04": "a ZIP archive or a spreadsheet; unpack it, or export the sheet as CSV",
+    b"\xff\xfe": ("UTF-16 text", "save it as UTF-8"),
+    b"\xfe\xff": ("UTF-16 text", "save it as UTF-8"),
+    b"\x1f\x8b": ("a gzip archive", "unpack it"),
+    b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "unpack it, or export the sheet as CSV"),
 }
-"""What files begin with that pass for text by their name."""
+"""First bytes of files that are not text, whatever their suffix."""
 _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text file is written: `separator` is "" for runs of blanks.
-
-    `skip` lines precede the data; `names` of all columns.
-    """
+    """Describe a text file; `separator` is "" for blanks, `skip` lines precede the data."""
 
     separator: str
     decimal_comma: bool
     skip: int
     names: tuple[str, ...]
-    headless: bool
+    named: bool
     text_columns: tuple[str, ...]
 
 
 def find_dialect(
     path: Path, *, header: bool | None = None, separator: str | None = None
 ) -> Dialect:
-    """Find separator, header and column names from the first lines.
+    """Find separator, header row and column names from the first lines.
 
-    `header` None decides by whether the first line holds numbers.
+    If `header` is None, a first line without numbers is the header row.
 
     Raises
     ------
@@ -59,7 +65,7 @@ def find_dialect(
         if line.strip() and not line.lstrip().startswith(_COMMENTS)
     ]
     if not body:
-        raise RecordingError(f"{path} is not a recording: it is empty")
+        raise RecordingError(f"{path} is not a recording: it is empty", file=str(path))
     first = body[0]
     if separator is None:
         separator = _find_separator([lines[k] for k in body[:20]])
@@ -74,7 +80,8 @@ def find_dialect(
     if has_header:
         if len(body) < 2:
             raise RecordingError(
-                f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data"
+                f"{path} is not a recording: it has a header ({', '.join(fields[:6])}) but no data",
+                file=str(path),
             )
         skip = body[1]
         units = _fields(lines[skip], separator)
@@ -107,7 +114,10 @@ def find_dialect(
         places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
         raise RecordingError(
             f"{path}: the column name {repeated[0]!r} appears {names.count(repeated[0])} times"
-            f" (columns {places}); rename one of them"
+            f" (columns {places})",
+            cure=Cure("rename one of them"),
+            file=str(path),
+            value=repeated[0],
         )
     data = _fields(lines[skip], separator)
     text = tuple(
@@ -118,9 +128,12 @@ def find_dialect(
     if len(text) == len(names):
         raise RecordingError(
             f"{path} is not a recording: line {skip + 1} holds no number"
-            f" ({lines[skip].strip()[:60]!r}); remove what stands above the header"
+            f" ({lines[skip].strip()[:60]!r})",
+            cure=Cure("remove the lines above the header"),
+            file=str(path),
+            line=skip + 1,
         )
-    return Dialect(separator, decimal_comma, skip, tuple(names), not has_header, text)
+    return Dialect(separator, decimal_comma, skip, tuple(names), has_header, text)
 
 
 def scan_delimited(path: Path, dialect: Dialect) -> pl.LazyFrame:
@@ -147,9 +160,8 @@ def without_blank_lines(frame: pl.LazyFrame) -> pl.LazyFrame:
 
 def read_delimited(
     path: Path, *, header: bool | None = None, separator: str | None = None
-) -> Table:
-    """Read a CSV file (or one delimited by semicolons, tabs, bars or blanks), with or without
-    header.
+) -> LogTable:
+    """Read a text file delimited by commas, semicolons, tabs, bars or blanks.
 
     Empty cells become NaN; a cell that is not a number raises with its line and column.
 
@@ -164,41 +176,44 @@ def read_delimited(
     try:
         frame = without_blank_lines(scan_delimited(path, dialect)).collect()
     except pl.exceptions.PolarsError as error:
-        raise RecordingError(bad_cell(path, dialect, error)) from error
+        raise bad_cell(path, dialect, error) from error
     columns: dict[str, Array] = {}
     for name in frame.columns:
         series = frame[name]
         if series.dtype == pl.String:
             continue
-        columns[name] = series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
+        columns[name] = numbers(series)
     for name, values in _times_from_text(frame, dialect.text_columns).items():
         columns[name] = values
-    return Table(
+    return LogTable(
         source=str(path),
         columns=columns,
-        headless=dialect.headless,
+        named=dialect.named,
         text_columns=tuple(n for n in dialect.text_columns if n not in columns),
     )
 
 
-def bad_cell(path: Path, dialect: Dialect, error: Exception) -> str:
-    """Say where the first cell lies that could not be read as a number."""
+def bad_cell(path: Path, dialect: Dialect, error: Exception) -> RecordingError:
+    """Return the error that names the first cell that is not a number."""
+    expected = len(dialect.names)
     with path.open(encoding="utf-8", errors="replace") as file:
-        for number, line in enumerate(file, start=1):
-            if number <= dialect.skip or not line.strip() or line.startswith("#"):
+        for line, text in enumerate(file, start=1):
+            if line <= dialect.skip or not text.strip() or text.startswith("#"):
                 continue
-            fields = _fields(line, dialect.separator)
-            if len(fields) > len(dialect.names):
-                commas = dialect.separator == "," and len(fields) > 1.5 * len(dialect.names)
-                cure = (
-                    "export decimal points, or semicolons between the cells, if these are decimal"
-                    " commas"
-                    if commas
-                    else "repair or remove the line"
-                )
-                return (
-                    f"{path}, line {number}: {len(fields)} fields where {len(dialect.names)}"
-                    f" columns are expected; {cure}"
+            fields = _fields(text, dialect.separator)
+            if len(fields) > expected:
+                commas = dialect.separator == "," and len(fields) > 1.5 * expected
+                return RecordingError(
+                    f"{path}, line {line}: {len(fields)} fields where {expected} columns are"
+                    " expected",
+                    cure=Cure(
+                        "export decimal points, or semicolons between the cells, if these are"
+                        " decimal commas"
+                        if commas
+                        else "repair or remove the line"
+                    ),
+                    file=str(path),
+                    line=line,
                 )
             for name, cell in zip(dialect.names, fields, strict=False):
                 if (
@@ -206,22 +221,28 @@ def bad_cell(path: Path, dialect: Dialect, error: Exception) -> str:
                     and cell not in _MISSING
                     and not _is_number(cell, dialect.decimal_comma)
                 ):
-                    return (
-                        f"{path}, line {number}, column {name!r}: {cell!r} is not a number; repair"
-                        " the cell or remove the line"
+                    return RecordingError(
+                        f"{path}, line {line}, column {name!r}: {cell!r} is not a number",
+                        cure=Cure("repair the cell or remove the line"),
+                        file=str(path),
+                        line=line,
+                        column=name,
+                        value=cell,
                     )
-    return f"{path} cannot be read as delimited text: {error}"
+    return RecordingError(f"{path} cannot be read as delimited text: {error}", file=str(path))
 
 
-def _read_blank_delimited(path: Path, dialect: Dialect) -> Table:
+def _read_blank_delimited(path: Path, dialect: Dialect) -> LogTable:
     try:
         data = np.loadtxt(path, comments=list(_COMMENTS), skiprows=dialect.skip, ndmin=2)
     except ValueError as error:
-        raise RecordingError(f"{path} cannot be read as numbers between blanks: {error}") from error
-    return Table(
+        raise RecordingError(
+            f"{path} cannot be read as numbers between blanks: {error}", file=str(path)
+        ) from error
+    return LogTable(
         source=str(path),
         columns={name: np.ascontiguousarray(data[:, k]) for k, name in enumerate(dialect.names)},
-        headless=dialect.headless,
+        named=dialect.named,
     )
 
 
@@ -243,18 +264,26 @@ def _first_lines(path: Path, count: int = 64) -> list[str]:
         start = file.read(4096)
     packed = next((what for magic, what in _PACKED.items() if start.startswith(magic)), None)
     if packed is not None:
-        raise RecordingError(f"{path} is not a recording: it holds {packed}")
+        raise RecordingError(
+            f"{path} is not a recording: it holds {packed[0]}",
+            cure=Cure(packed[1]),
+            file=str(path),
+        )
     if b"\r" in start and b"\n" not in start:
         raise RecordingError(
-            f"{path} is not a recording: its lines end in a carriage return alone; save it with"
-            " line feeds"
+            f"{path} is not a recording: its lines end in a carriage return alone",
+            cure=Cure("save it with line feeds"),
+            file=str(path),
         )
     if b"\0" in start:
-        raise RecordingError(f"{path} is not a recording: it holds binary data, not text")
+        raise RecordingError(
+            f"{path} is not a recording: it holds binary data, not text", file=str(path)
+        )
     if start.lstrip().lower().startswith((b"<!doctype", b"<html", b"<?xml", b"<robot", b"{")):
         raise RecordingError(
             f"{path} is not a recording: it starts with"
-            f" {start.lstrip()[:20].decode('utf-8', 'replace')!r}; a table of numbers is expected"
+            f" {start.lstrip()[:20].decode('utf-8', 'replace')!r}, not a table of numbers",
+            file=str(path),
         )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         return list(itertools.islice(file, count))
@@ -286,3 +315,48 @@ def _is_number(text: str, decimal_comma: bool) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _columns(path: Path, sheet: RecordingSheet) -> tuple[str, ...] | None:
+    """Return the numeric columns of a file that can be read lazily."""
+    if sheet.separator == " " or find_dialect(path).separator == "":
+        return None
+    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
+    if not dialect.named and sheet.columns.position is None:
+        raise RecordingError(
+            f"{path} has {len(dialect.names)} columns without a header row",
+            cure=Cure("name them in a recording sheet: [columns] position = ..."),
+            file=str(path),
+        )
+    return tuple(name for name in dialect.names if name not in dialect.text_columns)
+
+
+def _frames(
+    path: Path, sheet: RecordingSheet, columns: Sequence[str], chunk_samples: int
+) -> Iterator[tuple[int, pl.DataFrame]]:
+    dialect = find_dialect(path, header=sheet.header, separator=sheet.separator)
+    scanned = without_blank_lines(scan_delimited(path, dialect).select(columns))
+    done = 0
+    try:
+        for frame in scanned.collect_batches(chunk_size=chunk_samples, maintain_order=True):
+            yield done, frame
+            done += frame.height
+    except pl.exceptions.PolarsError as error:
+        raise bad_cell(path, dialect, error) from error
+
+
+def _read(path: Path, sheet: RecordingSheet) -> LogTable:
+    separator = "" if sheet.separator == " " else sheet.separator
+    return read_delimited(path, header=sheet.header, separator=separator)
+
+
+FORMATS.register(
+    "delimited",
+    LogFormat(
+        suffixes=(".csv", ".dat", ".tsv", ".txt"),
+        read=_read,
+        stream=LogStream(
+            columns=_columns, frames=_frames, n_bytes=lambda path: path.stat().st_size
+        ),
+    ),
+)

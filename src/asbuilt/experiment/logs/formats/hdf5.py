@@ -9,10 +9,15 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MissingExtraError, RecordingError
-from asbuilt.experiment.logs.formats.table import Table, table_from_variables
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_from_variables,
+)
 
 
-def read_hdf5(path: Path) -> Table:
+def read_hdf5(path: Path) -> LogTable:
     """Read every numeric dataset of an HDF5 file (also MATLAB 7.3).
 
     Groups are searched, and a name is the last part of its path where that is unique.
@@ -45,7 +50,7 @@ def read_hdf5(path: Path) -> Table:
             file.visititems(visit)
     except OSError as error:
         raise RecordingError(
-            f"{path} is not a recording: it cannot be read as HDF5 ({error})"
+            f"{path} is not a recording: it cannot be read as HDF5 ({error})", file=str(path)
         ) from error
     short = [name.rsplit("/", 1)[-1] for name in variables]
     named = {
@@ -53,3 +58,8 @@ def read_hdf5(path: Path) -> Table:
         for (name, value), last in zip(variables.items(), short, strict=True)
     }
     return table_from_variables(str(path), named)
+
+
+FORMATS.register(
+    "hdf5", LogFormat(suffixes=(".h5", ".hdf5"), read=lambda path, sheet: read_hdf5(path))
+)

@@ -12,10 +12,15 @@ from scipy.io.matlab import MatReadError
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.hdf5 import read_hdf5
-from asbuilt.experiment.logs.formats.table import Table, table_from_variables
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_from_variables,
+)
 
 
-def read_mat(path: Path) -> Table:
+def read_mat(path: Path) -> LogTable:
     """Read numeric variables of a `.mat` file, also inside structures.
 
     Version 7.3 files are read as HDF5.
@@ -33,7 +38,8 @@ def read_mat(path: Path) -> Table:
         content = loadmat(path, squeeze_me=True, struct_as_record=False)
     except (MatReadError, ValueError, OSError, TypeError, NotImplementedError) as error:
         raise RecordingError(
-            f"{path} is not a recording: it cannot be read as a MATLAB file ({error})"
+            f"{path} is not a recording: it cannot be read as a MATLAB file ({error})",
+            file=str(path),
         ) from error
     variables: dict[str, Array] = {}
     for name, value in content.items():
@@ -52,3 +58,6 @@ def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:
             )
     elif isinstance(value, np.ndarray) and np.issubdtype(value.dtype, np.number):
         variables[name] = value
+
+
+FORMATS.register("matlab", LogFormat(suffixes=(".mat",), read=lambda path, sheet: read_mat(path)))

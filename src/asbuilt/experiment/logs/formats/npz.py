@@ -8,10 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.table import Table, table_from_variables
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogTable,
+    table_from_variables,
+)
+from asbuilt.findings import Cure
+
+_SAVE = Cure("save named arrays of numbers: np.savez(path, t=t, q=q, tau=tau)")
 
 
-def read_npz(path: Path) -> Table:
+def read_npz(path: Path) -> LogTable:
     """Read the arrays of an `.npz` archive; pickled objects are refused, not executed.
 
     Raises
@@ -25,8 +33,9 @@ def read_npz(path: Path) -> Table:
         archive = np.load(path, allow_pickle=False)
         if isinstance(archive, np.ndarray):
             raise RecordingError(
-                f"{path} holds one array of shape {archive.shape} without names; save named arrays:"
-                " np.savez(path, t=t, q=q, tau=tau)"
+                f"{path} holds one array of shape {archive.shape} without names",
+                cure=_SAVE,
+                file=str(path),
             )
         with archive:
             for name in archive.files:
@@ -38,8 +47,9 @@ def read_npz(path: Path) -> Table:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(
-            f"{path} is not a recording: NumPy cannot read it as an .npz archive; save named arrays"
-            " with np.savez(path, t=t, q=q, tau=tau)"
+            f"{path} is not a recording: NumPy cannot read it as an .npz archive",
+            cure=_SAVE,
+            file=str(path),
         ) from error
     if not variables:
         reason = (
@@ -47,8 +57,8 @@ def read_npz(path: Path) -> Table:
             if pickled
             else "it holds no array"
         )
-        raise RecordingError(
-            f"{path} is not a recording: {reason}; save plain number arrays with np.savez(path,"
-            " t=t, q=q, tau=tau)"
-        )
+        raise RecordingError(f"{path} is not a recording: {reason}", cure=_SAVE, file=str(path))
     return table_from_variables(str(path), variables)
+
+
+FORMATS.register("npz", LogFormat(suffixes=(".npz",), read=lambda path, sheet: read_npz(path)))

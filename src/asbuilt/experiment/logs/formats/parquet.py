@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import polars as pl
 
-from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.formats.table import Table
+from asbuilt.experiment.logs.formats.frames import numbers
+from asbuilt.experiment.logs.formats.log_format import (
+    FORMATS,
+    LogFormat,
+    LogStream,
+    LogTable,
+)
+from asbuilt.findings import Cure
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
-    """Open a Parquet file lazily.
-
-    Return it with the names of its numeric columns and of the others.
+    """Open a Parquet file lazily, with the names of its numeric and of its other columns.
 
     Raises
     ------
@@ -26,7 +31,7 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, 
         schema = frame.collect_schema()
     except (pl.exceptions.PolarsError, OSError) as error:
         raise RecordingError(
-            f"{path} is not a recording: it cannot be read as Parquet ({error})"
+            f"{path} is not a recording: it cannot be read as Parquet ({error})", file=str(path)
         ) from error
     numeric = tuple(
         name
@@ -35,13 +40,14 @@ def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, 
     )
     if not numeric:
         raise RecordingError(
-            f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)});"
-            " write numbers, a column for each joint"
+            f"{path} is not a recording: none of its columns is numeric ({', '.join(schema)})",
+            cure=Cure("write numbers, a column for each joint"),
+            file=str(path),
         )
     return frame, numeric, tuple(name for name in schema if name not in numeric)
 
 
-def read_parquet(path: Path) -> Table:
+def read_parquet(path: Path) -> LogTable:
     """Read the numeric columns of a Parquet file; nulls become NaN and time stamps seconds.
 
     Raises
@@ -51,21 +57,36 @@ def read_parquet(path: Path) -> Table:
     """
     scanned, numeric, text = scan_parquet(path)
     frame = scanned.select(numeric).collect()
-    columns = {}
-    for name in numeric:
-        series = frame[name]
-        if series.dtype in (pl.Datetime, pl.Duration):
-            columns[name] = seconds(series)
-            continue
-        columns[name] = series.cast(pl.Float64).fill_null(float("nan")).to_numpy()
-    return Table(source=str(path), columns=columns, text_columns=text)
+    columns = {name: numbers(frame[name]) for name in numeric}
+    return LogTable(source=str(path), columns=columns, text_columns=text)
 
 
-def seconds(series: pl.Series) -> Array:
-    """Turn time stamps or durations into seconds, time stamps since 1970."""
-    kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
-    return (
-        (series.cast(kind).cast(pl.Int64).cast(pl.Float64) * 1e-9)
-        .fill_null(float("nan"))
-        .to_numpy()
-    )
+def _frames(
+    path: Path, columns: Sequence[str], chunk_samples: int
+) -> Iterator[tuple[int, pl.DataFrame]]:
+    scanned = scan_parquet(path)[0]
+    for begin in range(0, _n_rows(scanned), chunk_samples):
+        yield begin, scanned.select(columns).slice(begin, chunk_samples).collect()
+
+
+def _n_rows(scanned: pl.LazyFrame) -> int:
+    return int(scanned.select(pl.len()).collect().item())
+
+
+def _n_bytes(path: Path) -> float:
+    scanned, names, _ = scan_parquet(path)
+    return _n_rows(scanned) * len(names) * 8
+
+
+FORMATS.register(
+    "parquet",
+    LogFormat(
+        suffixes=(".parquet",),
+        read=lambda path, sheet: read_parquet(path),
+        stream=LogStream(
+            columns=lambda path, sheet: scan_parquet(path)[1],
+            frames=lambda path, sheet, columns, size: _frames(path, columns, size),
+            n_bytes=_n_bytes,
+        ),
+    ),
+)

@@ -9,18 +9,17 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MissingExtraError, RecordingError
-from asbuilt.experiment.logs.formats.table import Table
+from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
+from asbuilt.findings import Cure
 
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 
 
-def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
-    """Read position, velocity and effort of every joint from a bag folder, a bare `.db3` file or an
-    `.mcap` file.
+def read_ros_bag(path: Path, *, topic: str | None = None) -> LogTable:
+    """Read joint states from the folder of a bag, or from a bare `.db3` or `.mcap` file.
 
-    Times are the message header's where it has one, else the bag's. Messages that name other joints
-    than most do (a gripper's) are left out, and joints are found by name in every message, whatever
-    their order in it.
+    Times are the message header's if it has one, else the bag's. Messages that name other joints
+    than most (a gripper's) are left out; joints are matched by name in every message.
 
     Raises
     ------
@@ -39,8 +38,9 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
     if not messages:
         listing = ", ".join(sorted(topics)) or "none"
         raise RecordingError(
-            f"{path} is not a recording: it holds no {_JOINT_STATE} message (topics: {listing});"
-            " record the joint states' topic"
+            f"{path} is not a recording: it holds no {_JOINT_STATE} message (topics: {listing})",
+            cure=Cure("record the joint states' topic"),
+            file=str(path),
         )
     states: list[tuple[int, Any]] = [
         (stamp, store.deserialize_cdr(data, _JOINT_STATE)) for stamp, data in messages
@@ -63,8 +63,9 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
             known[f"{name}/{field}"] = (quantity, name)
     if not any(quantity == "torque" for quantity, _ in known.values()):
         raise RecordingError(
-            f"{path}: the joint states of {', '.join(first.name)} carry no effort; torque or"
-            " current is needed for identification"
+            f"{path}: the joint states of {', '.join(first.name)} have no effort; torques or"
+            " currents are required",
+            file=str(path),
         )
     dropped = len(states) - len(kept)
     notes = (
@@ -72,7 +73,7 @@ def read_ros_bag(path: Path, *, topic: str | None = None) -> Table:
         if dropped
         else ()
     )
-    return Table(source=str(path), columns=columns, known=known, notes=notes)
+    return LogTable(source=str(path), columns=columns, known=known, notes=notes)
 
 
 def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
@@ -89,7 +90,9 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
             )
             raise RecordingError(
                 f"{path} is no ROS 2 bag: it has no metadata.yaml and {len(files)} .db3 or .mcap"
-                f" files; {cure}"
+                " files",
+                cure=Cure(cure),
+                file=str(path),
             )
         storage = files[0]
     try:
@@ -105,12 +108,11 @@ def _messages(path: Path, topic: str | None) -> tuple[list[tuple[int, bytes]], d
             )
     except RecordingError:
         raise
-    except (
-        Exception
-    ) as error:  # rosbags raises whatever its readers of databases and messages raise
+    except Exception as error:  # rosbags passes on what its readers of databases raise
         raise RecordingError(
             f"{path} is not a recording: it cannot be read as a ROS 2 bag ({type(error).__name__}:"
-            f" {error})"
+            f" {error})",
+            file=str(path),
         ) from error
     return messages, topics
 
@@ -120,15 +122,20 @@ def _choose(path: Path, topics: set[str], topic: str | None) -> str | None:
         if topic not in topics:
             raise RecordingError(
                 f"{path} has no joint states on topic {topic!r}; it has them on"
-                f" {', '.join(sorted(topics)) or 'no topic'}"
+                f" {', '.join(sorted(topics)) or 'no topic'}",
+                file=str(path),
+                value=topic,
+                available=sorted(topics),
             )
         return topic
     if len(topics) > 1:
         if "/joint_states" in topics:
             return "/joint_states"
         raise RecordingError(
-            f"{path} has joint states on {len(topics)} topics ({', '.join(sorted(topics))}); choose"
-            ' in a recording sheet: topic = "..."'
+            f"{path} has joint states on {len(topics)} topics ({', '.join(sorted(topics))})",
+            cure=Cure('choose one in a recording sheet: topic = "..."'),
+            file=str(path),
+            available=sorted(topics),
         )
     return next(iter(topics), None)
 
@@ -170,3 +177,13 @@ def _values(states: list[tuple[int, Any]], field: str, names: tuple[str, ...]) -
             order[key] = [key.index(name) for name in names]
         values[row] = logged[order[key]]
     return None if np.all(np.isnan(values)) else values
+
+
+FORMATS.register(
+    "rosbag2",
+    LogFormat(
+        suffixes=(".db3", ".mcap"),
+        read=lambda path, sheet: read_ros_bag(path, topic=sheet.topic),
+        folders=True,
+    ),
+)

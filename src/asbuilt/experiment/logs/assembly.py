@@ -1,0 +1,133 @@
+"""Assembly of a recording from the columns of a log, and what its sheet changes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.log_format import LogTable
+from asbuilt.experiment.logs.layout import Layout
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.sheet import RecordingSheet
+from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure
+
+CALENDAR = 1e6
+"""Time [s] from which a clock counts from a date, not from the start of the recording."""
+
+
+def build_recording(
+    table: LogTable,
+    layout: Layout,
+    *,
+    rate: float | None,
+    first_sample: int = 0,
+    origin: float | None = None,
+) -> Recording:
+    """Put the columns of a table in joint order and SI units, and make the clock.
+
+    Times are those of the time column, or follow from `rate` [Hz] and the index `first_sample` of
+    the first row. Times after 1e6 s (a calendar's) count from `origin`, by default the first.
+
+    Raises
+    ------
+    RecordingError
+        If there is neither a time column nor a rate.
+    """
+    notes = list(layout.notes)
+    if layout.time is not None:
+        t = table.columns[layout.time] * layout.scales.get(layout.time, 1.0)
+        start = origin if origin is not None else clock_origin(t)
+        if start != 0:
+            t = t - start
+            notes.append(f"times count from {start:.6f} s")
+        if rate is not None:
+            notes.append(
+                f"the rate of {rate:g} Hz was not used: the log has the time column {layout.time!r}"
+            )
+    elif rate is None:
+        raise RecordingError(
+            f"{table.source} has no time column and no rate is given; its columns are"
+            f" {', '.join(list(table.columns)[:30])}",
+            cure=Cure("give the rate in Hz, here or as rate = ... in a recording sheet"),
+            file=table.source,
+        )
+    else:
+        t = np.arange(first_sample, first_sample + table.n_samples, dtype=np.float64) / rate
+    arrays = {
+        quantity: _stacked(table.columns, names, layout.scales)
+        for quantity, names in layout.quantities.items()
+    }
+    return Recording(
+        t=t,
+        q=arrays.pop("position"),
+        tau=arrays.pop("torque"),
+        qd=arrays.pop("velocity", None),
+        qdd=arrays.pop("acceleration", None),
+        joint_names=layout.joint_names,
+        source=table.source,
+        torque_source=layout.torque_source,
+        notes=tuple(notes),
+        extra=arrays,
+    )
+
+
+def apply_sheet(recording: Recording, sheet: RecordingSheet, options: ReadingOptions) -> Recording:
+    """Apply torque source, sign, gains and time windows.
+
+    Gain and torque source of the options replace the sheet's; `flip_torque` changes the sign that
+    results.
+    """
+    source = options.torque_source or sheet.torque_source
+    if source is not None:
+        recording = replace(recording, torque_source=source)
+    if sheet.sign is not None:
+        signs = np.atleast_1d(np.asarray(sheet.sign, dtype=np.float64))
+        if signs.size not in (1, recording.n_joints):
+            raise RecordingError(
+                f"{recording.source}: the sheet gives {signs.size} signs for {recording.n_joints}"
+                " joints",
+                file=recording.source,
+                value=signs.tolist(),
+            )
+        if np.all(signs < 0):
+            recording = recording.flipped()
+        elif np.any(signs < 0):
+            recording = replace(recording.scaled(signs), gains=recording.gains)
+    gain = options.gain if options.gain is not None else sheet.gains
+    if gain is not None:
+        recording = recording.scaled(gain)
+    if options.flip_torque:
+        recording = recording.flipped()
+    if sheet.windows:
+        inside = sheet.in_windows(recording.t, float(recording.t[0]))
+        kept = recording.taken(inside, "no sample lies in the time windows of its sheet")
+        note = (
+            f"{kept.n_samples} of {recording.n_samples} samples lie in the time windows of the"
+            " sheet"
+        )
+        recording = replace(kept, notes=(*kept.notes, note))
+    return recording
+
+
+def clock_origin(t: Array) -> float:
+    """Return the first time of a clock that counts from a date, else zero."""
+    finite = t[np.isfinite(t)]
+    return float(finite[0]) if finite.size and abs(finite[0]) > CALENDAR else 0.0
+
+
+def _stacked(
+    columns: Mapping[str, Array], names: tuple[str, ...], scales: Mapping[str, float]
+) -> Array:
+    out = np.empty((columns[names[0]].size, len(names)))
+    for k, name in enumerate(names):
+        factor = scales.get(name, 1.0)
+        if factor == 1.0:
+            out[:, k] = columns[name]
+        else:
+            np.multiply(columns[name], factor, out=out[:, k])
+    return out

@@ -1,0 +1,77 @@
+"""Recordings in memory: data frames and dicts of arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.experiment.logs.formats.log_format import LogTable, table_from_variables
+
+
+def is_columns(item: Any) -> bool:
+    """Return whether an object is a dict of arrays or a data frame of pandas or polars."""
+    return isinstance(item, Mapping) or (hasattr(item, "columns") and hasattr(item, "__getitem__"))
+
+
+def table_of_columns(item: Any) -> LogTable:
+    """Return the columns of a dict of arrays (vectors or matrices) or of a data frame.
+
+    A named index of a pandas frame counts as a column; time stamps become seconds.
+
+    Raises
+    ------
+    RecordingError
+        If no column is numeric.
+    """
+    if isinstance(item, Mapping):
+        arrays = {str(name): np.asarray(values) for name, values in item.items()}
+        return table_from_variables("dict of arrays", arrays)
+    frame = item
+    index = getattr(item, "index", None)
+    if getattr(index, "name", None) is not None:
+        frame = item.reset_index()
+    found = {str(name): np.asarray(frame[name].to_numpy()) for name in frame.columns}
+    columns = {
+        name: values for name, each in found.items() if (values := _numbers(each)) is not None
+    }
+    if not columns:
+        raise RecordingError(
+            "the data frame is not a recording: none of its columns is numeric"
+            f" ({', '.join(found)})"
+        )
+    text = tuple(name for name in found if name not in columns)
+    return LogTable(source="data frame", columns=columns, text_columns=text)
+
+
+def numbers(series: pl.Series) -> Array:
+    """Return a column as floats; nulls become NaN and time stamps seconds."""
+    if series.dtype in (pl.Datetime, pl.Duration):
+        return seconds(series)
+    if series.dtype != pl.Float64:
+        series = series.cast(pl.Float64)
+    return (series.fill_null(float("nan")) if series.null_count() else series).to_numpy()
+
+
+def seconds(series: pl.Series) -> Array:
+    """Turn time stamps or durations into seconds, time stamps since 1970."""
+    kind = pl.Duration("ns") if series.dtype == pl.Duration else pl.Datetime("ns")
+    return (
+        (series.cast(kind).cast(pl.Int64).cast(pl.Float64) * 1e-9)
+        .fill_null(float("nan"))
+        .to_numpy()
+    )
+
+
+def _numbers(values: Array) -> Array | None:
+    """Return a column as floats, time stamps in seconds; None if it does not hold numbers."""
+    if values.dtype.kind in "mM":
+        nanoseconds = values.astype(f"{values.dtype.kind}8[ns]").astype(np.int64)
+        return nanoseconds.astype(np.float64) * 1e-9
+    if values.dtype.kind not in "biuf":
+        return None
+    return values.astype(np.float64)

@@ -1,0 +1,189 @@
+"""Log formats: what each reads a file into, and the registry of all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import RecordingError
+from asbuilt.findings import Cure
+from asbuilt.registry import Registry
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from asbuilt.experiment.logs.sheet import RecordingSheet
+
+REPACKED: Mapping[str, str] = {
+    **dict.fromkeys((".gz", ".zip", ".bz2", ".xz", ".zst", ".7z"), "unpack it first"),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "export the sheet as CSV"),
+    ".bag": "convert the ROS 1 bag with rosbags-convert",
+}
+"""What to do first with files of other formats."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogTable:
+    """Hold the named columns of a log, all of length N.
+
+    Parameters
+    ----------
+    source
+        Name of the file.
+    columns
+        Numeric columns, each (N,).
+    named
+        Whether the file has column names; without a header row the columns are "1", "2", ...
+    text_columns
+        Names of the columns that do not hold numbers.
+    known
+        Quantity and joint of columns whose format gives them, such as a ROS message.
+    notes
+        What was assumed or left out, in sentences.
+    """
+
+    source: str
+    columns: Mapping[str, Array]
+    named: bool = True
+    text_columns: tuple[str, ...] = ()
+    known: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def n_samples(self) -> int:
+        """Number of rows."""
+        return next(iter(self.columns.values())).size if self.columns else 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogStream:
+    """Say how files of a format are read in chunks.
+
+    Parameters
+    ----------
+    columns
+        Return the names of the numeric columns of a file; None if it must be read whole.
+    frames
+        Yield the index of the first row and the frame of the given columns, for each chunk of so
+        many rows.
+    n_bytes
+        Return about how much memory a file takes.
+    """
+
+    columns: Callable[[Path, RecordingSheet], tuple[str, ...] | None]
+    frames: Callable[[Path, RecordingSheet, Sequence[str], int], Iterator[tuple[int, pl.DataFrame]]]
+    n_bytes: Callable[[Path], float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogFormat:
+    """Describe a log format.
+
+    Parameters
+    ----------
+    suffixes
+        Suffixes of its files, such as `(".csv",)`.
+    read
+        Function that reads a file, given its recording sheet.
+    stream
+        How long files are read in chunks; None if they are read whole.
+    folders
+        Whether a folder may be a log of this format.
+    """
+
+    suffixes: tuple[str, ...]
+    read: Callable[[Path, RecordingSheet], LogTable]
+    stream: LogStream | None = None
+    folders: bool = False
+
+
+FORMATS: Registry[LogFormat] = Registry(
+    "log format", "asbuilt.experiment.logs.formats", "asbuilt.log_formats"
+)
+
+
+def log_format(path: Path) -> LogFormat:
+    """Return the format of a file or folder by its suffix.
+
+    Raises
+    ------
+    RecordingError
+        If no format has this suffix, or the path is not a regular file, or it is empty.
+    """
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        found = next((each for each in FORMATS.values() if each.folders), None)
+    else:
+        found = next((each for each in FORMATS.values() if suffix in each.suffixes), None)
+    if not path.is_dir() and not path.is_file():
+        raise RecordingError(
+            f"{path} is not a recording: it is not a regular file",
+            cure=Cure("save what it yields as a file"),
+            file=str(path),
+        )
+    if path.is_file() and path.stat().st_size == 0:
+        raise RecordingError(f"{path} is not a recording: it is empty", file=str(path))
+    if found is None:
+        known = sorted(suffix for each in FORMATS.values() for suffix in each.suffixes)
+        raise RecordingError(
+            f"{path} is not a recording that can be read: known are {', '.join(known)} and the"
+            " folder of a ROS 2 bag",
+            cure=Cure(REPACKED[suffix]) if suffix in REPACKED else None,
+            file=str(path),
+            available=known,
+        )
+    return found
+
+
+def table_from_variables(source: str, variables: Mapping[str, Array]) -> LogTable:
+    """Spread vectors (N,) and matrices (N, m) or (m, N) over columns.
+
+    A matrix `positions` gives `positions_1`, ..., `positions_m`. N is the length that most
+    variables share; variables without it are left out.
+
+    Raises
+    ------
+    RecordingError
+        If no variable is a numeric vector or matrix.
+    """
+    arrays = {name: np.squeeze(np.asarray(value)) for name, value in variables.items()}
+    arrays = {
+        name: a
+        for name, a in arrays.items()
+        if a.ndim in (1, 2)
+        and a.size > 1
+        and np.issubdtype(a.dtype, np.number)
+        and not np.iscomplexobj(a)
+    }
+    if not arrays:
+        raise RecordingError(
+            f"{source} is not a recording: it holds no numeric vector or matrix (found"
+            f" {', '.join(variables) or 'nothing'})",
+            file=source,
+        )
+    votes: dict[int, int] = {}
+    for array in arrays.values():
+        for size in set(array.shape):
+            votes[size] = votes.get(size, 0) + 1
+    length = max(votes, key=lambda size: (votes[size], size))
+    columns: dict[str, Array] = {}
+    left_out = []
+    for name, array in arrays.items():
+        if length not in array.shape:
+            left_out.append(f"{name} {array.shape}")
+            continue
+        values = array.astype(np.float64)
+        if values.ndim == 1:
+            columns[name] = values
+            continue
+        matrix = values if values.shape[0] == length else values.T
+        for k in range(matrix.shape[1]):
+            columns[f"{name}_{k + 1}"] = np.ascontiguousarray(matrix[:, k])
+    listed = ", ".join(left_out)
+    notes = (f"variables without the common length {length} were left out: {listed}",)
+    return LogTable(source=source, columns=columns, notes=notes if left_out else ())
