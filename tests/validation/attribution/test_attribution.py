@@ -70,9 +70,9 @@ def test_too_few_independent_samples_are_said_to_be_too_few() -> None:
     result = identified(ARM, "pf")
     found = attribute(replace(result, effective_samples=0.5))
     assert found.chosen == ()
-    assert all(line.endswith("too little is held out to tell why.") for line in found.sentences)
+    assert all(line.endswith("too few validation samples to attribute it.") for line in found.sentences)
     (said,) = found.findings
-    assert "--validate" in said
+    assert "validate on a recording of its own" in said
     assert CAUSES["friction"] in said
 
 
@@ -124,9 +124,9 @@ def test_a_payload_hidden_in_wrong_links_is_offered_as_part_of_them() -> None:
     found = attribute(identified(ARM, "pfl"))
     assert set(found.chosen) == {"friction", "links"}
     assert "payload" in found.weighed
-    assert any("only simplicity speaks for it" in line for line in found.findings)
+    assert any("cannot separate the two" in line for line in found.findings)
     assert any(
-        "A payload is no explanation" in line for line in attribute(identified(ARM, "l")).findings
+        "A payload is ruled out" in line for line in attribute(identified(ARM, "l")).findings
     )
 
 
@@ -244,8 +244,8 @@ def test_evidence_survives_json_and_its_absence_is_said() -> None:
 
 def test_text_tables_and_figure() -> None:
     found = attribute(identified(ARM, "pf"))
-    text = found.as_text()
-    assert "% of the squared error is 1.9 kg at the flange" in text
+    text = found.as_text(full=True)
+    assert "% of the squared error is payload (1.9 kg)" in text
     assert "unexplained" in text
     assert all(line == line.rstrip() for line in text.splitlines())
     figure = attribution_figure(found)

@@ -1,4 +1,4 @@
-"""What CAD itself claims to know of every link, and whether what was found is within it."""
+"""Tolerances of CAD for every link, and a test of differences against them."""
 
 from __future__ import annotations
 
@@ -23,20 +23,17 @@ from asbuilt.validation.comparison.significance import (
 )
 
 WIDEST = 100.0
-"""Factor on the tolerances up to which it is sought how wide they would have to be."""
+"""Largest factor on the tolerances that is tried."""
 NODES = ((-np.sqrt(3.0), 1.0 / 6.0), (0.0, 2.0 / 3.0), (np.sqrt(3.0), 1.0 / 6.0))
-"""Places and weights that give the mean of a polynomial of fifth degree in a standard normal
-variable (Gauss and Hermite).
-"""
+"""Nodes and weights of the Gauss-Hermite rule with three nodes, exact to the fifth degree."""
 
 
 @dataclass(frozen=True, slots=True)
 class CadTolerance:
-    """State how well CAD is believed to know every link, one standard deviation.
+    """State the tolerances of CAD for every link, as standard deviations.
 
-    `mass` and `inertia` are fractions of the mass and of the mean moment about the centre; `centre`
-    is how far the centre of mass may be off along each axis, as a fraction of the radius of
-    gyration about it.
+    `mass` and `inertia` are fractions of the mass and of the mean moment about the centre of mass;
+    `centre` is that of each coordinate of the centre, as a fraction of the radius of gyration.
     """
 
     mass: float = 0.05
@@ -75,9 +72,7 @@ class CadTolerance:
         return cls(*(values * 3 if len(values) == 1 else values))
 
     def covariance(self, model: RobotModel, base: BaseParameters) -> Array:
-        """Return the mean square (p, p) of what the tolerances of all links, independent and
-        normal, do to the base parameters by design.
-        """
+        """Return the covariance (p, p) of the base parameters by design for independent links."""
         spread = np.zeros((base.n_standard, base.n_standard))
         for i, link in enumerate(model.links):
             if link.inertia.mass > 0:
@@ -87,12 +82,10 @@ class CadTolerance:
         return np.asarray(K @ spread @ K.T)
 
     def _mean_square(self, inertia: LinkInertia) -> Array:
-        """Return the mean square (10, 10) of the change of a link's parameters, exact.
+        """Return the mean square (10, 10) of the change of a link's parameters.
 
-        A product of mass and two coordinates of the centre, squared, is of fourth degree in each.
-
-        Gauss and Hermite's rule with three nodes for mass and each coordinate of the centre; the
-        inertia about the centre adds its own.
+        Mass times two coordinates of the centre, squared, is of fourth degree in each variable, so
+        three Gauss-Hermite nodes are exact; the inertia about the centre adds its own.
         """
         moment = float(np.trace(inertia.inertia_about_com))
         gyration = np.sqrt(max(moment, 0.0) / (2.0 * inertia.mass))
@@ -121,13 +114,10 @@ class CadTolerance:
 
 @dataclass(frozen=True, slots=True)
 class ToleranceTest:
-    """Hold what was found against tolerances of CAD.
+    """Hold a test of differences against tolerances of CAD.
 
-    The test of all parameters at once, and `beyond`, the names of those that exceed theirs one by
-    one.
-
-    `needed` is the factor by which all tolerances would have to be wider to hold what was found,
-    None where they hold it, or where none up to `WIDEST` is enough.
+    `beyond` names the parameters that exceed theirs. `needed` is the factor on the tolerances that
+    covers the differences, None if 1 does or none up to `WIDEST`.
     """
 
     chi_square: ChiSquare
@@ -145,9 +135,9 @@ def check_tolerance(
     *,
     level: float,
 ) -> ToleranceTest:
-    """Test differences from CAD (p,), of that covariance (p, p), against what CAD claims to know.
+    """Test differences from CAD (p,) with their covariance (p, p) against tolerances.
 
-    `tested` (p,) says which of the parameters take part.
+    `tested` (p,) selects parameters.
     """
     chosen = np.flatnonzero(np.asarray(tested))
     d, own = np.asarray(difference, dtype=np.float64)[chosen], np.ix_(chosen, chosen)
@@ -173,7 +163,5 @@ def check_tolerance(
 
 
 def _widening(excess: Callable[[float], float]) -> float | None:
-    """Return the factor from 1 to `WIDEST` at which the probability in excess of the level is zero,
-    None where none is enough.
-    """
+    """Return the factor from 1 to `WIDEST` at which the excess is zero, or None."""
     return float(brentq(excess, 1.0, WIDEST, rtol=1e-3)) if excess(WIDEST) > 0 else None

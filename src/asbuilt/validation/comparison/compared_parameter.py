@@ -1,7 +1,4 @@
-"""One base parameter by design and as built.
-
-Whether it differs, what that costs in torque, and the table of all.
-"""
+"""One base parameter by design and as built, and the table of all."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from asbuilt.identification.result.summary import DROPPED
+from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
     Column,
@@ -32,18 +29,19 @@ Verdict = Literal["differs", "agrees", "no CAD value", "not determined", "droppe
 
 @dataclass(frozen=True, slots=True)
 class ComparedParameter:
-    """One base parameter by design and as built.
+    """Hold one base parameter by design and as built; what is unknown is None.
 
-    `sigmas` is their difference in standard errors, None where it has no meaning.
-
-    `words` say what the parameter is. `p_value` is of that difference alone; `false_discovery`
-    (Benjamini and Hochberg) and `holm` allow for the number of tests. `torque` is what the
-    difference costs every joint on the motion judged by, RMS, `torque_total` all joints together,
-    `torque_own` the part that no other parameter could make up for; None without cause data.
-    `matters` says whether some joint would notice that part; where it would notice only the whole,
-    `shared_with` names the parameters that could make up for the rest, which the recording hardly
-    tells apart. `"dropped"` is one that the estimator set to zero as needless: it has no error and
-    is not tested.
+    | attribute | meaning |
+    |---|---|
+    | `sigmas` | difference in standard errors |
+    | `p_value` | probability of as large a difference by chance |
+    | `false_discovery`, `holm` | the same for as many tests (Benjamini and Hochberg; Holm) |
+    | `torque` | RMS torque of the difference at every joint, on the validation motion |
+    | `torque_total` | the same over all joints |
+    | `torque_own` | part of it that no other parameter can make up for |
+    | `matters` | whether that part is large beside the error of some joint |
+    | `shared_with` | parameters that could make up for the rest, if only all of it is large |
+    | `words` | description of the parameter |
     """
 
     id: int
@@ -90,31 +88,27 @@ def parameter_table(
     level: float,
     errors: str = "",
     units: Sequence[str] = (),
-    width: int | None = 28,
 ) -> Table:
-    """Return the table of compared parameters, with how their `errors` were judged below.
-
-    Text cuts expressions at `width` characters, HTML and CSV have them whole.
-    """
+    """Return the table of compared parameters; its short text has the ten that matter most."""
     with_torque = any(parameter.torque_total is not None for parameter in parameters)
     heads = [
         Column("id", align="right"),
-        Column("parameter", width=width),
-        Column("what it is"),
+        Column("parameter", width=EXPRESSION_WIDTH),
+        Column("description", detail=True),
         Column("unit"),
         Column("CAD", align="decimal"),
         Column("as built", align="decimal"),
         Column("std err", align="decimal"),
-        Column("%", align="decimal"),
-        Column("CAD vs built", align="right"),
+        Column("%", align="decimal", detail=True),
+        Column("vs CAD", align="right"),
     ]
     if with_torque:
         unit = "N m" if set(units) <= {"N m"} else "N m, N"
         heads += [
             Column("torque", unit, "decimal"),
-            Column("its own", align="right"),
-            Column("joint", align="right"),
-            Column("matters"),
+            Column("its own", align="right", detail=True),
+            Column("joint", align="right", detail=True),
+            Column("matters", detail=True),
         ]
     rows = []
     for parameter in parameters:
@@ -142,20 +136,40 @@ def parameter_table(
         if with_torque:
             row += _torque_cells(parameter)
         rows.append(tuple(row))
-    notes = [
-        f"DIFFERS: at a false discovery rate of {share(level, 0)} over all parameters (Benjamini"
-        f" and Hochberg).{f' {errors}' if errors else ''}"
-    ]
+    rule = (
+        f"DIFFERS: false discovery rate of {share(level, 0)} over all parameters (Benjamini and"
+        " Hochberg)."
+    )
+    details = [errors] if errors else []
     if with_torque:
-        notes.append(
-            "torque: RMS over all joints that the difference costs on the motion judged by; its"
-            " own: the part of it that no other parameter could make up for; joint: the one that"
-            " notices most. A difference matters where its own part costs a joint"
-            f" {share(MATTERS, 0)} or more of the error left as built. Shared: only the whole costs"
-            " as much, and the parameters named could make up for the rest; this recording hardly"
-            " tells them apart."
+        details.append(
+            "torque: RMS over all joints of the torque of the difference on the validation motion;"
+            " its own: the part that no other parameter can make up for; joint: the one with the"
+            " largest. A difference matters if its own part is at least"
+            f" {share(MATTERS, 0)} of a joint's error as built. Shared: only the whole is, and the"
+            " parameters named could make up for the rest."
         )
-    return Table(tuple(heads), tuple(rows), title="Base parameters", notes=tuple(notes))
+    return Table(
+        tuple(heads),
+        tuple(rows),
+        title="Base parameters",
+        notes=(rule,),
+        details=tuple(details),
+        important=_important(parameters),
+    )
+
+
+def _important(parameters: Sequence[ComparedParameter]) -> tuple[int, ...]:
+    """Return the places of the parameters that differ most: by their own torque, or by sigmas."""
+    most = sorted(
+        range(len(parameters)),
+        key=lambda k: (
+            parameters[k].verdict != "differs",
+            -(parameters[k].torque_own or 0.0),
+            -abs(parameters[k].sigmas or 0.0),
+        ),
+    )
+    return tuple(most[:MOST_PARAMETERS])
 
 
 def _torque_cells(parameter: ComparedParameter) -> list[Cell]:
@@ -180,10 +194,7 @@ def _outcome(parameter: ComparedParameter) -> str:
 
 
 def matters_text(matters: bool | None, shared_with: Sequence[str]) -> str:
-    """Return what a table says of whether a difference matters.
-
-    Yes, no, shared with others, or nothing where that is unknown.
-    """
+    """Return whether a difference matters: yes, no, shared with others, or nothing if unknown."""
     if matters is None:
         return ""
     return "yes" if matters else f"shared with {', '.join(shared_with)}" if shared_with else "no"

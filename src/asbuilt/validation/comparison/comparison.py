@@ -1,4 +1,4 @@
-"""The model as designed beside the model as built, parameter by parameter and torque by torque."""
+"""Comparison of CAD with the robot as built: parameters and torque."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.findings import joined
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.tables import Cell, Column, Shown, Table, share, significant, stacked
+from asbuilt.tables import Cell, Column, Shown, Table, share, significant, stacked, wrapped
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter, parameter_table
-from asbuilt.validation.comparison.parameter_text import in_words
+from asbuilt.validation.comparison.parameter_text import parameter_texts
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
@@ -26,27 +27,29 @@ from asbuilt.validation.comparison.significance import (
     two_sided_probability,
 )
 from asbuilt.validation.comparison.torque_cost import torque_cost
-from asbuilt.validation.prediction import Validation, design_values, torque_units
+from asbuilt.validation.prediction import Validation, cad_values, torque_units
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 FALSE_DISCOVERY_RATE = 0.05
-"""Share of the parameters said to differ that may do so by chance."""
+"""Expected share of wrong ones among the parameters that differ (usual level)."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Comparison:
-    """Hold CAD against as built.
+    """Hold CAD beside as built, as in Tables 2 and 3 of the 2015 paper.
 
-    Parameters as in Table 2 of the 2015 paper, torque errors as in its Table 3.
-
-    `torque` pairs the metrics (CAD, as built) on each recording; the first is the one to judge by.
-    `chi_square` tests all parameters with a CAD value at once, `chi_square_tolerance` the same with
-    the `tolerance` that CAD claims, which would have to be `tolerance_needed` times as wide to hold
-    what was found (None where it is wide enough), and which the parameters named in
-    `beyond_tolerance` exceed. `errors` says how standard errors were judged. `level` is the false
-    discovery rate at which a parameter differs.
+    | attribute | meaning |
+    |---|---|
+    | `parameters` | base parameters by design and as built |
+    | `torque` | pairs of metrics (CAD, as built) on each recording, the one to validate on first |
+    | `level` | false discovery rate at which a parameter differs |
+    | `chi_square` | test of all parameters with a CAD value at once |
+    | `tolerance`, `chi_square_tolerance` | tolerances of CAD, and the same test with them |
+    | `tolerance_needed` | factor on the tolerances that covers the differences; None if 1 does |
+    | `beyond_tolerance` | names of the parameters that exceed their tolerances |
+    | `errors` | how standard errors were estimated |
     """
 
     robot: str
@@ -64,9 +67,15 @@ class Comparison:
     judged_by: str = ""
     errors: str = ""
 
+    def __repr__(self) -> str:
+        return f"<Comparison of {self.robot} with {self.cad_source}: {self.verdict()}>"
+
+    def _repr_html_(self) -> str:
+        return self.parameter_table().as_html()
+
     @property
     def n_differing(self) -> int:
-        """Number of parameters that differ beyond doubt."""
+        """Number of parameters that differ significantly."""
         return sum(parameter.verdict == "differs" for parameter in self.parameters)
 
     @property
@@ -76,7 +85,7 @@ class Comparison:
 
     @property
     def n_mattering(self) -> int | None:
-        """Number of parameters that differ and matter; None where the torque is unknown."""
+        """Number of parameters that differ and matter to the torque; None if that is unknown."""
         known = [parameter for parameter in self.parameters if parameter.matters is not None]
         return (
             sum(bool(parameter.matters) and parameter.verdict == "differs" for parameter in known)
@@ -86,7 +95,7 @@ class Comparison:
 
     @property
     def ranked(self) -> tuple[ComparedParameter, ...]:
-        """The parameters, those that cost the most torque first; by id where that is unknown."""
+        """The parameters, those whose difference changes the torque most first."""
         if all(parameter.torque_total is None for parameter in self.parameters):
             return self.parameters
         return tuple(
@@ -97,7 +106,7 @@ class Comparison:
         )
 
     def verdict(self) -> str:
-        """Return the outcome in a sentence or two."""
+        """Return the outcome in one or two sentences."""
         text = (
             f"{self.n_differing} of {self.n_compared} parameters with a CAD value differ"
             f" ({self.rule()})."
@@ -121,86 +130,86 @@ class Comparison:
         )
 
     def rule(self) -> str:
-        """Return the rule by which parameters are said to differ."""
+        """Return the rule by which parameters differ."""
         return f"false discovery rate {share(self.level, 0)}"
 
     def tests(self) -> tuple[str, ...]:
-        """Return the tests of all parameters at once, in sentences."""
+        """Return the tests of all parameters at once, as sentences."""
         found = []
         if self.chi_square is not None and self.chi_square.degrees:
-            found.append(f"CAD as a whole against the data: {_chi_square(self.chi_square)}.")
+            found.append(f"All CAD values at once: {_chi_square(self.chi_square)}.")
         if self.chi_square_tolerance is not None and self.tolerance is not None:
             claimed = (
-                f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of the"
-                f" centre, {share(self.tolerance.inertia, 0)} of inertia"
+                f"{share(self.tolerance.mass, 0)} of mass, {share(self.tolerance.centre, 0)} of"
+                f" the centre and {share(self.tolerance.inertia, 0)} of inertia"
             )
-            outcome = (
-                "CAD is within its tolerances"
-                if self.chi_square_tolerance.probability > self.level
-                else "CAD is beyond its tolerances"
-            )
+            within = self.chi_square_tolerance.probability > self.level
             found.append(
-                f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)};"
-                f" {outcome}."
+                f"With tolerances of {claimed}: {_chi_square(self.chi_square_tolerance)}; CAD is"
+                f" {'within' if within else 'beyond'} its tolerances."
             )
             if self.tolerance_needed is not None:
                 found.append(
-                    f"They would have to be {significant(self.tolerance_needed, 2)} times as wide"
-                    " to hold what was found."
+                    f"Tolerances {significant(self.tolerance_needed, 2)} times as wide would cover"
+                    " the differences."
                 )
             if self.beyond_tolerance:
                 found.append(
-                    f"Beyond their tolerances one by one ({self.rule()}):"
-                    f" {', '.join(self.beyond_tolerance)}."
+                    f"Parameters beyond their tolerances ({self.rule()}):"
+                    f" {joined(self.beyond_tolerance, 14)}."
                 )
         return tuple(found)
 
     def parameter_table(self) -> Table:
-        """Return Table 2, what matters first.
-
-        Id, expression, CAD, as built, standard error, difference in standard errors, torque.
-        """
+        """Return the parameters as in Table 2 of the 2015 paper, the most torque first."""
         return parameter_table(self.ranked, level=self.level, errors=self.errors, units=self.units)
 
     def torque_table(self) -> Table:
-        """Return Table 3: RMS torque error of each joint, CAD and as built, for each recording."""
-        heads = [Column("recording", width=40), Column("parameters")]
-        heads += [
-            Column(name, unit, "decimal", width=16)
-            for name, unit in zip(self.joint_names, self.units, strict=True)
+        """Return the RMS torque errors as in Table 3 of the 2015 paper, a column per recording."""
+        pairs = [
+            (("CAD", cad), ("as built", built)) if cad is not None else (("as built", built),)
+            for cad, built in self.torque
         ]
-        heads.append(Column("relative error", align="decimal"))
-        rows: list[tuple[Cell, ...]] = []
-        for cad, built in self.torque:
-            for what, metrics in (("CAD", cad), ("as built", built)):
-                if metrics is not None:
-                    rms = [Shown(float(value), significant(float(value))) for value in metrics.rms]
-                    rows.append(
-                        (
-                            recording_name(metrics.source),
-                            what,
-                            *rms,
-                            Shown(metrics.relative_error, share(metrics.relative_error)),
-                        )
-                    )
-        return Table(tuple(heads), tuple(rows), title="RMS torque error")
-
-    def as_text(self) -> str:
-        """Return verdict and both tables for a terminal."""
-        return (
-            self.heading()
-            + "\n"
-            + stacked([*([self.torque_table()] if self.torque else []), self.parameter_table()])
+        shown = [(k, what, metrics) for k, pair in enumerate(pairs) for what, metrics in pair]
+        unit = self.units[0] if len(set(self.units)) == 1 else ""
+        number = {k: f" [{k + 1}]" if len(pairs) > 1 else "" for k in range(len(pairs))}
+        heads = (
+            Column("joint", width=24),
+            *([] if unit else [Column("unit")]),
+            *(Column(f"{what}{number[k]}", unit, "decimal", detail=k > 1) for k, what, _ in shown),
         )
-
-    def heading(self) -> str:
-        """Return the verdict and the tests of all parameters, line by line."""
-        return (
-            "\n".join(
-                [f"{self.robot}: as built against {self.cad_source}", self.verdict(), *self.tests()]
+        rows: list[tuple[Cell, ...]] = [
+            (
+                name,
+                *([] if unit else [self.units[j]]),
+                *(Shown(float(each.rms[j]), significant(float(each.rms[j]))) for *_, each in shown),
             )
-            + "\n"
-        )
+            for j, name in enumerate(self.joint_names)
+        ]
+        relative = (Shown(each.relative_error, share(each.relative_error)) for *_, each in shown)
+        rows.append(("relative error", *([] if unit else [""]), *relative))
+        sources = tuple(recording_name(built.source) for _, built in self.torque)
+        title = "RMS torque error"
+        if len(sources) == 1:
+            return Table(heads, tuple(rows), title=f"{title} on {sources[0]}")
+        return Table(heads, tuple(rows), title=title, notes=sources)
+
+    def as_text(self, full: bool = False) -> str:
+        """Return verdict and both tables for a terminal.
+
+        Parameters
+        ----------
+        full
+            Show all parameters and notes; else what fits one screen of 80 columns.
+        """
+        tables = [*([self.torque_table()] if self.torque else []), self.parameter_table()]
+        return self.heading(full) + "\n" + stacked(tables, full)
+
+    def heading(self, full: bool = False) -> str:
+        """Return the verdict and the tests of all parameters as lines of 80 columns."""
+        tests = self.tests() if full or self.tolerance is not None else ()
+        lines = (f"{self.robot}: as built against {self.cad_source}", self.verdict(), *tests)
+        return "\n".join(map(wrapped, lines)) + "\n"
 
     def as_csv(self) -> str:
         """Return the parameter table as CSV."""
@@ -242,15 +251,28 @@ def compare(
     level: float = FALSE_DISCOVERY_RATE,
     tolerance: CadTolerance | None = None,
 ) -> Comparison:
-    """Compare a result with the description it started from, or with `cad`, another description of
-    the same geometry.
+    """Compare a result with CAD.
 
-    `validation` gives the torque errors to put side by side (made with the same `cad`); without it
-    the result's own metrics serve, or for another `cad` those of the cause data that the result
-    carries. A parameter differs where its false discovery rate is at most `level`. `tolerance` is
-    what CAD is believed to know.
+    Parameters
+    ----------
+    result
+        The result.
+    cad
+        Another description of the same geometry; None: the one identified with.
+    validation
+        Torque errors to compare, made with the same `cad`; None: those of the result, or for
+        another `cad` those of its cause data.
+    level
+        False discovery rate up to which a parameter differs.
+    tolerance
+        Tolerances of CAD to test.
+
+    Returns
+    -------
+    Comparison
+        Parameters, torque errors and tests.
     """
-    values = result.cad_values if cad is None else design_values(result, cad)
+    values = result.cad_values if cad is None else cad_values(result, cad)
     determined = np.array(
         [p.determined and np.isfinite(p.std_error) and p.std_error > 0 for p in result.parameters]
     )
@@ -269,7 +291,7 @@ def compare(
         if result.cause_data is None
         else result.cause_data.error_of(result.base.names, result.estimates)
     )
-    words = in_words(result.base)
+    texts = parameter_texts(result.base)
     compared, place = [], 0
     for j, (parameter, by_design) in enumerate(
         zip(result.parameters, values.tolist(), strict=True)
@@ -295,7 +317,7 @@ def compare(
                 if determined[j]
                 else "not determined"
             ),
-            words=words[j],
+            words=texts[j],
         )
         if tested[j]:
             found = replace(
@@ -360,7 +382,7 @@ def _chi_square(test: ChiSquare) -> str:
 
 
 def recording_name(source: str) -> str:
-    """Return the source of a recording without the folders of its files.
+    """Return the names of a recording's files without folders.
 
     >>> recording_name("data/a.csv, data/b.csv")
     'a.csv, b.csv'
@@ -399,9 +421,7 @@ def _paired(
 def _evident_metrics(
     result: IdentificationResult, cause_data: CauseData, beta: Array, like: TorqueMetrics
 ) -> TorqueMetrics:
-    """Return the metrics of a prediction on the motion judged by, as far as sums of squares tell
-    them.
-    """
+    """Return the metrics of a prediction on the validation motion, from sums of squares alone."""
     rms = cause_data.error_of(result.base.names, beta)
     torque = np.array([np.linalg.norm(factor[:, -1]) for factor in cause_data.judged]) / np.sqrt(
         cause_data.n_judged

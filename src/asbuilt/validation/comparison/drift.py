@@ -1,7 +1,4 @@
-"""Two results of one robot held against each other.
-
-Two dates, two tools, the maker's model and the robot.
-"""
+"""Comparison of two results of one robot: two dates, or two models."""
 
 from __future__ import annotations
 
@@ -9,10 +6,11 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Mask
 from asbuilt.errors import ResultError
-from asbuilt.identification.result.summary import DROPPED
+from asbuilt.findings import joined
+from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
     Column,
@@ -23,12 +21,13 @@ from asbuilt.tables import (
     rounded,
     significant,
     stacked,
+    wrapped,
 )
 from asbuilt.tables import share as percentage
 from asbuilt.validation.comparison.compared_parameter import matters_text
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
 from asbuilt.validation.comparison.equal_terms import ComparedValues, on_equal_terms
-from asbuilt.validation.comparison.parameter_text import in_words
+from asbuilt.validation.comparison.parameter_text import parameter_texts
 from asbuilt.validation.comparison.significance import (
     ChiSquare,
     benjamini_hochberg,
@@ -44,30 +43,30 @@ from asbuilt.validation.comparison.torque_change import (
     torque_sentence,
 )
 from asbuilt.validation.comparison.torque_cost import torque_cost
-from asbuilt.validation.prediction import design_values, torque_units
+from asbuilt.validation.prediction import cad_values, torque_units
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-TELLING_GROWTH = 3.0
-"""Relative change beyond which it is said in numbers alone.
-
-What was next to nothing has grown beyond measure.
-"""
+MOST_SENTENCES = 4
+LARGEST_GROWTH = 3.0
+"""Largest relative change given in percent; beyond it the first value was near zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterChange:
-    """One base parameter in two results.
+    """Hold one base parameter in two results; what is unknown is None.
 
-    Values, errors, their difference in its standard errors, tests, and the RMS torque it makes
-    (None without cause data).
-
-    `changed` says that it did beyond doubt, `matters` that some joint notices what of its change no
-    other parameter could make up for; where a joint notices only the whole, `shared_with` names the
-    parameters that could. `dropped` says that one of the results set it to zero as needless,
-    without an error: it is not tested.
+    | attribute | meaning |
+    |---|---|
+    | `sigmas`, `p_value` | difference in its standard errors, and the probability by chance |
+    | `false_discovery`, `holm` | the same for as many tests |
+    | `torque_total`, `felt_at` | RMS torque of the change, and the joint with most of it |
+    | `changed` | whether it changed significantly |
+    | `matters` | whether its own torque is large beside some joint's error |
+    | `shared_with` | parameters that could make up for the rest, if only all of it is large |
+    | `dropped` | whether a result set it to zero, without an error; it is not tested |
     """
 
     id: int
@@ -91,14 +90,16 @@ class ParameterChange:
     shared_with: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Drift:
     """Hold what changed from one result to another of the same robot.
 
-    `sentences` say it joint by joint, `joints` what it does to the torque (empty without cause data).
-
-    `of_models` says that the two are models of one robot at one time, which differ where those of
-    two dates have changed.
+    | attribute | meaning |
+    |---|---|
+    | `parameters` | parameters of both |
+    | `joints` | torque of the changes joint by joint; empty without cause data |
+    | `sentences` | the outcome, joint by joint |
+    | `of_models` | whether these are two models at one time, which differ, or two dates |
     """
 
     robot: str
@@ -113,14 +114,20 @@ class Drift:
     joints: tuple[JointChange, ...] = ()
     of_models: bool = False
 
+    def __repr__(self) -> str:
+        return f"<Drift of {self.robot} from {self.before} to {self.after}: {self.verdict()}>"
+
+    def _repr_html_(self) -> str:
+        return self.table().as_html()
+
     @property
     def n_changed(self) -> int:
-        """Number of parameters that changed beyond doubt."""
+        """Number of parameters that changed significantly."""
         return sum(parameter.changed for parameter in self.parameters)
 
     @property
     def ranked(self) -> tuple[ParameterChange, ...]:
-        """The parameters, those whose change makes the most torque first."""
+        """The parameters, those whose change has the most torque first."""
         return tuple(
             sorted(self.parameters, key=lambda change: (-(change.torque_total or 0.0), change.id))
         )
@@ -143,24 +150,27 @@ class Drift:
         return "differ" if self.of_models else "changed"
 
     def table(self, *, changed: bool | None = None) -> Table:
-        """Return the parameters of both, what changed most in torque first.
+        """Return the parameters of both, those with the most torque first.
 
-        All, or only those that `changed` beyond doubt or did not.
+        Parameters
+        ----------
+        changed
+            Only those that changed significantly, or only the others; None: all.
         """
         heads = (
             Column("id", align="right"),
-            Column("parameter", width=28),
-            Column("what it is"),
+            Column("parameter", width=EXPRESSION_WIDTH),
+            Column("description", detail=True),
             Column("unit"),
             *(
-                Column(name, align="decimal")
+                Column(name, align="decimal", width=20)
                 for name in ((self.before, self.after) if self.of_models else ("before", "after"))
             ),
             Column("std err", align="decimal"),
             Column("difference" if self.of_models else "change", align="right"),
-            Column("torque", align="decimal"),
-            Column("joint", align="right"),
-            Column("matters"),
+            Column("torque", "N m" if {*self.units} <= {"N m"} else "N m, N", "decimal"),
+            Column("joint", align="right", detail=True),
+            Column("matters", detail=True),
         )
         rows: list[tuple[Cell, ...]] = []
         beyond_doubt = "DIFFERS" if self.of_models else "CHANGED"
@@ -194,42 +204,51 @@ class Drift:
                     matters_text(each.matters, each.shared_with),
                 )
             )
-        change, judged = ("difference", "second") if self.of_models else ("change", "later")
+        change, which = ("difference", "second") if self.of_models else ("change", "later")
         note = (
-            "std err: of the difference, both errors together; torque: RMS over all joints that"
-            f" the {change} makes on the motion the {judged} result was judged by; joint: the one"
-            f" that notices most. A {change} matters where it is beyond doubt and its own part is"
-            " noticed; shared: those named could make up for the rest, and this recording hardly"
-            " tells them apart."
+            f"std err: of the {change}; torque: RMS over all joints on the validation motion of the"
+            f" {which} result; joint: the one with the most. A {change} matters if it is"
+            " significant and its own part is large beside a joint's error; shared: those named"
+            " could make up for the rest."
         )
         title = {
             None: "Base parameters",
-            True: f"Parameters that {self._changed} beyond doubt",
+            True: f"Parameters that {self._changed} significantly",
             False: "Parameters within errors, or not tested",
         }
-        return Table(heads, tuple(rows), title=title[changed], notes=(note,))
-
-    def as_text(self) -> str:
-        """Return verdict, sentences and table for a terminal."""
-        head = [
-            f"{self.robot}: {self.after} against {self.before}",
-            self.verdict(),
-            *self.sentences,
-        ]
-        return (
-            "\n".join(head)
-            + "\n\n"
-            + stacked(
-                [
-                    *(
-                        [joint_table(self.joints, self.level, of_models=self.of_models)]
-                        if self.joints
-                        else []
-                    ),
-                    self.table(),
-                ]
-            )
+        return Table(
+            heads,
+            tuple(rows),
+            title=title[changed],
+            details=(note,),
+            important=self._important() if changed is None else None,
         )
+
+    def _important(self) -> tuple[int, ...]:
+        """Return the places of the changed parameters with the most torque, then of others."""
+        order = sorted(range(len(self.ranked)), key=lambda k: not self.ranked[k].changed)
+        return tuple(order[:MOST_PARAMETERS])
+
+    def as_text(self, full: bool = False) -> str:
+        """Return verdict, sentences and tables for a terminal.
+
+        Parameters
+        ----------
+        full
+            Show all sentences, parameters and notes; else what fits one screen of 80 columns.
+        """
+        said = self.sentences if full else self.sentences[:MOST_SENTENCES]
+        lines = [
+            wrapped(f"{self.robot}: {self.after} against {self.before}"),
+            wrapped(self.verdict()),
+            *(wrapped(line, lines=None if full else 3) for line in said),
+        ]
+        if len(said) < len(self.sentences):
+            lines.append(f"... {len(self.sentences) - len(said)} more sentences")
+        tables = [self.table()]
+        if self.joints:
+            tables.insert(0, joint_table(self.joints, self.level, of_models=self.of_models))
+        return "\n".join(lines) + "\n\n" + stacked(tables, full)
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""
@@ -258,17 +277,34 @@ def compare_results(
     level: float = FALSE_DISCOVERY_RATE,
     of_models: bool = False,
 ) -> Drift:
-    """Compare two results of one robot parameter by parameter, each with its own covariance, taken
-    as independent.
+    """Compare two results of one robot parameter by parameter.
 
-    Two dates are compared on equal terms, by the `free` values of both, whatever estimators the
-    results are by: bounds and pulls shift values by what no covariance counts, the same way in both
-    or not. `of_models` takes the values as they were identified, and words it as of two models of
-    one robot. Drive terms that only one of them has are left out, and the first sentence says that
-    what is found may be the choice of terms alone. Raises ResultError where the robots differ in
-    joints or geometry.
+    Values are those of weighted least squares alone if both results have them, since bounds and
+    regularisation shift values by what no covariance counts. Covariances are taken as independent.
+    Drive terms that only one result has are left out, and the first sentence says so.
+
+    Parameters
+    ----------
+    before, after
+        The results.
+    level
+        False discovery rate up to which a parameter changed.
+    labels
+        Names of the two; None: their recordings.
+    of_models
+        Compare the values as identified, as two models of one robot at one time.
+
+    Returns
+    -------
+    Drift
+        Changes of parameters and of torque.
+
+    Raises
+    ------
+    ResultError
+        If the robots differ in joints or geometry.
     """
-    design_values(before, after.model)
+    cad_values(before, after.model)
     names = [name for name in before.base.names if name in after.base.names]
     one, two = ([result.base.names.index(name) for name in names] for result in (before, after))
     for i, j in zip(one, two, strict=True):
@@ -302,7 +338,7 @@ def compare_results(
         cost = torque_cost(after.cause_data, after.base, whole)
         left = after.cause_data.error_of(after.base.names, after.estimates)
         joints = joint_changes(after, names, difference, covariance)
-    words = in_words(after.base)
+    texts = parameter_texts(after.base)
     changed = tests[2] <= level
     own = np.zeros(len(names), dtype=bool)
     if cost is not None and left is not None:
@@ -329,7 +365,7 @@ def compare_results(
             ),
             changed=bool(changed[place]),
             matters=None if cost is None else bool(changed[place] and own[place]),
-            words=words[j],
+            words=texts[j],
             dropped=bool(dropped[place]),
             shared_with=(
                 ()
@@ -366,9 +402,7 @@ def compare_results(
 def _other_drives(
     before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Say first of all where the two have other drive terms, or the same with other nonlinear parameters or at
-    other joints: each makes up for what it lacks with what it has.
-    """
+    """Return a sentence if the results have different drive terms or nonlinear parameters."""
     one, two = (
         {term.key: str(term) for term in result.base.drive.terms} for result in (before, after)
     )
@@ -385,31 +419,22 @@ def _other_drives(
         if changed
         else []
     )
-    left_out = (
-        "Terms that only one has are left out here, and the others make up for them"
-        if len(parts) > len(changed[:1])
-        else "The other terms make up for that"
-    )
+    missing = any(keys for _, keys in alone)
     richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
     return (
-        (
-            f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}. {left_out}: all that follows may be the"
-            " choice of terms and no change of the robot. Identify both with the same: --drive"
-            f" {richer}"
-        ),
+        f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}."
+        f" {'Those that only one has are left out here. ' if missing else ''}What follows may be"
+        f" the effect of these terms; identify both with {richer}.",
     )
 
 
-def _dropping(dropped: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Say that parameters without an error were not tested, but make torque all the same."""
+def _dropping(dropped: Mask) -> tuple[str, ...]:
+    """Return a sentence if parameters were dropped and so not tested."""
     if not dropped.any():
         return ()
     return (
-        (
-            f"{np.count_nonzero(dropped)} parameters were dropped as needless in one result or"
-            " both: they are not tested, and the torque that dropping them costs counts as change,"
-            " beyond what errors allow."
-        ),
+        f"{np.count_nonzero(dropped)} parameters that one result or both dropped are not tested;"
+        " their torque counts as change.",
     )
 
 
@@ -418,15 +443,13 @@ def _friction(
     changes: tuple[ParameterChange, ...],
     models: tuple[str, ...] | None,
 ) -> tuple[str, ...]:
-    """Say of every joint how its drive terms changed, or in which of two named models they are
-    what.
-    """
+    """Return how the drive terms of every joint changed."""
     by_name = {change.name: change for change in changes}
-    words = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
+    named = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
     found = []
     for k, joint in enumerate(result.joint_names):
         parts = []
-        for symbol, what in words.items():
+        for symbol, what in named.items():
             change = by_name.get(f"{symbol}{k + 1}")
             if change is None or not change.changed:
                 continue
@@ -435,11 +458,9 @@ def _friction(
                 if change.before > 3 * change.before_error
                 else np.inf
             )
-            relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= TELLING_GROWTH else ""
+            relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= LARGEST_GROWTH else ""
             traded = (
-                f", some of which {' and '.join(change.shared_with)} could make up for"
-                if change.shared_with
-                else ""
+                f" (correlated with {joined(change.shared_with)})" if change.shared_with else ""
             )
             before, after = (
                 _shown(change.before, change.before_error),
@@ -453,7 +474,7 @@ def _friction(
             parts.append(f"{what} {values}{relative}{traded}")
         if parts:
             found.append(f"{joint}: {', '.join(parts)}.")
-    return tuple(found) or (f"No drive term {'differs' if models else 'changed'} beyond doubt.",)
+    return tuple(found) or (f"No drive term {'differs' if models else 'changed'} significantly.",)
 
 
 def _shown(value: float, error: float) -> str:

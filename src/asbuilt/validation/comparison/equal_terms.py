@@ -1,7 +1,4 @@
-"""Which values of two results are compared.
-
-Those of one estimator for both, lest the estimators differ where the robot does not.
-"""
+"""Values by which two results are compared: of one estimator for both, if possible."""
 
 from __future__ import annotations
 
@@ -9,9 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Mask
 
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
@@ -23,18 +19,14 @@ FREE_METHOD = "wls"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedValues:
-    """Hold p parameters of a result as they are compared.
-
-    `estimates`, `covariance` (p, p), `std_errors` and the textbook's, and which are `determined`
-    and `dropped`.
-    """
+    """Hold p parameters of a result as they are compared, with covariance (p, p) and errors."""
 
     estimates: Array
     covariance: Array
     std_errors: Array
     textbook_std_errors: Array
-    determined: NDArray[np.bool_]
-    dropped: NDArray[np.bool_]
+    determined: Mask
+    dropped: Mask
 
     @classmethod
     def own(cls, result: IdentificationResult) -> ComparedValues:
@@ -52,9 +44,7 @@ class ComparedValues:
 
     @classmethod
     def free(cls, result: IdentificationResult) -> ComparedValues:
-        """Return the values by weighted least squares alone, where the result carries them apart
-        from its own.
-        """
+        """Return the values by weighted least squares alone, or else those identified."""
         found = result.free
         if found is None:
             return cls.own(result)
@@ -70,18 +60,19 @@ class ComparedValues:
 
     @property
     def even_covariance(self) -> Array:
-        """The textbook's covariance, all variances grown by the mean of how much each did, shape
-        (p, p): for tests of many parameters at once.
+        """The textbook covariance (p, p), scaled by the mean growth of the variances.
 
-        Time blocks tell how each variance grew beyond the textbook's, but no correlation; sums of
-        parameters that only together are known well would, each grown by its own, seem known where
-        they are not, and not where they are.
+        For tests of many parameters at once. Time blocks give the growth of each variance but no
+        correlation; scaling each by its own would distort the variance of sums of parameters.
         """
-        told = (self.std_errors > 0) & (self.textbook_std_errors > 0)
+        usable = (self.std_errors > 0) & (self.textbook_std_errors > 0)
         growth = np.divide(
-            self.std_errors, self.textbook_std_errors, out=np.ones_like(self.std_errors), where=told
+            self.std_errors,
+            self.textbook_std_errors,
+            out=np.ones_like(self.std_errors),
+            where=usable,
         )
-        even = float(np.sqrt(np.mean(growth[told] ** 2))) if told.any() else 1.0
+        even = float(np.sqrt(np.mean(growth[usable] ** 2))) if usable.any() else 1.0
         shrink = even / growth
         return np.asarray(self.covariance * np.outer(shrink, shrink))
 
@@ -89,22 +80,21 @@ class ComparedValues:
 def on_equal_terms(
     before: IdentificationResult, after: IdentificationResult
 ) -> tuple[ComparedValues, ComparedValues, tuple[str, ...]]:
-    """Return the free values of both results where both have them, else their own, and which these
-    are in a sentence, unless they are the same.
+    """Return the values of both results to compare, and a sentence if their estimators matter.
+
+    These are the free values if both results have them, else those identified.
     """
     methods = " and ".join(dict.fromkeys((before.method, after.method)))
     if before.method == after.method == FREE_METHOD:
         return ComparedValues.own(before), ComparedValues.own(after), ()
     if all(result.free is not None or result.method == FREE_METHOD for result in (before, after)):
-        told = (
-            f"Compared on equal terms, by {FREE_METHOD} of both: the results are by {methods}, and"
-            " what estimators add (bounds, pull to CAD, less weight to some samples) would read as"
-            " change, or hide it. Values are those compared."
+        note = (
+            f"Compared by {FREE_METHOD} of both, since the results are by {methods}: bounds,"
+            " regularisation and weights of an estimator could appear as a change, or hide one."
         )
-        return ComparedValues.free(before), ComparedValues.free(after), (told,)
-    told = (
-        f"Compared as they were identified, by {methods}: what estimators add (bounds, pull to CAD,"
-        " less weight to some samples) may read as change, or hide it. Identify both again to"
-        " compare on equal terms."
+        return ComparedValues.free(before), ComparedValues.free(after), (note,)
+    note = (
+        f"Compared as identified, by {methods}: bounds, regularisation and weights of an estimator"
+        " may appear as a change, or hide one. Identify both again to compare by one estimator."
     )
-    return ComparedValues.own(before), ComparedValues.own(after), (told,)
+    return ComparedValues.own(before), ComparedValues.own(after), (note,)

@@ -1,4 +1,4 @@
-"""Base parameters in plain words: what of which link, with what it carries, or what of which drive."""
+"""Text for base parameters and drive terms, such as "first moment along z, links 4 to 7"."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.term import DriveTerm
 
 
-def in_words(base: BaseParameters) -> tuple[str, ...]:
-    """Return what each base parameter is, in words: `first moment along z, links 4 to 7`.
-
-    A base parameter is called after the kept column and the last link that enters it.
+def parameter_texts(base: BaseParameters) -> tuple[str, ...]:
+    """Return what each base parameter is, named by the kept column and the last link that enters.
 
     >>> from asbuilt.description.catalogue import bundled_robot
     >>> from asbuilt.dynamics.base.base_parameters import find_base_parameters
     >>> from asbuilt.dynamics.drives.selection import DriveSet
     >>> base = find_base_parameters(bundled_robot("kuka-iiwa7-r800"), DriveSet.parse("coulomb"))
-    >>> dict(zip(base.names, in_words(base)))["mz4"]
+    >>> dict(zip(base.names, parameter_texts(base)))["mz4"]
     'first moment along z, links 4 to 7'
-    >>> in_words(base)[-1]
+    >>> parameter_texts(base)[-1]
     'Coulomb friction, joint 7'
     """
     inertial = len(PARAMETER_NAMES) * (
@@ -39,16 +37,18 @@ def in_words(base: BaseParameters) -> tuple[str, ...]:
     )
 
 
-def drive_in_words(drive: DriveSet) -> str:
-    """Return the terms of a set for a reader: at which joints, with which nonlinear parameters there.
+def drive_text(drive: DriveSet) -> str:
+    """Return the terms of a set with the joints that have them and their nonlinear parameters.
 
-    >>> drive_in_words(DriveSet.parse("viscous:joints=2/3,offset,power:joints=1/3:exponent=0.7/0.5/0.6,stribeck:velocity=0.1"))
-    'viscous friction (joints 2, 3); Stribeck friction (velocity 0.1); power-law friction (joint 1: exponent 0.7; joint 3: exponent 0.6); torque offset'
+    >>> drive_text(DriveSet.parse("viscous:joints=2/3,offset,stribeck:velocity=0.1"))
+    'viscous friction (joints 2, 3); Stribeck friction (velocity 0.1); torque offset'
+    >>> drive_text(DriveSet.parse("power:joints=1/3:exponent=0.7/0.5/0.6"))
+    'power-law friction (joint 1: exponent 0.7; joint 3: exponent 0.6)'
     """
-    return "; ".join(_term_in_words(term) for term in drive.terms) or "none"
+    return "; ".join(_term_text(term) for term in drive.terms) or "none"
 
 
-def _term_in_words(term: DriveTerm) -> str:
+def _term_text(term: DriveTerm) -> str:
     stated = {
         parameter.name: getattr(term, parameter.name)
         for parameter in term.nonlinear

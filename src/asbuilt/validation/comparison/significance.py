@@ -1,4 +1,4 @@
-"""Many tests at once, and tests of whole vectors."""
+"""Multiple tests, and tests of vectors."""
 
 from __future__ import annotations
 
@@ -43,8 +43,7 @@ def benjamini_hochberg(probabilities: ArrayLike) -> Array:
 
 
 def holm(probabilities: ArrayLike) -> Array:
-    """Return probabilities adjusted so that a single wrong rejection among all is as likely as
-    stated: `max_{j <= i} (m - j + 1) p_(j)`.
+    """Return probabilities adjusted for the familywise error, `max_{j <= i} (m - j + 1) p_(j)`.
 
     Source: Holm, Scandinavian J. Statistics 6, 1979.
 
@@ -61,9 +60,7 @@ def holm(probabilities: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class ChiSquare:
-    """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (the rank of C) and the probability
-    of as much if nothing differed.
-    """
+    """Hold a Wald statistic `d^T C^+ d`, its degrees of freedom (rank of C) and p value."""
 
     statistic: float
     degrees: int
@@ -71,8 +68,7 @@ class ChiSquare:
 
 
 def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
-    """Test whether a whole vector of differences (p,) is zero, given its covariance (p, p),
-    singular or not (Wald, 1943).
+    """Test whether a vector (p,) with covariance (p, p), singular or not, is zero (Wald, 1943).
 
     >>> test = chi_square([2.0, 0.0], np.eye(2))
     >>> test.statistic, test.degrees, round(test.probability, 3)
@@ -92,12 +88,10 @@ def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
 
 
 def size_probability(vector: ArrayLike, covariance: ArrayLike) -> float:
-    """Return the probability that a normal vector of mean zero and this covariance (m, m) is as
-    long as `vector` (m,), or longer.
+    """Return the probability that a normal vector with covariance (m, m) is as long as `vector`.
 
-    The squared length is a sum of chi-square variables with the eigenvalues as weights; one scaled
-    chi-square variable of the same mean and variance stands in for it (Satterthwaite, Biometrics
-    Bulletin 2, 1946).
+    The squared length is a weighted sum of chi-square variables, approximated by one scaled
+    chi-square variable of the same mean and variance (Satterthwaite, Biometrics Bulletin 2, 1946).
 
     >>> round(size_probability([1.96], [[1.0]]), 3)
     0.05

@@ -1,6 +1,4 @@
-"""What a change of all parameters together does to the torque of each joint, and whether errors
-alone would do as much.
-"""
+"""Torque of a change of all parameters at each joint, beside what standard errors explain."""
 
 from __future__ import annotations
 
@@ -9,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array
 from asbuilt.errors import ResultError
 from asbuilt.tables import Cell, Column, Shown, Table, significant
 from asbuilt.validation.comparison.significance import holm, probability_text, size_probability
@@ -19,18 +17,14 @@ from asbuilt.validation.prediction import torque_units
 if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True)
 class JointChange:
-    """What all changes together do to the torque of one joint, on the motion that the later result
-    was judged by, RMS [N m or N].
+    """Hold the RMS torque of all changes together at one joint [N m or N], on a validation motion.
 
-    `torque` is the change, `by_chance` what the errors of both results alone would make,
-    `torque_of_motion` the torque itself, `p_value` the probability of a change of the torque's size
-    by chance, and `holm` the same allowing for the number of joints. It does not matter here which
-    parameters trade off with each other.
+    `torque` is that of the change, `by_chance` what the errors of both results explain,
+    `torque_of_motion` the torque itself. `p_value` is the probability of as large a change by
+    chance, and `holm` the same for as many joints.
     """
 
     joint: str
@@ -45,10 +39,9 @@ class JointChange:
 def joint_changes(
     result: IdentificationResult, names: Sequence[str], difference: Array, covariance: Array
 ) -> tuple[JointChange, ...]:
-    """Return what differences of named parameters, of that covariance, do to the torque of every
-    joint on the motion that a result was judged by.
+    """Return the torque of differences of named parameters, with their covariance, at every joint.
 
-    Raises ResultError where the result carries no cause data.
+    Raises ResultError if the result has no cause data.
     """
     cause_data = result.cause_data
     if cause_data is None:
@@ -89,7 +82,7 @@ def joint_changes(
 def torque_sentence(
     joints: tuple[JointChange, ...], level: float, *, of_models: bool = False
 ) -> tuple[str, ...]:
-    """Say at which joints the torque changed beyond doubt."""
+    """Return at which joints the torque changed significantly."""
     if not joints:
         return ()
     said = [
@@ -102,44 +95,39 @@ def torque_sentence(
     return (
         (
             "The torque of the same motion"
-            f" {changed}{': ' + ', '.join(said) if said else ' at no joint beyond doubt'}."
+            f" {changed}{': ' + ', '.join(said) if said else ' significantly at no joint'}."
         ),
     )
 
 
 def joint_table(joints: Sequence[JointChange], level: float, *, of_models: bool = False) -> Table:
-    """Return what all changes together do to the torque of each joint.
-
-    Those at most as likely as `level` by chance have changed.
-    """
+    """Return the torque of all changes together joint by joint, with a significance test."""
     change = "difference" if of_models else "change"
+    unit = joints[0].unit if len({each.unit for each in joints}) == 1 else ""
     heads = (
         Column("joint", width=20),
-        Column("unit"),
-        *(Column(name, align="decimal") for name in ("torque", change, "by chance")),
+        *([] if unit else [Column("unit")]),
+        *(Column(name, unit, "decimal") for name in ("torque", change, "by chance")),
         Column("p", align="right"),
-        Column("", align="left"),
+        Column("verdict"),
     )
-    rows: list[tuple[Cell, ...]] = []
-    for each in joints:
-        rms = (
-            Shown(value, significant(value))
-            for value in (each.torque_of_motion, each.torque, each.by_chance)
+    rows: list[tuple[Cell, ...]] = [
+        (
+            each.joint,
+            *([] if unit else [each.unit]),
+            *(
+                Shown(value, significant(value))
+                for value in (each.torque_of_motion, each.torque, each.by_chance)
+            ),
+            Shown(each.holm, probability_text(each.holm)),
+            ("DIFFERS" if of_models else "CHANGED") if each.holm <= level else "-",
         )
-        rows.append(
-            (
-                each.joint,
-                each.unit,
-                *rms,
-                Shown(each.holm, probability_text(each.holm)),
-                ("DIFFERS" if of_models else "CHANGED") if each.holm <= level else "-",
-            )
-        )
+        for each in joints
+    ]
     note = (
-        f"RMS on the motion the {'second' if of_models else 'later'} result was judged by."
-        f" {change}: how far the two results predict differently there; by chance: how far their"
-        " errors alone would let them; p allows for the number of joints (Holm). What neither"
-        " model has, such as a tilt or other friction, can read as change where the motions"
-        " differ."
+        f"RMS on the validation motion of the {'second' if of_models else 'later'} result."
+        f" {change}: between the predictions of the two; by chance: expected from their standard"
+        " errors; p allows for the number of joints (Holm). Effects that neither model has can"
+        " appear as a change if the motions differ."
     )
-    return Table(heads, tuple(rows), title=f"Torque that the {change}s make", notes=(note,))
+    return Table(heads, tuple(rows), title=f"RMS torque of the {change}s", details=(note,))

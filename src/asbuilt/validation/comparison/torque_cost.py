@@ -1,4 +1,4 @@
-"""What a difference of parameters costs in torque, on the motion judged by."""
+"""Torque of a difference of parameters on the validation motion, and what it is shared with."""
 
 from __future__ import annotations
 
@@ -7,43 +7,36 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from asbuilt.arrays import Array, Indices, Mask
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.information.triangular import triangular_factor
 
 if TYPE_CHECKING:
     from asbuilt.dynamics.base.base_parameters import BaseParameters
 
-Array = NDArray[np.float64]
-
-TOLD = 1e-10
-"""Squared singular value, relative to the largest with columns scaled alike, below which a
-direction makes no torque.
-"""
 MATTERS = 0.5
-"""Torque that a difference costs a joint, in multiples of the error left there as built, from which
-it matters: the error would grow by an eighth.
-"""
+"""Torque of a difference, relative to a joint's error as built, from which it matters: the error
+would grow by an eighth; own choice."""
+WEAKEST = 1e-10
+"""Squared singular value, relative to the largest, below which a direction has no torque."""
 ABLE = 0.25
-"""Part of the squared torque of a parameter, or of what another partner leaves of it, that a
-partner makes up for, from which it is named,
-"""
+"""Smallest part of the squared torque, or of what another partner leaves, of a named partner."""
 MOST_PARTNERS = 2
-"""and how many are."""
 SEVERAL = "several others"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueCost:
-    """Hold, for each of p differences, RMS torques on the motion judged by.
+    r"""Hold RMS torques of p differences at n joints on the validation motion.
 
-    `torque` (p, n) = |W_kj d_j| / sqrt(N) of every joint k: what the difference alone does to the
-    torque. `own` (p,) is the part, over all joints, that no change of the other parameters could
-    make up for, and `total` (p,) = |W_j d_j| / sqrt(N) over all joints; where `own` is far below
-    `total` the parameter trades off with others, and `partners` (p,) are the places of those that
-    would do most of its work, the most able first. `together` (n,) = |W_k d| / sqrt(N) is what all
-    differences do together.
+    | attribute | meaning |
+    |---|---|
+    | `torque` | (p, n) = \|W_kj d_j\| / sqrt(N) at every joint k |
+    | `total` | (p,) = \|W_j d_j\| / sqrt(N) over all joints |
+    | `own` | (p,) part of it that no change of the other parameters can make up for |
+    | `together` | (n,) = \|W_k d\| / sqrt(N) of all differences |
+    | `partners` | places of the parameters that could make up for most of the rest, best first |
     """
 
     torque: Array
@@ -54,30 +47,25 @@ class TorqueCost:
 
     @property
     def own_part(self) -> Array:
-        """The part of the torque of each difference that is its own, (p,).
-
-        1 where no other parameter could make up for any of it.
-        """
+        """The part of each difference's torque that is its own, (p,)."""
         return np.divide(self.own, self.total, out=np.zeros_like(self.own), where=self.total > 0)
 
-    def noticed(self, left: Array, *, alone: bool = False) -> NDArray[np.bool_]:
-        """Whether a difference matters to some joint, (p,), beside the errors `left` (n,) there.
+    def noticed(self, left: Array, *, alone: bool = False) -> Mask:
+        """Return whether a difference matters beside the errors `left` (n,) of some joint, (p,).
 
-        `alone` counts only what is the parameter's own.
+        `alone` counts only its own part.
         """
         torque = self.torque * self.own_part[:, None] if alone else self.torque
         return np.asarray(np.any(torque >= MATTERS * left, axis=1))
 
     def shared_with(self, j: int, left: Array, names: Sequence[str]) -> tuple[str, ...]:
-        """Return the names of the partners of a parameter whose difference matters, but not alone,
-        `SEVERAL` where it takes more than a few; none of another.
-        """
+        """Return the partners of a parameter whose difference matters as a whole but not alone."""
         shared = self.noticed(left)[j] and not self.noticed(left, alone=True)[j]
         return (tuple(names[k] for k in self.partners[j]) or (SEVERAL,)) if shared else ()
 
 
 def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) -> TorqueCost:
-    """Return what differences (p,) of base parameters cost; NaN counts as none."""
+    """Return the torque of differences (p,) of base parameters; NaN counts as none."""
     places = cause_data.places(base.names)
     d = np.nan_to_num(difference, nan=0.0)
     rows = [factor[:, places] for factor in cause_data.whole(cause_data.judged)]
@@ -88,7 +76,7 @@ def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) 
     present = length > 1e-12 * length.max(initial=0.0)
     scaled = stacked[:, present] / length[present]
     eigenvalues, vectors = np.linalg.eigh(scaled.T @ scaled)
-    kept = eigenvalues > TOLD * eigenvalues.max(initial=0.0)
+    kept = eigenvalues > WEAKEST * eigenvalues.max(initial=0.0)
     variance = np.sum(vectors[:, kept] ** 2 / eigenvalues[kept], axis=1)
     hidden = np.sum(vectors[:, ~kept] ** 2, axis=1) > 1e-6
     own = np.zeros(len(d))
@@ -106,12 +94,11 @@ def torque_cost(cause_data: CauseData, base: BaseParameters, difference: Array) 
     )
 
 
-def _partners(present: NDArray[np.int64], gram: Array, p: int) -> tuple[tuple[int, ...], ...]:
-    """Return for each of p columns those that together imitate it best, one after the other, from
-    the Gram matrix of the columns present, each of length 1.
+def _partners(present: Indices, gram: Array, p: int) -> tuple[tuple[int, ...], ...]:
+    """Return for each column those that together replace it best, from the Gram matrix.
 
-    Orthogonal matching pursuit: each next column is the one most like what the others leave (Pati,
-    Rezaiifar & Krishnaprasad, Asilomar 1993).
+    Orthogonal matching pursuit: the next column is the one most correlated with what the others
+    leave (Pati, Rezaiifar and Krishnaprasad, Asilomar 1993).
     """
     found: list[tuple[int, ...]] = [()] * p
     for j, place in enumerate(present):
@@ -119,9 +106,9 @@ def _partners(present: NDArray[np.int64], gram: Array, p: int) -> tuple[tuple[in
         left = 1.0
         for _ in range(MOST_PARTNERS):
             weights = np.linalg.lstsq(gram[np.ix_(chosen, chosen)], gram[chosen, j], rcond=None)[0]
-            likeness = np.abs(gram[:, j] - gram[:, chosen] @ weights)
-            likeness[[j, *chosen]] = 0.0
-            best = int(np.argmax(likeness))
+            correlation = np.abs(gram[:, j] - gram[:, chosen] @ weights)
+            correlation[[j, *chosen]] = 0.0
+            best = int(np.argmax(correlation))
             together = [*chosen, best]
             remaining = 1.0 - float(
                 gram[j, together]

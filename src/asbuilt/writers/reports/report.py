@@ -27,7 +27,7 @@ from asbuilt.tables import beside, deviation, percent, rounded, share, significa
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter
 from asbuilt.validation.comparison.comparison import compare, recording_name
-from asbuilt.validation.comparison.parameter_text import drive_in_words
+from asbuilt.validation.comparison.parameter_text import drive_text
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.residuals import ResidualAnalysis, VelocityCurve
 from asbuilt.writers.figures.cause_figures import attribution_figure
@@ -143,7 +143,7 @@ def _facts(result: IdentificationResult) -> list[tuple[str, str]]:
         )
     return [
         ("method", result.method),
-        ("drive terms", drive_in_words(result.base.drive)),
+        ("drive terms", drive_text(result.base.drive)),
         (
             "samples",
             (
