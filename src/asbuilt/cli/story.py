@@ -1,4 +1,4 @@
-"""Commands that tell a whole story: the 2015 paper and the demonstration."""
+"""Complete runs: the demonstration and the reproduction of the 2015 paper."""
 
 from __future__ import annotations
 
@@ -8,25 +8,29 @@ from typing import Annotated
 import typer
 
 from asbuilt.cli.answers import answer, listed_files, progress_bar
-from asbuilt.cli.options import AsJson, Out, writable_folder
+from asbuilt.cli.options import AsJson, Full, Out, writable_folder
 
 
-def reproduce(out: Out = None, as_json: AsJson = False) -> None:
-    """Redo the 2015 paper that asbuilt grew from, table by table and figure by figure."""
-    from asbuilt.cli.reproduce import reproduce as redo
-    from asbuilt.cli.reproduce_tables import (
+def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> None:
+    """Reproduce the 2015 paper, table by table and figure by figure.
+
+    A. A. Hayat, V. Abhishek and S. K. Saha, Dynamic Identification of Manipulator (2015). Its
+    recordings are not public; a virtual robot stands in for the robot of Table 3.
+    """
+    from asbuilt.cli.hayat2015.pages import (
         reproduction_document,
         reproduction_text,
         write_reproduction,
     )
+    from asbuilt.cli.hayat2015.reproduction import reproduce_paper
 
     with progress_bar() as report:
-        redone = redo(progress=report)
+        redone = reproduce_paper(progress=report)
         files = write_reproduction(out, redone) if out is not None else {}
     answer(
         as_json,
         lambda: reproduction_document(redone, files),
-        lambda: reproduction_text(redone) + listed_files(files),
+        lambda: reproduction_text(redone, full) + listed_files(files),
     )
 
 

@@ -1,6 +1,6 @@
 from .calibration.mounting import find_mounting as find_mounting
 from .calibration.payload import Payload as Payload
-from .calibration.payload import identify_payload as identify_payload
+from .calibration.payload import identify_payload_samples as identify_payload_samples
 from .calibration.torque_gains import TorqueGains as TorqueGains
 from .calibration.torque_gains import identify_gains as identify_gains
 from .calibration.two_channels import TwoChannelEstimate as TwoChannelEstimate
@@ -10,7 +10,7 @@ from .estimators.methods import estimator as estimator
 from .estimators.methods import methods as methods
 from .estimators.recursive import RecursiveEstimate as RecursiveEstimate
 from .estimators.recursive import RecursiveIdentification as RecursiveIdentification
-from .identify import identify as identify
+from .identify import identify_samples as identify_samples
 from .information.square_root_information import SquareRootInformation as SquareRootInformation
 from .result.determination import determination as determination
 from .result.metrics import TorqueMetrics as TorqueMetrics

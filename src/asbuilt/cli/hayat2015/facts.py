@@ -1,4 +1,4 @@
-"""The facts of the 2015 paper that asbuilt grew from, and its expressions in asbuilt's notation.
+"""Tables of the 2015 paper, with its expressions in the notation of asbuilt.
 
 Hayat, Abhishek and Saha, "Dynamic Identification of Manipulator: Comparison between CAD and Actual
 Parameters", iNaCoMM 2015-94.
@@ -13,17 +13,26 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from asbuilt.arrays import Array
 
 _TERM = re.compile(r"([+-]?)\s*(?:([0-9.]+)\*)?(?:I(\d)([xyz]{2})|m(\d)\*d\5([xyz])|m(\d))(?=\s|$)")
 
 
 @dataclass(frozen=True, slots=True)
 class PublishedParameter:
-    """One row of Table 2: id of 70, expression (corrected; `printed` where the paper has a
-    misprint), CAD and robot value.
+    """Hold one row of Table 2.
+
+    Parameters
+    ----------
+    id
+        Id among the 70 standard parameters.
+    expression
+        Expression as corrected.
+    cad, robot
+        The two columns of values [SI].
+    printed
+        Expression as printed if that is a misprint.
     """
 
     id: int
@@ -33,9 +42,7 @@ class PublishedParameter:
     printed: str | None = None
 
     def coefficients(self, standard_names: Sequence[str]) -> Array:
-        """Return the expression as a row of coefficients of the standard parameters, shape
-        (n_standard,).
-        """
+        """Return the coefficients of the standard parameters, shape (n_standard,)."""
         row = np.zeros(len(standard_names))
         for sign, factor, inertia_link, axes, moment_link, axis, mass_link in _TERM.findall(
             self.expression
@@ -58,7 +65,11 @@ class PublishedParameter:
 
 @dataclass(frozen=True, slots=True)
 class Paper:
-    """What the paper prints: Table 2, Table 3, the number of samples and alpha_7 of Table 1 [deg]."""
+    """Hold what the paper prints: Tables 2 and 3, the number of samples, alpha_7 of Table 1 [deg].
+
+    The paper highlights rows of Table 2 "having significantly larger values compared to the rest"
+    in gray; its text does not list them. `highlighted` are the rows whose CAD value exceeds 1 [SI].
+    """
 
     parameters: tuple[PublishedParameter, ...]
     table3_joints: tuple[int, ...]
@@ -77,6 +88,11 @@ class Paper:
         """Robot column of Table 2, shape (43,)."""
         return np.array([row.robot for row in self.parameters])
 
+    @property
+    def highlighted(self) -> tuple[int, ...]:
+        """Places of the gray rows of Table 2, counted from 0."""
+        return tuple(np.flatnonzero(self.cad > 1.0).tolist())
+
 
 def published() -> Paper:
     """Return the paper's facts.
@@ -86,7 +102,7 @@ def published() -> Paper:
     (43, 'I1yy + I2zz')
     """
     facts = tomllib.loads(
-        files("asbuilt.cli").joinpath("hayat2015.toml").read_text(encoding="utf-8")
+        files("asbuilt.cli.hayat2015").joinpath("facts.toml").read_text(encoding="utf-8")
     )
     return Paper(
         parameters=tuple(PublishedParameter(**row) for row in facts["table2"]),

@@ -1,0 +1,1 @@
+"""The 2015 paper by Hayat, Abhishek and Saha: its facts, and their reproduction."""
