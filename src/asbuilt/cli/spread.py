@@ -54,9 +54,9 @@ def spread(command: Callable[..., None], run: Callable[..., None]) -> Callable[.
     """Return the command as typer takes it: option classes become the options of their fields.
 
     A parameter of an option class becomes one option for each field that has `help` in its
-    metadata; `metavar`, `choices` (names, or names and what they stand for) and `parse` (from
-    text) may stand beside it. The command gets the class built from the options given, so that
-    the class alone owns its defaults. `run(common, call)` calls the command.
+    metadata; `metavar`, `choices` (names, or names and what they stand for), `parse` (from text)
+    and `also` (other spellings) may stand beside it. The command gets the class built from the
+    options given, so that the class alone owns its defaults. `run(common, call)` calls the command.
     """
     hints = get_type_hints(command, include_extras=True)
     groups = {name: hint for name, hint in hints.items() if _is_group(hint)}
@@ -121,6 +121,7 @@ def _generated(field: Field[Any], hint: Any, panel: str | None) -> inspect.Param
         text += f" [default: {_name_of(field.default, told.get('choices'))}]"
     option = typer.Option(
         option_name(field.name),
+        *told.get("also", ()),
         metavar=None if flag else told.get("metavar", field.name.upper()),
         help=text,
         show_default=False,

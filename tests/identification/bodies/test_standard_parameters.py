@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from asbuilt.cli.hayat2015 import published
+from asbuilt.cli.hayat2015.facts import published
 from asbuilt.description.catalogue import bundled_robot, robot_names
 from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.load import load_robot
@@ -26,7 +26,7 @@ def test_real_bodies_with_exactly_the_torques_and_closer_to_cad_than_the_truth(t
     case = trial(robot, drive, seed=8, duration=2.0)
     found = standard_parameters(case.model, case.base, case.beta)
     assert found.exact
-    assert found.possible
+    assert found.consistent
     assert found.part > 0.0
     np.testing.assert_allclose(case.base.values(found.parameters), case.beta, rtol=0, atol=1e-11)
     assert not inconsistencies(
@@ -88,11 +88,11 @@ def test_robot_column_of_the_paper_and_the_nearest_real_robot():
     base = find_base_parameters(model)
     robot = published().robot
     kept = standard_parameters(model, base, robot)
-    assert not kept.possible
+    assert not kept.consistent
     np.testing.assert_allclose(base.values(kept.parameters), robot, atol=1e-11)
     assert "NOT physically consistent" in kept.verdict
     nearest = standard_parameters(model, base, robot, nearest=True)
-    assert nearest.possible
+    assert nearest.consistent
     assert not nearest.exact
     assert np.sqrt(np.mean(nearest.torque_rms**2)) == pytest.approx(0.14, abs=0.015)
     assert np.sqrt(np.mean(nearest.torque_rms_of_motion**2)) == pytest.approx(26.0, abs=1.0)
