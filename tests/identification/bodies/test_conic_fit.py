@@ -196,7 +196,7 @@ def test_a_panic_of_the_solver_is_told_as_any_failure(trial, monkeypatch):
 
     monkeypatch.setattr("clarabel.DefaultSolver", Solver)
     with pytest.raises(
-        IdentifiabilityError, match=r"two-link .* the solver says Panic \(Eigval error\)"
+        IdentifiabilityError, match=r"two-link .* solver status Panic \(Eigval error\)"
     ):
         fit_consistent_bodies(case.prior, case.base.regrouping, factor=factor_of(case))
     monkeypatch.setattr(Solver, "solve", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))

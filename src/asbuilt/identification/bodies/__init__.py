@@ -1,1 +1,1 @@
-"""Physical consistency of bodies: bounds, priors, cone programs."""
+"""Physical consistency of links and drives: bounds, priors, conic and entropic fits."""

@@ -1,4 +1,4 @@
-"""Bounds on what bodies and drives may be: masses, centres of mass, friction and armature."""
+"""Linear bounds on masses, centres of mass, friction and armature."""
 
 from __future__ import annotations
 
@@ -13,21 +13,16 @@ from asbuilt.errors import UsageError
 from asbuilt.identification.bodies.cad_prior import CadPrior
 
 LIGHTEST = 0.05
-"""Smallest mass of a link by default, as a fraction of its CAD mass,"""
+"""Default lower bound of the mass of a link, in CAD masses."""
 HEAVIEST = 10.0
-"""and largest, unless all links together weigh more: then that."""
+"""Default upper bound of the mass of a link, in CAD masses; at least the mass of all links."""
 FARTHEST = 2.0
-"""How far a centre of mass may lie from that of CAD by default, along each axis, in multiples of
-the largest reach of a link.
-"""
+"""Default bound of a centre of mass along each axis from that of CAD, in reaches of a link."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyBounds:
-    """Hold linear bounds `rows @ chi + offsets >= 0` on the standard parameters.
-
-    `labels` say each in words.
-    """
+    """Hold linear bounds `rows @ chi + offsets >= 0` on the standard parameters, with labels."""
 
     rows: Array
     offsets: Array
@@ -38,7 +33,7 @@ class BodyBounds:
         self.offsets.setflags(write=False)
 
     def slack(self, chi: ArrayLike) -> Array:
-        """Return how much room every bound leaves; negative where it is broken."""
+        """Return the slack of every bound; negative if it is violated."""
         return np.asarray(self.rows @ np.asarray(chi, dtype=np.float64) + self.offsets)
 
     def and_also(self, other: BodyBounds) -> BodyBounds:
@@ -51,7 +46,7 @@ class BodyBounds:
 
 
 def non_negative_drives(prior: CadPrior) -> BodyBounds:
-    """Return the bounds every drive obeys: armature, viscous and Coulomb friction are not negative."""
+    """Return the bounds of passive drives: armature and friction are not negative."""
     rows = np.zeros((len(prior.non_negative), len(prior.parameters)))
     rows[np.arange(len(rows)), prior.non_negative] = 1.0
     return BodyBounds(
@@ -60,12 +55,10 @@ def non_negative_drives(prior: CadPrior) -> BodyBounds:
 
 
 def generous_bounds(prior: CadPrior) -> BodyBounds:
-    """Return bounds that only exclude the absurd.
+    """Return wide bounds: passive drives, masses and centres of mass of the order of CAD.
 
-    Non-negative drives, masses within a factor of CAD, centres of mass near the robot.
-
-    A link weighs from a twentieth to ten times its CAD mass (or as much as all links), and its
-    centre of mass lies within two reaches of that of CAD.
+    A link has 0.05 to 10 times its CAD mass (or the mass of all links), and its centre of mass is
+    within two reaches of that of CAD.
     """
     bodies = prior.parameters[: 10 * prior.n_links].reshape(-1, 10)
     total = float(bodies[:, 9].sum())
@@ -85,10 +78,21 @@ def body_bounds(
     mass: Mapping[int, tuple[float, float]] | None = None,
     com: Mapping[int, tuple[Sequence[float] | Array, Sequence[float] | Array]] | None = None,
 ) -> BodyBounds:
-    """Return bounds on the mass [kg] and the centre of mass [m, link axes] of links, counted from
-    0: (lower, upper) each.
+    """Return bounds on the mass and the centre of mass of links.
 
-    Raises `UsageError` for links that do not exist and for a lower bound above its upper one.
+    Parameters
+    ----------
+    prior
+        CAD values of the robot.
+    mass
+        Lower and upper bound [kg] by link, counted from 0.
+    com
+        Lower and upper bounds [m] in link axes, three values each, by link.
+
+    Raises
+    ------
+    UsageError
+        If a link does not exist, or a lower bound exceeds its upper bound.
     """
     rows: list[Array] = []
     offsets: list[float] = []
@@ -130,10 +134,11 @@ def body_bounds(
 def _check(prior: CadPrior, link: int, lower: float, upper: float, what: str) -> None:
     if not 0 <= link < prior.n_links:
         raise UsageError(
-            f"{prior.robot} has links 0 to {prior.n_links - 1}, got a bound for link {link}"
+            f"link {link} has bounds but does not exist; {prior.robot} has links 0 to"
+            f" {prior.n_links - 1}"
         )
     if not lower <= upper:
         raise UsageError(
-            f"{what} of link {link} of {prior.robot} is bounded by {lower} and {upper}; give the"
-            " lower bound first"
+            f"bounds of the {what} of link {link} of {prior.robot} are {lower} and {upper};"
+            " expected the lower bound first"
         )

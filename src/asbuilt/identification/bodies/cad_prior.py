@@ -1,7 +1,4 @@
-"""What CAD says of every body, made into a prior.
-
-Positive definite, with a distance that does not depend on frames or units.
-"""
+"""CAD values as a prior: positive definite, with a distance free of frames and units."""
 
 from __future__ import annotations
 
@@ -17,20 +14,18 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_names, parameter_values
 
 NO_THICKNESS = 1e-5
-"""A body whose smallest principal second moment about the centre of mass is below this fraction of
-their sum is no solid: a plate 0.3 % thick;
-"""
+"""Ratio of smallest to total second moment below which a link is flat (a plate 0.3 % thick)."""
 USUAL_THICKNESS = 1e-3
-"""every moment is then brought to at least this fraction."""
+"""Least ratio that a flat link is given."""
 POINT_MASS = 1e-9
-"""A body whose second moments add up to less than this, in mass times squared reach, is a point.
+"""Total second moment in mass times squared reach below which a link is a point.
 
-It gets those of a body a quarter as wide as its reach.
+It then gets the moments of a body a quarter as wide as its reach.
 """
 SMALLEST_REACH = 0.05
-"""Size [m] of a body whose joints leave it none."""
+"""Least size of a link [m]."""
 GUESSED_STRENGTH = 0.1
-"""Weight of a guessed body, beside 1 for one that CAD describes."""
+"""Weight of a link without CAD values; links with CAD values have 1."""
 
 PSEUDO_INERTIA_BASIS: Array = pseudo_inertias(np.eye(10))
 """`P = sum_a chi_a basis[a]`, shape (10, 4, 4)."""
@@ -38,9 +33,7 @@ PSEUDO_INERTIA_BASIS.setflags(write=False)
 
 SVEC_ROW, SVEC_COLUMN = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
 SVEC_LENGTH: Array = np.where(SVEC_ROW == SVEC_COLUMN, 1.0, np.sqrt(2.0))
-"""The entry of a symmetric 4 x 4 matrix that each entry of its `svec` holds, and the factor it
-holds it by.
-"""
+"""Entries of a symmetric 4 x 4 matrix in its `svec`, and their factors."""
 
 
 def svec(matrix: Array) -> Array:
@@ -65,12 +58,22 @@ IDENTITY_SVEC: Array = svec(np.eye(4))
 
 @dataclass(frozen=True, eq=False)
 class CadPrior:
-    """Hold what is believed of n bodies and their drives before any measurement.
+    """Hold the prior of n links and their drives.
 
-    `parameters` (n_standard,) are the standard parameters, positive definite for every link, 0 for
-    drive terms on which CAD is silent; `strength` (n,) is 1 for links that CAD describes and less
-    for guessed ones; `reach` (n,) is the size of each link [m]; `non_negative` are the drive
-    columns bounded by zero; `notes` say what had to be mended or guessed.
+    Parameters
+    ----------
+    robot, names
+        Name of the robot and of its standard parameters.
+    parameters
+        Standard parameters (n_standard,), physically consistent; 0 for drives without CAD value.
+    strength
+        Weight of each link (n,): 1, or less for guessed links.
+    reach
+        Size of each link [m], shape (n,).
+    non_negative
+        Columns of drive parameters bounded by zero.
+    notes
+        What was corrected or guessed.
     """
 
     robot: str
@@ -97,29 +100,21 @@ class CadPrior:
 
     @property
     def metric(self) -> Array:
-        """Hessian of the divergence at CAD, shape (n, 10, 10).
-
-        `g_ab = tr(P0^-1 B_a P0^-1 B_b)`, with the strength of each link.
-        """
+        """Hessian of the divergence at CAD with the strength of each link, shape (n, 10, 10)."""
         return body_metric(self.parameters[: 10 * self.n_links], self.strength)
 
     @property
     def drive_scale(self) -> Array:
-        """Size against which drive parameters are held, shape (n_standard - 10 n,).
-
-        What CAD says where that is not zero, else 1.
-        """
+        """Scale of drive parameters, shape (n_standard - 10 n,): the CAD value, or 1 without."""
         stated = np.abs(self.parameters[10 * self.n_links :])
         return np.where(stated > 0, stated, 1.0)
 
     def divergence(self, parameters: Array) -> Array:
-        """Return the entropic divergence of every link from CAD, shape (n,).
+        """Return `tr(P0^-1 P) - log det(P0^-1 P) - 4` of every link, shape (n,).
 
-        `tr(P0^-1 P) - log det(P0^-1 P) - 4`.
-
-        It is the Bregman divergence of -log det, zero at CAD, infinite where a body becomes
-        impossible, the same in all frames and units (Lee, Wensing & Park, IEEE Trans. Robotics 36,
-        2020, eq. 23). Infinite for what no body has.
+        The Bregman divergence of -log det: zero at CAD, infinite for physically inconsistent links,
+        the same in all frames and units (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020,
+        eq. 23).
         """
         whitened = self.relative_eigenvalues(parameters)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -129,10 +124,7 @@ class CadPrior:
         return np.where(np.isnan(value), np.inf, value)
 
     def relative_eigenvalues(self, parameters: Array) -> Array:
-        """Return the eigenvalues of `P0^-1 P` of every link, ascending, shape (n, 4).
-
-        1 at CAD, all positive for real bodies.
-        """
+        """Return the eigenvalues of `P0^-1 P` of every link, ascending, shape (n, 4); 1 at CAD."""
         inverse = np.linalg.inv(np.linalg.cholesky(self.pseudo_inertias))
         P = pseudo_inertias(parameters[: 10 * self.n_links].reshape(-1, 10))
         return np.asarray(np.linalg.eigvalsh(inverse @ P @ inverse.transpose(0, 2, 1)))
@@ -141,19 +133,15 @@ class CadPrior:
 def body_metric(parameters: Array, strength: Array) -> Array:
     """Return `strength_i tr(P_i^-1 B_a P_i^-1 B_b)` of every link, shape (n, 10, 10).
 
-    The Hessian of -log det, a metric without frames or units.
-
-    B_a are the pseudo-inertias of the unit parameters (Lee & Park, IEEE RA-L 3, 2018).
+    The Hessian of -log det; B_a are the pseudo-inertias of unit parameters (Lee & Park, IEEE RA-L
+    3, 2018).
     """
     root = body_metric_root(parameters, strength)
     return np.asarray(root.transpose(0, 2, 1) @ root)
 
 
 def body_metric_root(parameters: Array, strength: Array) -> Array:
-    """Return roots S_i (n, 10, 10) of `body_metric`, S_i^T S_i.
-
-    Column a is svec(L_i^-1 B_a L_i^-T) with P_i = L_i L_i^T, so that nothing is squared.
-    """
+    """Return S_i (n, 10, 10) with `S_i^T S_i` the metric: columns svec(L_i^-1 B_a L_i^-T)."""
     inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(parameters.reshape(-1, 10))))[
         :, None
     ]
@@ -162,11 +150,10 @@ def body_metric_root(parameters: Array, strength: Array) -> Array:
 
 
 def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
-    """Return what the description of a robot says of its bodies, mended where it is impossible and
-    guessed where it is silent.
+    """Return the CAD values of a robot as a prior, made physically consistent.
 
-    A body without thickness, or less, gets some. A link without mass gets that of its neighbours,
-    its centre between its joints, and the size of its reach; guesses count a tenth.
+    Flat links get a thickness. A link without mass gets that of its neighbours, a centre between
+    its joints and the size of its reach, with a tenth of the weight.
     """
     chi = np.nan_to_num(parameter_values(model, drive), nan=0.0)
     if not model.drives_by_design:
@@ -190,25 +177,25 @@ def cad_prior(model: RobotModel, drive: DriveSet) -> CadPrior:
         eigenvalues, axes = np.linalg.eigh(spread)
         total = float(np.sum(np.maximum(eigenvalues, 0.0)))
         if total <= POINT_MASS * mass * reach[i] ** 2:
-            mended = np.full(3, mass * (reach[i] / 4.0) ** 2)
+            corrected = np.full(3, mass * (reach[i] / 4.0) ** 2)
         elif eigenvalues[0] < NO_THICKNESS * total:
-            mended = np.maximum(eigenvalues, USUAL_THICKNESS * total)
+            corrected = np.maximum(eigenvalues, USUAL_THICKNESS * total)
         else:
-            mended = eigenvalues
+            corrected = eigenvalues
         if masses[i] <= 0:
-            given = f"an impossible mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
+            given = f"a mass of {masses[i]:.3g} kg" if masses[i] < 0.0 else "no mass"
             notes.append(
-                f"CAD gives {link.name} {given}: {mass:.3g} kg guessed from its neighbours"
+                f"{link.name} has {given} in CAD; {mass:.3g} kg assumed from its neighbours"
             )
-        elif np.any(mended != eigenvalues):
+        elif np.any(corrected != eigenvalues):
             notes.append(
-                f"CAD gives {link.name} an inertia of no solid body; mended"
+                f"CAD inertia of {link.name} corrected to be physically consistent"
                 f" ({link.inertia.inconsistency() or 'it has no thickness'})"
             )
-        if masses[i] > 0 and np.array_equal(mended, eigenvalues):
+        if masses[i] > 0 and np.array_equal(corrected, eigenvalues):
             chi[10 * i : 10 * i + 10] = link.inertia.parameters
         else:
-            S = (axes * mended) @ axes.T
+            S = (axes * corrected) @ axes.T
             chi[10 * i : 10 * i + 10] = LinkInertia.from_com(
                 mass, com, np.trace(S) * np.eye(3) - S
             ).parameters
@@ -228,9 +215,7 @@ def _second_moment(inertia: Array) -> Array:
 
 
 def _joint_points(model: RobotModel, i: int) -> Array:
-    """Origins of the link's own joint, of the joints it carries and of the frames on it, in link
-    axes, shape (k, 3).
-    """
+    """Return origins of the joints and frames of a link in link axes, shape (k, 3)."""
     points = [np.linalg.inv(model.joints[i].after)[:3, 3]]
     points += [joint.before[:3, 3] for joint in model.joints if joint.parent == i]
     points += [frame.placement[:3, 3] for frame in model.frames if frame.link == i]
@@ -246,8 +231,6 @@ def _neighbouring_mass(model: RobotModel, masses: Array, i: int) -> float:
 
 
 def non_negative_columns(n_joints: int, drive: DriveSet) -> NDArray[np.int64]:
-    """Return the standard parameters of drives that no passive drive has below zero, as columns of
-    the standard regressor.
-    """
+    """Return the columns of standard parameters that are non-negative for passive drives."""
     bounded = [term.non_negative for term in drive.terms for _ in term.symbols] * n_joints
     return 10 * n_joints + np.flatnonzero(bounded)

@@ -1,4 +1,4 @@
-"""Clarabel, the solver of conic programs, as this room uses it: silent, on one thread."""
+"""Conic programs, solved by Clarabel on one thread without output."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ from asbuilt.arrays import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConeSolution:
-    """Hold what the solver answers.
-
-    Its `status` in words, the point `x` where it stopped, and after how many `iterations`.
-    """
+    """Hold the solver's status, its last point and the number of iterations."""
 
     status: str
     x: Array
@@ -25,7 +22,7 @@ class ConeSolution:
 
     @property
     def is_solved(self) -> bool:
-        """Whether `x` is the minimiser, to the precision asked for or nearly."""
+        """Whether `x` is the minimiser, at least to reduced precision."""
         return self.status in ("Solved", "AlmostSolved")
 
 
@@ -37,11 +34,11 @@ def solve_cone_program(
     cones: list[Any],
     **settings: float | bool,
 ) -> ConeSolution:
-    """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones, for P upper
-    triangular; further `settings` by Clarabel's names.
+    """Minimise `x^T P x / 2 + c^T x` subject to `A x + s = b`, s in the cones.
 
-    Semidefinite cones take the `svec` of a matrix. Source: Goulart & Chen, Clarabel: an
-    interior-point solver for conic programs, 2024.
+    P is upper triangular, `settings` have Clarabel's names, and semidefinite cones take the `svec`
+    of a matrix. Source: Goulart & Chen, Clarabel: an interior-point solver for conic programs,
+    2024.
     """
     chosen = clarabel.DefaultSettings()
     chosen.verbose = False

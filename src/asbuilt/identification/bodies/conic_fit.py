@@ -1,7 +1,4 @@
-"""The least torque error that real bodies allow.
-
-A conic program on the square-root information, solved by Clarabel in milliseconds.
-"""
+"""Least torque error over physically consistent parameters, by a conic program."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from scipy.optimize import nnls
 
 from asbuilt.arrays import Array
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds
 from asbuilt.identification.bodies.cad_prior import (
     IDENTITY_SVEC,
@@ -27,26 +25,21 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 
 SMALLEST_PART = 1e-3
-"""Every body stays above this part of its CAD body: `P_i >= part P0_i`."""
+"""Lower bound of every pseudo-inertia in CAD's: `P_i >= part P0_i`."""
 TINY_WEIGHT = 1e-3
-"""Weight of the distance to CAD, in units of the squared weighted residual, that makes the solution
-unique.
-"""
+"""Weight of the distance from CAD, in squared weighted residuals, for a unique solution."""
 RESOLVED = (1e-11, 1e-9, 1e-7)
-"""Pull to CAD relative to the stiffest direction of the data, below which rounding would decide.
+"""Least weights of CAD relative to the stiffest direction of the data, against rounding.
 
-It only counts where there is next to no noise. The stronger ones are tried where the solver gives
-up, as with torques that no robot near CAD could have.
+They matter only for data with almost no noise. A later one is tried if the solver fails, as for
+torques far from those of CAD.
 """
-DRIVE_PULL = 1e-3
-"""Pull of drive parameters beside that of bodies."""
+DRIVE_WEIGHT = 1e-3
+"""Weight of drive parameters relative to that of links."""
 CERTAIN = 1e-13
-"""How precise a proof must be that bounds contradict one another.
-
-Large residuals look like proofs at the solver's usual tolerance.
-"""
+"""Tolerance of a proof of infeasibility; large residuals look like proofs at the usual one."""
 ROUGH = 1e-6
-"""Relative gap and infeasibility of a rough fit, 1e-8 being the solver's usual ones."""
+"""Relative gap and infeasibility of a rough fit; the solver's defaults are 1e-8."""
 EXACTLY: dict[str, float | bool] = {"tol_infeas_abs": CERTAIN, "tol_infeas_rel": CERTAIN}
 ROUGHLY: dict[str, float | bool] = EXACTLY | {
     "tol_gap_abs": ROUGH,
@@ -58,9 +51,7 @@ ROUGHLY: dict[str, float | bool] = EXACTLY | {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConicFit:
-    """Hold the minimiser `chi` (n_standard,), the largest part t of the CAD bodies below all bodies
-    (`P_i >= t P0_i`), and the iterations it took.
-    """
+    """Hold the minimiser `chi` (n_standard,), the largest t with `P_i >= t P0_i`, iterations."""
 
     chi: Array
     part: float
@@ -76,31 +67,27 @@ def fit_consistent_bodies(
     weight: float = TINY_WEIGHT,
     smallest_part: float = SMALLEST_PART,
 ) -> ConicFit:
-    """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` subject to `P_i >= smallest_part
-    P0_i` for every link and to `bounds`.
+    """Minimise `|R K chi - z|^2 / 2 + weight |chi - chi0|_g^2 / 2` over consistent chi.
 
-    [R z] is the triangular `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the
-    CAD values, g their metric: the distance `tr((P0^-1 dP)^2)` of every body, the same in all
-    frames and units (the constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
-    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, near 1 all of them, which a
-    solver likes. Positive definiteness after Wensing, Kim & Slotine, IEEE RA-L 3, 2018, and Sousa &
-    Cortesao, IJRR 33, 2014.
-
-    Raises `IdentifiabilityError` where the bounds leave nothing, saying so.
+    Subject to `P_i >= smallest_part P0_i` for every link and to `bounds`. [R z] is the triangular
+    `factor` (p + 1, p + 1), K the `regrouping` (p, n_standard), chi0 the CAD values, g their
+    metric: the distance `tr((P0^-1 dP)^2)` of every link, the same in all frames and units (the
+    constant pull-back of Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    The variables are `Q_i = L_i^-1 P_i L_i^-T`, `P0_i = L_i L_i^T`, all near 1. Positive
+    definiteness after Wensing, Kim & Slotine, IEEE RA-L 3, 2018, and Sousa & Cortesao, IJRR 33,
+    2014. Raises `IdentifiabilityError` if the bounds are infeasible.
     """
     return ConicProblem.of(prior, regrouping, bounds, smallest_part).fit(factor, weight)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConicProblem:
-    """Hold what all conic fits of one robot have in common.
-
-    `fit` is `fit_consistent_bodies` for another factor.
+    """Hold what all conic fits of one robot share.
 
     `chi = bodies q`, q0 is CAD, `torque = regrouping bodies`. The constraints are `pattern (q, r) +
     s = (z, limits)`, r the residual, s in the `cones`; the first p rows take `R torque` at `places`
-    of their data, whose entries `told` (n_standard, p) can be nonzero. `bounds` and `room` are the
-    linear ones, `bounds q <= room`.
+    of their data, whose entries `nonzero` (n_standard, p) can be nonzero. The linear bounds are
+    `bounds q <= margin`.
     """
 
     prior: CadPrior
@@ -108,11 +95,11 @@ class ConicProblem:
     q0: Array
     torque: Array
     bounds: Array
-    room: Array
+    margin: Array
     smallest_part: float
     pattern: sparse.csc_matrix
     places: NDArray[np.int64]
-    told: NDArray[np.bool_]
+    nonzero: NDArray[np.bool_]
     limits: Array
     cones: tuple[object, ...]
 
@@ -127,18 +114,18 @@ class ConicProblem:
         """Return the program of a robot with these bounds."""
         bodies, q0 = near_one(prior)
         n, inertial, p = len(prior.parameters), 10 * prior.n_links, len(regrouping)
-        rows, room = np.zeros((0, n)), np.zeros(0)
+        rows, margin = np.zeros((0, n)), np.zeros(0)
         if bounds is not None:
-            rows, room = -bounds.rows @ bodies, bounds.offsets
+            rows, margin = -bounds.rows @ bodies, bounds.offsets
             size = np.linalg.norm(rows, axis=1)
-            rows, room = rows / size[:, None], room / size
+            rows, margin = rows / size[:, None], margin / size
         below = np.vstack([rows, -np.eye(inertial, n)])
-        right = np.concatenate([room, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)])
+        right = np.concatenate([margin, -smallest_part * np.tile(IDENTITY_SVEC, prior.n_links)])
         torque = regrouping @ bodies
-        told = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
+        nonzero = (np.triu(np.ones((p, p))) @ (torque != 0.0) > 0.0).astype(np.float64)
         pattern = sparse.csc_matrix(
             np.vstack(
-                [np.hstack([told, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]
+                [np.hstack([nonzero, -np.eye(p)]), np.hstack([below, np.zeros((len(below), p))])]
             )
         )
         places = np.flatnonzero(
@@ -152,11 +139,11 @@ class ConicProblem:
             q0,
             torque,
             rows,
-            room,
+            margin,
             smallest_part,
             pattern,
             places,
-            told.T > 0.0,
+            nonzero.T > 0.0,
             right,
             cones,
         )
@@ -164,27 +151,26 @@ class ConicProblem:
     def fit(self, factor: Array, weight: float = TINY_WEIGHT, *, rough: bool = False) -> ConicFit:
         """Return the minimiser for the triangular factor [R z] (p + 1, p + 1).
 
-        A `rough` one misses it by a thousandth of a standard error or so.
-
-        Raises `IdentifiabilityError` where the bounds leave nothing, or the solver gives up.
+        A `rough` one is within about a thousandth of a standard error. Raises
+        `IdentifiabilityError` if the bounds are infeasible or the solver fails.
         """
         prior, z = self.prior, factor[:-1, -1]
         p, n, inertial = len(z), len(self.q0), 10 * self.prior.n_links
         torque = factor[:-1, :-1] @ self.torque
         stiffest = float(np.max(np.sum(torque**2, axis=0)))
         for resolved in RESOLVED:
-            pulled = max(weight, resolved * stiffest)
+            floored = max(weight, resolved * stiffest)
             pull = np.concatenate(
                 [
-                    np.repeat(pulled * prior.strength, 10),
-                    np.full(n - inertial, min(pulled, 1.0) * DRIVE_PULL),
+                    np.repeat(floored * prior.strength, 10),
+                    np.full(n - inertial, min(floored, 1.0) * DRIVE_WEIGHT),
                 ]
             )
             inside = self._inside(torque, z, pull) if weight > TINY_WEIGHT else None
             if inside is not None:
                 return self._fit(inside, 0)
             constraints, limits = self.pattern.copy(), np.concatenate([z, self.limits])
-            constraints.data[self.places] = torque.T[self.told]
+            constraints.data[self.places] = torque.T[self.nonzero]
             quadratic = sparse.csc_matrix(
                 (np.concatenate([pull, np.ones(p)]), np.arange(n + p), np.arange(n + p + 1)),
                 (n + p, n + p),
@@ -200,14 +186,16 @@ class ConicProblem:
             )
             if "PrimalInfeasible" in solution.status and len(self.bounds):
                 raise IdentifiabilityError(
-                    f"no bodies of {prior.robot} keep all the bounds on masses, centres of mass and"
-                    " drives; widen them"
+                    f"the bounds on masses, centres of mass and drives of {prior.robot} are"
+                    " infeasible",
+                    cure=Cure("widen the bounds"),
                 )
             if solution.is_solved:
                 return self._fit(solution.x[:n], solution.iterations)
         raise IdentifiabilityError(
-            f"no real bodies of {prior.robot} were found in {solution.iterations} iterations: the"
-            f" solver says {solution.status}; the data may hold values of extreme size"
+            f"the physically consistent fit of {prior.robot} failed after {solution.iterations}"
+            f" iterations with solver status {solution.status}",
+            cure=Cure("check the data for values of extreme size"),
         )
 
     def _fit(self, q: Array, iterations: int) -> ConicFit:
@@ -215,15 +203,12 @@ class ConicProblem:
         return ConicFit(self.bodies @ q, self._smallest(q), iterations)
 
     def _at_bounds(self, q: Array) -> Array:
-        """Return q with drive parameters that rounding has left beyond their own bound at it.
-
-        Friction of -1e-9 would be a drive that pushes.
-        """
+        """Return q with drive parameters moved to their bound if rounding left them beyond."""
         q, inertial = q.copy(), 10 * self.prior.n_links
-        for row, room in zip(self.bounds[:, inertial:], self.room, strict=True):
+        for row, margin in zip(self.bounds[:, inertial:], self.margin, strict=True):
             (own,) = np.nonzero(row)
-            if len(own) == 1 and row @ q[inertial:] > room:
-                q[inertial + own] = room / row[own]
+            if len(own) == 1 and row @ q[inertial:] > margin:
+                q[inertial + own] = margin / row[own]
         return q
 
     def _smallest(self, q: Array) -> float:
@@ -232,9 +217,7 @@ class ConicProblem:
         )
 
     def _inside(self, torque: Array, z: Array, pull: Array) -> Array | None:
-        """Return the minimiser within the linear bounds, where its bodies are real already.
-
-        No cone is needed for it then. None elsewhere.
+        """Return the minimiser within the linear bounds if it is consistent without cones, or None.
 
         Least distance programming by non-negative least squares (Lawson & Hanson, Solving Least
         Squares Problems, 1974, chapter 23).
@@ -249,7 +232,7 @@ class ConicProblem:
             check_finite=False,
         )
         u, slopes = solved[:, 0], solved[:, 1:]
-        broken = -(self.room + u @ slopes)
+        broken = -(self.margin + u @ slopes)
         if np.any(broken > 0.0):
             goal = np.append(np.zeros(len(u)), 1.0)
             both = np.vstack([slopes, broken])
@@ -262,10 +245,7 @@ class ConicProblem:
 
 
 def near_one(prior: CadPrior) -> tuple[Array, Array]:
-    """Return M and q0 with `chi = M q`.
-
-    Q holds svec(Q_i) of every link, then the drives in units of their scale; q0 is CAD.
-    """
+    """Return M and q0 (CAD) with `chi = M q`: svec(Q_i) of every link, then scaled drives."""
     n, inertial = len(prior.parameters), 10 * prior.n_links
     roots = np.linalg.cholesky(prior.pseudo_inertias)[:, None]
     images = svec(roots @ smat(np.eye(10)) @ roots.swapaxes(-1, -2)).swapaxes(-1, -2)

@@ -1,4 +1,4 @@
-"""Whether real bodies can have the base parameters that were found."""
+"""Physical consistency of base parameters."""
 
 from __future__ import annotations
 
@@ -17,29 +17,24 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 
 MARGIN_TOLERANCE = 1e-8
-"""How far below zero a margin may be, per unit of the largest rigid-body parameter, and still be
-rounding of the solver.
-"""
+"""Negative margin, in units of the largest parameter, that is rounding of the solver."""
 
 ROUNDING_OF_DRIVES = 1e-9
-"""How far below zero friction or an armature may be and still be rounding.
-
-At unit velocity and acceleration that makes no more than 1e-9 N m.
-"""
+"""Negative friction or armature that is rounding: 1e-9 N m at unit velocity or acceleration."""
 
 
 def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
-    """Return the largest t such that some standard parameters with `K chi = beta` have
-    pseudo-inertias `P_i >= t 1` for every link.
+    """Return the largest t with `K chi = beta` and `P_i >= t 1` for every link.
 
-    The 4 x 4 pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a real body is positive
-    semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a negative margin says that no
-    bodies can have these base parameters. Armatures, where among the drive terms, must be at least
-    t as well; friction is not judged. A semidefinite program, solved by Clarabel in milliseconds.
-    Infinite where nothing bounds t.
+    The pseudo-inertia `P = [[tr(I)/2 1 - I, m c], [m c^T, m]]` of a physically consistent link is
+    positive semidefinite (Wensing, Kim & Slotine, IEEE RA-L 3, 2018), so a negative margin proves
+    beta inconsistent. Armatures among the drive terms must be at least t too; friction is not
+    considered. A semidefinite program; infinite if nothing bounds t.
 
-    Raises `IdentifiabilityError` where beta is not of shape (p,) or not finite, or the solver gives
-    up.
+    Raises
+    ------
+    IdentifiabilityError
+        If beta has another shape than (p,) or is not finite, or the solver fails.
     """
     values = np.asarray(beta, dtype=np.float64)
     if values.shape != (base.n_base,) or not np.all(np.isfinite(values)):
@@ -89,25 +84,20 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         return float("inf")
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"the consistency of {base.n_base} base parameters of {base.robot} could not be"
-            f" decided: the solver says {solution.status}"
+            f"the physical consistency of {base.n_base} base parameters of {base.robot} is undecided"
+            f" (solver status {solution.status})"
         )
     return float(solution.x[-1])
 
 
 def margin_is_consistent(margin: float, beta: ArrayLike) -> bool:
-    """Return whether a margin says that real bodies can have `beta`.
-
-    It is not negative beyond the solver's rounding.
-    """
+    """Return whether a margin is non-negative up to the solver's rounding."""
     scale = max(1.0, float(np.max(np.abs(np.asarray(beta, dtype=np.float64)), initial=0.0)))
     return margin >= -MARGIN_TOLERANCE * scale
 
 
 def non_passive_drives(base: BaseParameters, beta: ArrayLike) -> tuple[str, ...]:
-    """Return the names of the base parameters (p,) that are a drive parameter by itself and below
-    zero, where a passive drive has it at zero or above.
-    """
+    """Return the names of single drive parameters that are negative, against passivity."""
     values = np.asarray(beta, dtype=np.float64)
     n_links = sum(name.startswith("Ixx") for name in base.standard_names)
     alone = (np.count_nonzero(base.regrouping, axis=1) == 1) & np.isin(

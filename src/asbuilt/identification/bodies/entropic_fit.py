@@ -1,4 +1,4 @@
-"""The bodies closest to CAD in entropy, given torques or exact base parameters.
+"""Parameters of least divergence from CAD, given torques or base parameters.
 
 Smooth and convex, solved by Newton's method, many problems side by side.
 """
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds
 from asbuilt.identification.bodies.cad_prior import (
     SVEC_COLUMN,
@@ -25,20 +26,17 @@ from asbuilt.identification.bodies.cad_prior import (
 from asbuilt.identification.bodies.conic_fit import near_one
 
 DRIVE_RIDGE = 1e-6
-"""Pull of drive parameters toward CAD, or toward zero, that decides only what nothing else does."""
+"""Weight of drive parameters toward CAD or zero, which matters only if they are undetermined."""
 BARRIER = 1e-3
-"""Weight of the logarithm that keeps a bounded parameter off its bound, in units of the squared
-weighted residual: far below one standard error.
-"""
+"""Weight of the logarithmic barrier in squared weighted residuals, far below one standard error."""
 CLOSE = 1e-9
-"""Squared Newton decrement, in units of the squared weighted residual or of the weight where that
-is less, from which one more step is the last,
-"""
+"""Squared Newton decrement at the last step but one, in squared weighted residuals or weights."""
 CENTRAL = 0.5
-"""if duals and multipliers are no further than this fraction from those of the bodies and bounds."""
+"""Largest relative distance of duals and multipliers from the central path at the end."""
 ROUNDING = 1e-14
-"""Rise of the value, as a fraction of it, that is rounding."""
+"""Relative rise of the value that is rounding."""
 MOST_STEPS = 300
+SIZES = Cure("check the data for values of extreme size")
 SUFFICIENT = 0.05
 SHORTER = 0.5
 SHORTEST = 1e-12
@@ -47,12 +45,9 @@ NEAR_EDGE = 0.95
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coordinates:
-    """Split the standard parameters.
+    """Split `chi = kept beta + dependent d`, so that `K chi = beta` for every d.
 
-    `chi = kept beta + dependent d`, so that `K chi = beta` whatever d (K is the regrouping, 1 on
-    its own columns).
-
-    `kept` (n_standard, p), `dependent` (n_standard, n_standard - p).
+    K is the regrouping, `kept` (n_standard, p), `dependent` (n_standard, n_standard - p).
     """
 
     regrouping: Array
@@ -78,12 +73,10 @@ class Coordinates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EntropicFits:
-    """Hold the minimisers of m problems.
+    """Hold the minimisers `chi` (m, n_standard) of m problems and their `values` (m,).
 
-    `chi` (m, n_standard), the `values` there (m,), and how many Newton `steps` the slowest took.
-
-    `duals` (m, n_links, 4, 4) belong to the bodies and `multipliers` (m, n_bounds) to the bounds;
-    with them the search goes on for another weight.
+    `steps` is the largest number of Newton steps. `duals` (m, n_links, 4, 4) of the links and
+    `multipliers` (m, n_bounds) of the bounds start the search for another weight.
     """
 
     chi: Array
@@ -101,17 +94,16 @@ class EntropicFits:
 
 
 class EntropicProblem:
-    """Minimise `|R K chi - z|^2 / 2 + weight sum_i D(P_i || P0_i)` over the standard parameters of
-    one robot, for any number of triangular factors [R z] at once.
+    """Minimise `|R K chi - z|^2 / 2 + weight sum_i D(P_i || P0_i)` for many factors [R z].
 
     D is the divergence of `CadPrior`. With `held` base parameters there are no torques, and `K chi`
     stays what it is at the start, exactly. Bounds enter with a logarithmic barrier. The variables
-    are those of `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`. Newton's
-    method on a self-concordant function with a line search; the Hessian of a body is taken as `W^-1
-    (x) W^-1`, `W Z W = Q`, halfway between the body and its dual `Z -> weight Q^-1`, that of a
-    bound likewise, which sees edges coming that a former, stronger weight kept away (Nesterov &
-    Todd, SIAM J. Optimization 8, 1998; Boyd & Vandenberghe, Convex Optimization, 2004, sections 9.6
-    and 11.7; Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
+    are those of `fit_consistent_bodies`, `Q_i = L_i^-1 P_i L_i^-T` with `P0_i = L_i L_i^T`.
+    Newton's method on a self-concordant function with a line search; the Hessian of a link is taken
+    as `W^-1 (x) W^-1`, `W Z W = Q`, halfway between the link and its dual `Z -> weight Q^-1`, that
+    of a bound likewise, which anticipates boundaries far from the start (Nesterov & Todd, SIAM J.
+    Optimization 8, 1998; Boyd & Vandenberghe, Convex Optimization, 2004, sections 9.6 and 11.7;
+    Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020).
     """
 
     def __init__(
@@ -136,9 +128,7 @@ class EntropicProblem:
         self.held = held
 
     def curve(self, hessians: Array, scaling: Array) -> None:
-        """Add to Hessians (m, v, v) those of the divergences and of the pull of the drives, from
-        the scaling points W^-1 (m, n_links, 4, 4).
-        """
+        """Add to Hessians (m, v, v) those of divergences and drives at W^-1 (m, n_links, 4, 4)."""
         n = self.inertial
         pairs = (
             scaling[..., SVEC_ROW[:, None], SVEC_ROW]
@@ -169,25 +159,24 @@ class EntropicProblem:
         barrier: float = BARRIER,
         close: float = CLOSE,
     ) -> EntropicFits:
-        """Return the minima for m factors (m, p + 1, p + 1), from `start` (m, n_standard) strictly
-        inside: definite bodies, bounds kept with room to spare.
+        """Return the minima for factors (m, p + 1, p + 1) from a feasible `start`.
 
-        Raises `IdentifiabilityError` where a start is outside, or a descent stalls.
+        Raises `IdentifiabilityError` if a start is not strictly feasible, or a descent stalls.
         """
         search = _Search(self, factors, weight, barrier, start)
         if not np.all(np.isfinite(search.values)):
             raise IdentifiabilityError(
-                f"the search for bodies of {self.prior.robot} must start from possible bodies"
-                " inside the bounds"
+                f"the entropic fit of {self.prior.robot} needs physically consistent starting values"
+                " strictly inside the bounds"
             )
         active, steps = np.arange(len(search.y)), 0
         while active.size and steps < MOST_STEPS:
             active, steps = active[~search.advance(active, close)], steps + 1
         if active.size:
             raise IdentifiabilityError(
-                f"no closest bodies of {self.prior.robot} were found: after {steps} Newton steps"
-                f" the squared decrement is still {search.decrements[active].max():.3g}; the data"
-                " may hold values of extreme size"
+                f"the entropic fit of {self.prior.robot} did not converge: the squared Newton"
+                f" decrement is {search.decrements[active].max():.3g} after {steps} steps",
+                cure=SIZES,
             )
         return EntropicFits(
             search.start + search.y @ self.free.T,
@@ -199,7 +188,7 @@ class EntropicProblem:
 
 
 class _Search:
-    """Hold where m descents stand.
+    """Hold the state of m descents.
 
     Steps `y` (m, v) along the free coordinates, bodies and drives `q`, `error` of the torque,
     `slack` of the bounds, Cholesky `roots` of the bodies, `duals`, `multipliers`, `values` and
@@ -241,10 +230,9 @@ class _Search:
             self.multipliers = barrier / self.slack
 
     def model(self, a: Indices | slice) -> tuple[Array, Array, Array, Array]:
-        """Return gradients (m, v), Hessians (m, v, v), and T (m, n_links, 4, 4) and V (m, n_links,
-        4) of problems a.
+        """Return gradients, Hessians, T (m, n_links, 4, 4) and V (m, n_links, 4) of problems a.
 
-        T takes bodies and duals to the same diagonal, `T Q T^T = T^-T Z T^-1 = diag(V)`.
+        T takes links and duals to the same diagonal, `T Q T^T = T^-T Z T^-1 = diag(V)`.
         """
         problem, n, q = self.problem, self.problem.inertial, self.q[a]
         roots = self.roots[a]
@@ -285,8 +273,7 @@ class _Search:
             ]
         except np.linalg.LinAlgError:
             raise IdentifiabilityError(
-                f"no closest bodies of {problem.prior.robot} were found: the curvature is singular;"
-                " the data or values may be of extreme size"
+                f"the entropic fit of {problem.prior.robot} has a singular Hessian", cure=SIZES
             ) from None
         self.decrements[a] = -np.sum(gradient * step, axis=1)
         change = step @ problem.along.T if problem.held else step
@@ -337,7 +324,7 @@ class _Search:
         )
 
     def _evaluated(self, q: Array, error: Array, slack: Array) -> tuple[Array, Array]:
-        """Return the values and the Cholesky roots of the bodies; infinite where they are outside."""
+        """Return values and Cholesky roots of the links; infinite values outside."""
         problem, n = self.problem, self.problem.inertial
         bodies, drives = q[:, :n].reshape(len(q), -1, 10), q[:, n:] - problem.q0[n:]
         roots = _roots(smat(bodies))
@@ -365,7 +352,7 @@ def _diagonal(entries: Array) -> Array:
 
 
 def _nearest_edge(change: Array, V: Array) -> Array:
-    """Return the steepest approach of any body of each problem to the edge, in bodies per step."""
+    """Return the steepest approach of any link of each problem to the boundary, per step."""
     root = np.sqrt(V)
     steepest: Array = -np.linalg.eigvalsh(change / (root[..., :, None] * root[..., None, :])).min(
         axis=(-1, -2)
@@ -374,7 +361,7 @@ def _nearest_edge(change: Array, V: Array) -> Array:
 
 
 def _roots(matrices: Array) -> Array:
-    """Return the Cholesky roots of (m, l, 4, 4) matrices; NaN where one is not positive definite."""
+    """Return the Cholesky roots of (m, l, 4, 4) matrices; NaN for those not positive definite."""
     try:
         return np.asarray(np.linalg.cholesky(matrices))
     except np.linalg.LinAlgError:

@@ -1,7 +1,4 @@
-"""Why no robot has the base parameters that were found.
-
-A combination of few of them that real bodies and passive drives cannot have, and by how much.
-"""
+"""Proofs of physical inconsistency: few base parameters, and by how much."""
 
 from __future__ import annotations
 
@@ -21,29 +18,32 @@ from asbuilt.identification.bodies.conic_fit import near_one
 from asbuilt.tables import SIGNIFICANT_SIGMAS, plus_minus, significant
 
 FEW = 3
-"""Parameters in a combination that is short enough."""
+"""Parameters of a combination that is short enough."""
 ROUNDS = 6
-"""Tries at a shorter combination, each with a price on every parameter that grows as its part in
-the last one falls (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008),
-"""
+"""Reweighted l1 minimisations (Candes, Wakin & Boyd, J. Fourier Anal. Appl. 14, 2008)."""
 DEAREST = 100.0
-"""up to this; the price is in units of what its own standard error adds beside the combination's."""
+"""Largest l1 weight of a parameter, relative to its standard error."""
 SOLVED = 1e-9
 """Negative part of a coefficient that is rounding."""
 ROUNDING = 1e-4
-"""Part of a combination, in standard errors relative to its largest, that is left out."""
+"""Coefficient, in standard errors relative to the largest, that is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inconsistency:
-    """Hold a proof that no robot has base parameters beta (p,), and how sure it is.
+    """Hold a proof that base parameters beta (p,) are physically inconsistent.
 
-    `y^T beta` is at least zero for all real bodies and passive drives: `K^T y` is non-negative on
-    every pseudo-inertia and every drive parameter that must not be negative. The beta found has
-    `value = y^T beta < 0` with the standard error `std_error`; y is `coefficients` at the
-    parameters `names` with the numbers `ids`, zero elsewhere. `sigmas` is how many standard errors
-    beta lies from the nearest that is possible, all parameters together: `min |L^-1 (beta - K
-    chi)|`, `C = L L^T`.
+    `y^T beta >= 0` for all consistent links and passive drives, yet here `value = y^T beta < 0`.
+
+    Parameters
+    ----------
+    names, ids, coefficients
+        Parameters with nonzero y, and y.
+    value, std_error
+        `y^T beta` and its standard error.
+    sigmas
+        Distance of beta from the nearest consistent one in standard errors of all parameters,
+        `min |L^-1 (beta - K chi)|` with `C = L L^T`.
     """
 
     names: tuple[str, ...]
@@ -55,7 +55,7 @@ class Inconsistency:
 
     @property
     def sentence(self) -> str:
-        """Say what is impossible, and by how much."""
+        """What is inconsistent, and by how much."""
         total = " ".join(
             f"{'-' if c < 0 else '+'}"
             f" {'' if (size := significant(abs(c))) in ('1', '1.00') else size + ' '}{name}"
@@ -63,21 +63,20 @@ class Inconsistency:
         )
         alone = self.value / self.std_error if self.std_error > 0 else -np.inf
         return (
-            f"{total.removeprefix('+ ')} is found to be {plus_minus(self.value, self.std_error)}"
-            f" (base parameter{'s' if len(self.ids) > 1 else ''} {', '.join(map(str, self.ids))}),"
-            f" {significant(-alone, 2)} standard errors below zero, and real bodies with passive"
-            " drives have it at zero or above; all parameters together lie"
-            f" {significant(self.sigmas, 2)} standard errors from the nearest robot that can be"
+            f"{total.removeprefix('+ ')} is {plus_minus(self.value, self.std_error)} (base"
+            f" parameter{'s' if len(self.ids) > 1 else ''} {', '.join(map(str, self.ids))}),"
+            f" {significant(-alone, 2)} standard errors below zero, but at least zero for every"
+            " physically consistent robot; all parameters together are"
+            f" {significant(self.sigmas, 2)} standard errors from the nearest consistent ones"
         )
 
 
 def find_inconsistency(
     base: BaseParameters, prior: CadPrior, beta: ArrayLike, covariance: ArrayLike
 ) -> Inconsistency | None:
-    """Return the proof with few parameters that no real bodies and passive drives have beta, None
-    where some have.
+    """Return a proof with few parameters that beta is inconsistent; None if it is consistent.
 
-    The cone of possible base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and
+    The cone of consistent base parameters `{K chi: P_i >= 0, drives >= 0}` has beta outside if and
     only if some y is non-negative on all of it and negative at beta (Farkas' lemma for cones: Boyd
     & Vandenberghe, Convex Optimization, 2004, section 5.9). Of these, `min sqrt(y^T C y) / |y^T
     beta|` is one over the distance from beta to the cone in standard errors; `sum |y_j| sqrt(C_jj)`
@@ -133,9 +132,7 @@ class _Separation:
         return float(np.linalg.norm(self.root.T @ (y * self.size)))
 
     def plainest(self) -> Array | None:
-        """Return y (p,) with one parameter that is below zero beyond doubt though no robot has it
-        there, the surest of all such; None where there is none.
-        """
+        """Return y (p,) with the most significant single negative parameter; None if none is."""
         bodies = np.array(
             [
                 [smat(part) for part in column.reshape(-1, 10)]
@@ -157,7 +154,7 @@ class _Separation:
         )
 
     def shortened(self, surest: Array) -> Array:
-        """Return a proof with few parameters, found from the surest."""
+        """Return a proof with few parameters, starting from the most significant."""
         said, prices = surest, np.ones(len(surest))
         for _ in range(ROUNDS):
             found = self.solve(prices)
@@ -171,7 +168,7 @@ class _Separation:
         return said
 
     def solve(self, prices: Array) -> Array | None:
-        """Return y (p,), or None where there is no proof.
+        """Return y (p,), or None if there is no proof.
 
         With `u_j = y_j sqrt(C_jj)`: minimise `|L^T u| + sum prices_j |u_j|` subject to `u^T beta =
         -1` and `K^T y` in the dual cone; variables are u, bounds of |u_j|, and |L^T u|.

@@ -1,7 +1,4 @@
-"""From base parameters to a full robot.
-
-Real bodies for every link that give the identified torques and are closest to CAD.
-"""
+"""Standard parameters of a whole robot from base parameters, closest to CAD."""
 
 from __future__ import annotations
 
@@ -28,47 +25,55 @@ from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProb
 from asbuilt.identification.information.triangular import triangular_factor
 
 EXACT_PART = 1e-6
-"""Base parameters are kept exactly where bodies of at least this part of CAD have them.
-
-Below, rounding would decide what is possible.
-"""
+"""Least part of CAD at which base parameters are kept exactly; below, rounding decides."""
 FINE_BARRIER = 1e-12
 LEAST_SHARE = 1e-5
-"""Armature that is left where an armature and a link share a base parameter and nothing else tells
-them apart.
-"""
+"""Least armature that shares a base parameter with a link, in units of its scale."""
 RANDOM_STATES = 500
 RANDOM_RATE = 2.0
-"""Largest velocity [rad/s or m/s] and acceleration [rad/s^2 or m/s^2] of random motion.
+"""Largest velocity and acceleration of random motion [rad or m, per s and s^2].
 
 Joints without limits turn through the whole circle or slide by a metre.
 """
 RANDOM_SEED = 2015
 RELATIVE_RESOLUTION = 1e-3
-"""Torque differences are weighed against this part of the torque when the nearest possible robot is
-sought: the pull to CAD then has no say.
-"""
+"""Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StandardParameters:
     """Hold the standard parameters of a whole robot.
 
-    `parameters` (n_standard,), and the base parameters `beta` (p,) that they give.
-
-    `exact` says whether beta is the one asked for, `possible` whether all links are real bodies
-    (and, where the nearest was asked for, all drives passive). `torque_rms` (n,) [N m or N] is what
-    the difference from the beta asked for costs in random motion, beside `torque_rms_of_motion`
-    (n,), the torque itself; `nearest_in` says in which motion the torque of the nearest is. `part`
-    is the largest t with `P_i >= t P0_i` for every link, P0 being CAD; `smallest_eigenvalue` that
-    of all pseudo-inertias; `divergence` (n,) is the entropic distance of every link from CAD;
-    `notes` say what CAD did not.
+    Parameters
+    ----------
+    parameters
+        Standard parameters (n_standard,).
+    beta
+        Their base parameters (p,).
+    exact
+        Whether beta is the requested one.
+    consistent
+        Whether all links are physically consistent (for the nearest: all drives passive too).
+    part
+        Largest t with `P_i >= t P0_i` for every link, P0 being CAD.
+    smallest_eigenvalue
+        Of all pseudo-inertias.
+    divergence
+        Entropic divergence of every link from CAD, shape (n,).
+    torque_rms
+        Torque of the difference from the requested beta in random motion, shape (n,) [N m or N].
+    torque_rms_of_motion
+        Torque of that motion itself, shape (n,) [N m or N].
+    nearest_in
+        Motion in which the nearest beta is nearest.
+    notes
+        What was corrected or guessed in CAD.
     """
 
     parameters: Array
     beta: Array
     exact: bool
-    possible: bool
+    consistent: bool
     part: float
     smallest_eigenvalue: float
     divergence: Array
@@ -79,20 +84,20 @@ class StandardParameters:
 
     @property
     def verdict(self) -> str:
-        """Say in one sentence what these parameters are."""
+        """What these parameters are, as text."""
         margin = (
             f"the pseudo-inertia of every link is at least {self.part:.2g} of that of CAD (smallest"
             f" eigenvalue {self.smallest_eigenvalue:.2g})"
         )
-        if not self.possible:
+        if not self.consistent:
             return (
-                "gives the identified torques exactly, with standard parameters next to CAD; the"
-                " base parameters are NOT physically consistent: no real bodies have them"
+                "exact identified torques, standard parameters closest to CAD; the base parameters"
+                " are NOT physically consistent"
             )
         if self.exact:
             return (
-                "gives the identified torques exactly, with real bodies, of all such the closest"
-                f" to CAD; {margin}"
+                "exact identified torques, physically consistent standard parameters closest to"
+                f" CAD; {margin}"
             )
         away = "in the torque of the data used"
         if self.nearest_in == "random motion":
@@ -100,8 +105,8 @@ class StandardParameters:
             of = float(np.sqrt(np.mean(self.torque_rms_of_motion**2)))
             away = f"{cost:.2g} N m RMS away in random motion (of {of:.3g} N m)"
         return (
-            "no real bodies and passive drives give the identified torques exactly; these are the"
-            f" nearest that can be, {away}; {margin}"
+            "nearest physically consistent model, since the identified base parameters are"
+            f" inconsistent: {away}; {margin}"
         )
 
 
@@ -113,23 +118,31 @@ def standard_parameters(
     nearest: bool = False,
     information: ArrayLike | None = None,
 ) -> StandardParameters:
-    """Return real bodies for every link with `K chi = beta` exactly that are closest to CAD.
+    """Return the standard parameters with `K chi = beta` of least divergence from CAD.
 
-    Least entropic divergence from it.
+    If beta is inconsistent, either it is kept with the inconsistent links closest to CAD in the
+    metric there, or (`nearest`) the nearest consistent beta with passive drives takes its place.
+    Otherwise single drive parameters stay, and an armature that shares a base parameter with a link
+    is not negative. Convex throughout: a conic program for the largest part of CAD in `K chi =
+    beta`, Newton's method for the closest (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020;
+    Wensing, Kim & Slotine, IEEE RA-L 3, 2018).
 
-    Where no real bodies have beta, either beta is kept, with the impossible bodies closest to CAD
-    in the metric there, or (`nearest`) the nearest possible beta takes its place: least `(K chi -
-    beta)^T A (K chi - beta)` with the `information` matrix A (p, p) of the data used (least
-    weighted torque difference there), or, where none is given, that of random motion (least RMS
-    torque difference); then again the bodies closest to CAD. The nearest has passive drives, too.
-    Otherwise drive parameters that beta tells by themselves stay as they are; an armature that
-    shares a base parameter with a link is not negative.
+    Parameters
+    ----------
+    model, base
+        The robot as designed and its base parameters.
+    beta
+        Base parameters (p,).
+    nearest
+        Whether the nearest consistent beta replaces an inconsistent one.
+    information
+        Matrix A (p, p) of the distance `(K chi - beta)^T A (K chi - beta)`: the information of the
+        data used, or of random motion by default.
 
-    Convex throughout: a conic program for how deep inside `K chi = beta` leads, Newton's method for
-    the closest (Lee, Wensing & Park, IEEE Trans. Robotics 36, 2020; Wensing, Kim & Slotine, IEEE
-    RA-L 3, 2018).
-
-    Raises `IdentifiabilityError` where beta has another shape or is not finite.
+    Raises
+    ------
+    IdentifiabilityError
+        If beta has another shape or is not finite.
     """
     asked = np.asarray(beta, dtype=np.float64)
     if asked.shape != (base.n_base,) or not np.all(np.isfinite(asked)):
@@ -144,13 +157,13 @@ def standard_parameters(
     shared = BodyBounds(
         drives.rows[moving], drives.offsets[moving], tuple(np.array(drives.labels)[moving])
     )
-    told = drives.rows[~moving] @ (coordinates.kept @ asked)
+    alone = drives.rows[~moving] @ (coordinates.kept @ asked)
     motion = random_motion_rows(model, base)
     of_motion = _joint_rms(motion @ asked, model.n_joints)
     with one_blas_thread():
         chi, part = deepest_inside(cad, coordinates, asked, shared)
-        exact = part > EXACT_PART and not (nearest and np.any(told < 0.0))
-        possible = exact or nearest
+        exact = part > EXACT_PART and not (nearest and np.any(alone < 0.0))
+        consistent = exact or nearest
         if not exact and nearest:
             factor = _distance_factor(asked, motion, information)
             chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=drives).chi
@@ -159,7 +172,7 @@ def standard_parameters(
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
         chi = (
             _closest_above(cad, coordinates, chi, part, shared)
-            if possible
+            if consistent
             else _closest_in_metric(cad, coordinates, asked)
         )
     kept = base.regrouping @ chi
@@ -167,7 +180,7 @@ def standard_parameters(
         parameters=chi,
         beta=kept,
         exact=exact or not nearest,
-        possible=possible,
+        consistent=consistent,
         part=float(cad.relative_eigenvalues(chi).min()),
         smallest_eigenvalue=float(
             np.linalg.eigvalsh(pseudo_inertias(chi[: 10 * cad.n_links].reshape(-1, 10))).min()
@@ -183,11 +196,10 @@ def standard_parameters(
 def deepest_inside(
     cad: CadPrior, coordinates: Coordinates, beta: Array, bounds: BodyBounds
 ) -> tuple[Array, float]:
-    """Return parameters with `K chi = beta` and the largest t <= 1 such that `P_i >= t P0_i` for
-    every link and `bounds` hold with some t to spare.
+    """Return parameters with `K chi = beta` and the largest t <= 1 with `P_i >= t P0_i`.
 
-    t is negative where no real bodies have beta. Raises `IdentifiabilityError` where the solver
-    gives up.
+    `bounds` hold with some t as slack. t is negative if beta is inconsistent. Raises
+    `IdentifiabilityError` if the solver fails.
     """
     bodies, q0 = near_one(cad)
     inertial = 10 * cad.n_links
@@ -195,10 +207,10 @@ def deepest_inside(
     whitened = np.linalg.solve(bodies, np.column_stack([near, coordinates.dependent]))
     along, triangle = np.linalg.qr(whitened[:, 1:])
     free = coordinates.dependent @ np.linalg.inv(triangle)
-    room = np.append(np.full(len(bounds.rows), LEAST_SHARE), 1.0)[:, None]
+    slack = np.append(np.full(len(bounds.rows), LEAST_SHARE), 1.0)[:, None]
     rows = np.vstack([bounds.rows @ free, np.zeros((1, free.shape[1]))])
     constraints = np.vstack(
-        [np.hstack([-rows, room]), np.hstack([-along[:inertial], q0[:inertial, None]])]
+        [np.hstack([-rows, slack]), np.hstack([-along[:inertial], q0[:inertial, None]])]
     )
     right = np.concatenate([bounds.slack(near), [1.0], whitened[:inertial, 0]])
     cones = [clarabel.NonnegativeConeT(len(rows)), *[clarabel.PSDTriangleConeT(4)] * cad.n_links]
@@ -209,8 +221,8 @@ def deepest_inside(
     )
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"whether real bodies have the {len(beta)} base parameters of {cad.robot} could not be"
-            f" decided: the solver says {solution.status}"
+            f"the physical consistency of {len(beta)} base parameters of {cad.robot} is undecided"
+            f" (solver status {solution.status})"
         )
     return near + free @ solution.x[:-1], float(solution.x[-1])
 
@@ -218,11 +230,10 @@ def deepest_inside(
 def _closest_above(
     cad: CadPrior, coordinates: Coordinates, chi: Array, part: float, bounds: BodyBounds
 ) -> Array:
-    """Return the closest to CAD with the base parameters of chi and `P_i >= floor P0_i`, the floor
-    being half of `part` at most.
+    """Return the closest to CAD with the base parameters of chi and `P_i >= floor P0_i`.
 
-    The divergence is that of what is above the floor, `D(P - floor P0 || (1 - floor) P0)`, least at
-    CAD as well.
+    The floor is half of `part` at most; the divergence `D(P - floor P0 || (1 - floor) P0)` is that
+    above the floor, least at CAD too.
     """
     floor = min(SMALLEST_PART, 0.5 * part)
     inertial = 10 * cad.n_links
@@ -235,9 +246,7 @@ def _closest_above(
 
 
 def _closest_in_metric(cad: CadPrior, coordinates: Coordinates, beta: Array) -> Array:
-    """Return the parameters with `K chi = beta` that are closest to CAD in the metric there,
-    possible or not.
-    """
+    """Return the closest to CAD with `K chi = beta` in the metric there, consistent or not."""
     bodies, _ = near_one(cad)
     whitened = np.linalg.solve(
         bodies, np.column_stack([coordinates.kept @ beta - cad.parameters, coordinates.dependent])
@@ -263,9 +272,7 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
 
 
 def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
-    """Return the observation matrix (N n, p) of random motion within the limits of the robot,
-    sample by sample, the same at every call.
-    """
+    """Return the observation matrix (N n, p) of random motion within limits, always the same."""
     rng = np.random.default_rng(RANDOM_SEED)
     limits = [joint.limits for joint in model.joints]
     reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
