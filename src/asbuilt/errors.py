@@ -1,11 +1,11 @@
-"""The exceptions of asbuilt: message, cure and fields, each a child of the builtin it specialises."""
+"""Exceptions with message, cure and fields, each a child of the builtin it specialises."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import re
+from typing import Any
 
-if TYPE_CHECKING:
-    from asbuilt.findings import Cure
+from asbuilt.findings import Cure
 
 
 class AsbuiltError(Exception):
@@ -79,9 +79,22 @@ class MissingExtraError(AsbuiltError, ImportError):
     """An optional dependency is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
+        needed = " ".join(_packages_of(extra)) or package
         super().__init__(
-            f"{purpose} needs the package {package}, which is not installed: pip install"
-            f" 'asbuilt[{extra}]'",
+            f"{purpose} needs the package {package}, which is not installed",
+            cure=Cure(f"run pip install {needed}, or pip install 'asbuilt[{extra}]'"),
             package=package,
             extra=extra,
         )
+
+
+def _packages_of(extra: str) -> list[str]:
+    """Return the distributions of an extra of asbuilt, as its metadata lists them."""
+    from importlib import metadata
+
+    try:
+        required = metadata.requires("asbuilt") or []
+    except metadata.PackageNotFoundError:
+        return []
+    marked = re.compile(rf"""([\w.-]+).*extra == ["']{extra}["']""")
+    return [found[1] for found in map(marked.match, required) if found]

@@ -6,7 +6,6 @@ import difflib
 import pkgutil
 from collections.abc import Iterator, Mapping
 from importlib import import_module
-from importlib.metadata import entry_points
 from typing import TypeVar
 
 from asbuilt.errors import UsageError
@@ -68,6 +67,8 @@ class Registry(Mapping[str, T]):
     def _load(self) -> None:
         if self._complete:
             return
+        from importlib.metadata import entry_points
+
         self._complete = True
         home = import_module(self.package)
         for module in sorted(each.name for each in pkgutil.iter_modules(home.__path__)):

@@ -174,8 +174,8 @@ def test_without_viser_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyPa
     with pytest.raises(
         MissingExtraError,
         match=(
-            r"the 3-D view needs the package viser, which is not installed: pip install"
-            r" 'asbuilt\[view\]'"
+            r"the 3-D view needs the package viser, which is not installed; run pip install \w+,"
+            r" or pip install 'asbuilt\[view\]'"
         ),
     ):
         Viewer(bundled_robot("two-link"))
