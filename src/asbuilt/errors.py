@@ -90,7 +90,7 @@ class MissingExtraError(AsbuiltError, ImportError):
 
 def _packages_of(extra: str) -> list[str]:
     """Return the distributions of an extra of asbuilt, as its metadata lists them."""
-    from importlib import metadata
+    from importlib import metadata  # noqa: PLC0415 - slow, rarely needed
 
     try:
         required = metadata.requires("asbuilt") or []

@@ -67,7 +67,7 @@ class Registry(Mapping[str, T]):
     def _load(self) -> None:
         if self._complete:
             return
-        from importlib.metadata import entry_points
+        from importlib.metadata import entry_points  # noqa: PLC0415 - slow
 
         self._complete = True
         home = import_module(self.package)
