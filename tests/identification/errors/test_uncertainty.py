@@ -105,6 +105,6 @@ def test_too_few_blocks_fall_back_to_the_textbook(experiment):
         FEWEST_BLOCKS - 1,
         None,
     )
-    assert "7 time blocks are too few to do better" in uncertainty.basis.sentence(
+    assert "7 time blocks are too few to correct this" in uncertainty.basis.sentence(
         uncertainty.effective_samples, len(t)
     )

@@ -84,8 +84,8 @@ def consistency_margin(base: BaseParameters, beta: ArrayLike) -> float:
         return float("inf")
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"the physical consistency of {base.n_base} base parameters of {base.robot} is undecided"
-            f" (solver status {solution.status})"
+            f"the physical consistency of the base parameters of {base.robot} is undecided (solver"
+            f" status {solution.status})"
         )
     return float(solution.x[-1])
 

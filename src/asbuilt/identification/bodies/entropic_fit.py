@@ -166,8 +166,8 @@ class EntropicProblem:
         search = _Search(self, factors, weight, barrier, start)
         if not np.all(np.isfinite(search.values)):
             raise IdentifiabilityError(
-                f"the entropic fit of {self.prior.robot} needs physically consistent starting values"
-                " strictly inside the bounds"
+                f"the entropic fit of {self.prior.robot} needs consistent starting values strictly"
+                " inside the bounds"
             )
         active, steps = np.arange(len(search.y)), 0
         while active.size and steps < MOST_STEPS:

@@ -271,9 +271,9 @@ class _Problem:
         self.blocks: list[list[Array]] = []
         loads: set[bool] = set()
         for samples, under in (*product(unloaded, (False,)), *product(loaded, (True,))):
-            for stretch in sample_blocks(model, [samples]):
+            for part in sample_blocks(model, [samples]):
                 growing = [GrowingFactor(len(support) + 1) for support in plan.support]
-                for chunk in stretch.chunks(plan):
+                for chunk in part.chunks(plan):
                     for factor, rows in zip(growing, chunk, strict=True):
                         factor.append(rows)
                 block = []
@@ -288,7 +288,7 @@ class _Problem:
         if len(loads) < 2:
             raise IdentifiabilityError(
                 f"no samples of {model.name} {'with' if False in loads else 'without'} the payload"
-                " are left to find gains from: every contiguous stretch is shorter than the filter"
+                " are left to find gains from: every contiguous segment is shorter than the filter"
                 " needs; record longer, or raise the cutoff"
             )
 

@@ -137,10 +137,10 @@ class CandidateColumns:
         self.drive_places = [_drive_places(base, k) for k in range(n)]
         grams: list[list[Array]] = []
         counts = []
-        for stretch in thinned(model, samples):
+        for part in thinned(model, samples):
             block = [np.zeros((len(positions), len(positions))) for positions in self._positions]
             for base_rows, *extra_rows in zip(
-                *(stretch.chunks(plan) for plan in plans), strict=True
+                *(part.chunks(plan) for plan in plans), strict=True
             ):
                 for k in range(n):
                     rows = np.vstack(
@@ -152,7 +152,7 @@ class CandidateColumns:
                     )
                     block[k] += rows @ rows.T
             grams.append(block)
-            counts.append(stretch.n_outputs)
+            counts.append(part.n_outputs)
         self._grams = [np.array([block[k] for block in grams]) for k in range(n)]
         self.counts = np.array(counts)
 

@@ -1,4 +1,4 @@
-"""Errors of any estimator by drawing time blocks again and again."""
+"""Bootstrap of time blocks: standard errors of any estimator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from scipy import stats
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError, IdentifiabilityError
-from asbuilt.identification.errors.uncertainty import COVERED, Uncertainty, basis_of, block_scores
+from asbuilt.findings import Cure
+from asbuilt.identification.errors.uncertainty import (
+    COVERED,
+    FEWEST_BLOCKS,
+    Uncertainty,
+    basis_of,
+    block_scores,
+)
 from asbuilt.identification.estimators.least_squares import Estimate, Refit
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
 from asbuilt.identification.information.square_root_information import SquareRootInformation
@@ -20,23 +27,17 @@ from asbuilt.identification.information.triangular import triangular_factor
 
 Seed = np.random.Generator | int | None
 
-FEWEST_BLOCKS = 8
 LINEAR_DRAWS = 1000
 REFITTED_DRAWS = 200
-LEAST_TOLD = 1e-6
-"""Part of the information on some direction that a draw must have at least.
-
-With less, the draw does not count.
-"""
+LEAST_INFORMATION = 1e-6
+"""Part of the information in every direction that a valid draw has."""
 MOST_FAILURES = 0.1
-"""Share of draws for which an estimator may refuse before the whole is refused."""
+"""Largest share of invalid draws."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bootstrap:
-    """Hold the estimates (n_draws, p) of as many recordings put together from blocks of one, drawn
-    with replacement.
-    """
+    """Hold the estimates (n_draws, p) from time blocks drawn with replacement."""
 
     estimates: Array
 
@@ -66,27 +67,28 @@ def redraw(
     n_draws: int | None = None,
     rng: Seed = 0,
 ) -> Bootstrap:
-    """Fit recordings made of time blocks drawn with replacement as `estimate` was fitted, all that
-    it chose held fixed.
+    """Repeat a fit on time blocks drawn with replacement, with its choices held fixed.
 
     Each draw has as many blocks as the recording; residuals may be correlated within a block
-    (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap). Held fixed are the weights
-    of joints and rows, the pull to CAD, the parameters that were dropped. An estimate that is
-    linear in the torque takes, with `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b
-    and c_b the times that it is drawn, the step `S (1 + sum (c_b - 1) M_b)^-1 sum (c_b - 1) g_b`:
-    no rows are touched again. One that is not is refitted to the triangle of the blocks drawn.
+    (Kuensch, Annals of Statistics 17, 1989; here blocks do not overlap). An estimate that is linear
+    in the torque takes the step `S (1 + sum (c_b - 1) M_b)^-1 sum (c_b - 1) g_b` with `M_b = S^T
+    W_b^T W_b S`, `g_b = S^T W_b^T e_b` of block b and c_b the times that it is drawn. Any other is
+    refitted to the factor of the blocks drawn.
 
     Raises
     ------
     IdentifiabilityError
-        If there are fewer than 8 blocks, or more than a tenth of the draws leave a direction open
-        that the whole recording tells.
+        If there are fewer than 8 blocks, or more than a tenth of the draws do not determine a
+        direction that the whole recording determines.
     """
     n = information.n_blocks
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
-            f"{n} time blocks are too few to draw from, {FEWEST_BLOCKS} are needed; record longer,"
-            " choose shorter blocks, or take errors by formula (blocks)"
+            f"{n} time blocks are too few for a bootstrap, {FEWEST_BLOCKS} are needed",
+            cure=Cure(
+                "record longer, or estimate the errors by the block formula",
+                settings={"errors": "blocks"},
+            ),
         )
     linear = estimate.refit is None
     draws = (LINEAR_DRAWS if linear else REFITTED_DRAWS) if n_draws is None else n_draws
@@ -100,9 +102,12 @@ def redraw(
     refused = draws - len(estimates)
     if refused > MOST_FAILURES * draws or len(estimates) < 2:
         raise IdentifiabilityError(
-            f"{refused} of {draws} draws of {n} time blocks leave open what the whole recording"
-            " tells; single blocks carry what others do not: record longer, or take errors by"
-            " formula (blocks)"
+            f"{refused} of {draws} bootstrap draws of {n} time blocks do not determine what the"
+            " whole recording determines, since single blocks have information that others lack",
+            cure=Cure(
+                "record longer, or estimate the errors by the block formula",
+                settings={"errors": "blocks"},
+            ),
         )
     return Bootstrap(np.array(estimates))
 
@@ -116,7 +121,7 @@ def _stepped(
     identity = np.eye(root.shape[1])
     for extra in more:
         values, axes = np.linalg.eigh(identity + np.tensordot(extra, gram, axes=1))
-        if values.min(initial=1.0) >= LEAST_TOLD:
+        if values.min(initial=1.0) >= LEAST_INFORMATION:
             estimates.append(estimate.beta + root @ (axes @ ((axes.T @ (extra @ score)) / values)))
     return estimates
 
@@ -147,14 +152,13 @@ def _refitted(
 def bootstrap_uncertainty(
     information: SquareRootInformation, estimate: Estimate, drawn: Bootstrap
 ) -> Uncertainty:
-    """Return the scatter of the draws as the errors of an estimate, no variance smaller than the
-    textbook one.
+    """Return the scatter of the draws as standard errors, at least the textbook ones.
 
-    Standard errors are widened by sqrt(B / (B - 1)) for B blocks, which drawing with replacement
-    makes too small, and those of fits that are not linear by the ratio of Student's quantile with B
-    - 1 degrees of freedom to the normal one besides: so few blocks know a scatter only roughly.
-    Linear fits have no need of that, since draws that miss influential blocks scatter the more;
-    bounds hold such draws back. With it, 95 % intervals cover 95 to 97 % (benchmarks/coverage.py).
+    They are multiplied by sqrt(B / (B - 1)) for B blocks, since drawing with replacement makes them
+    too small, and for nonlinear fits also by the ratio of Student's quantile with B - 1 degrees of
+    freedom to the normal one. Linear fits need no such factor, since draws without influential
+    blocks scatter more; bounds prevent that. 95 % intervals then cover 95 to 97 %
+    (benchmarks/coverage.py).
     """
     n = information.n_blocks
     few = (
@@ -163,25 +167,25 @@ def bootstrap_uncertainty(
         else float(stats.t.ppf(COVERED, n - 1) / stats.norm.ppf(COVERED))
     )
     textbook = np.diag(estimate.covariance)
-    told = textbook > 0
+    determined = textbook > 0
     covariance = drawn.covariance * (few**2 * n / (n - 1.0))
-    still = np.flatnonzero(told & (np.diag(covariance) == 0.0))
+    still = np.flatnonzero(determined & (np.diag(covariance) == 0.0))
     covariance[still, still] = textbook[still]
     swell = (
         np.sqrt(
             np.maximum(textbook / np.maximum(np.diag(covariance), np.finfo(np.float64).tiny), 1.0)
         )
-        * told
+        * determined
     )
     covariance = covariance * np.outer(swell, swell)
-    ratio = np.diag(covariance)[told] / textbook[told]
+    ratio = np.diag(covariance)[determined] / textbook[determined]
     basis = replace(
         basis_of(information, "bootstrap"),
         n_draws=len(drawn.estimates),
         held_fixed=held_fixed(estimate),
-        growth=float(np.sqrt(np.median(ratio))) if told.any() else None,
+        growth=float(np.sqrt(np.median(ratio))) if determined.any() else None,
     )
-    share = float(np.exp(-np.mean(np.log(ratio)))) if told.any() else 1.0
+    share = float(np.exp(-np.mean(np.log(ratio)))) if determined.any() else 1.0
     return Uncertainty(covariance, information.n_samples * share, basis)
 
 

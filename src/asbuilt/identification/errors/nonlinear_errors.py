@@ -1,8 +1,4 @@
-"""What fitted nonlinear parameters leave open.
-
-How well a recording tells a Stribeck velocity or an exponent, and what that adds to the errors of
-everything linear.
-"""
+"""Standard errors of fitted nonlinear parameters, and what they add to those of linear ones."""
 
 from __future__ import annotations
 
@@ -29,11 +25,9 @@ if TYPE_CHECKING:
 
 
 STEP = 1e-3
-"""Part of a nonlinear parameter's value by which it is moved to see what that does to the torque."""
+"""Relative step of a nonlinear parameter for the derivative of the torque."""
 ALONE = 1e-9
-"""What is left of that beside all linear columns, relative to its size (squared), below which the
-nonlinear parameter is not told.
-"""
+"""Squared part of that derivative outside all linear columns below which it is undetermined."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +41,9 @@ class NonlinearPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NonlinearErrors:
-    """Hold the values and standard errors (m,) of fitted nonlinear parameters, and what these add to the
-    covariance (p, p) of the linear parameters; NaN where a nonlinear parameter is not told.
+    """Hold values and standard errors (m,) of fitted nonlinear parameters, NaN if undetermined.
+
+    `covariance` (p, p) is what they add to that of the linear parameters.
     """
 
     places: tuple[NonlinearPlace, ...]
@@ -57,19 +52,19 @@ class NonlinearErrors:
     covariance: Array
 
     def sentence(self, joint_names: Sequence[str]) -> str:
-        """Say how well each nonlinear parameter is told."""
+        """Return a note with value and standard error of each nonlinear parameter."""
         parts: dict[str, list[str]] = {}
         for place, value, error in zip(self.places, self.values, self.std_errors, strict=True):
             shown = (
                 " +- ".join(rounded(value, error))
                 if np.isfinite(error)
-                else f"{value:.3g} (not told)"
+                else f"{value:.3g} (undetermined)"
             )
             parts.setdefault(f"{place.parameter} of {place.term}", []).append(
                 f"{joint_names[place.joint]} {shown}"
             )
         listed = "; ".join(f"{what} {', '.join(each)}" for what, each in parts.items())
-        return f"Standard errors count what the nonlinear parameters, fitted along, leave open: {listed}."
+        return f"Standard errors include those of the fitted nonlinear parameters: {listed}."
 
 
 def nonlinear_errors(
@@ -82,13 +77,13 @@ def nonlinear_errors(
     textbook: bool = False,
     block_seconds: float | None = None,
 ) -> NonlinearErrors:
-    """Judge nonlinear parameters that were fitted along with an estimate, to first order.
+    """Return the errors of nonlinear parameters fitted with an estimate, to first order.
 
-    With `C` the change of the weighted torque per parameter, `W` the weighted columns and `C' = C - W
-    (W^T W)^-1 W^T C`, nonlinear parameters have the covariance `V = (C'^T C')^-1`, each error grown to what time
-    blocks say (`sum_b (C'^T e)_b^2`), unless those of a `textbook` are asked for. The estimate
-    follows a nonlinear parameter by `G = -(W^T W)^-1 W^T C`, so its covariance grows by `G V G^T`: that of the
-    fit with columns `[W C]` (Frisch and Waugh, Econometrica 1, 1933).
+    With `C` the change of the weighted torque per parameter, `W` the weighted columns and `C' = C -
+    W (W^T W)^-1 W^T C`, their covariance is `V = (C'^T C')^-1`, each error at least that from time
+    blocks (`sum_b (C'^T e)_b^2`) unless `textbook`. The estimate follows by `G = -(W^T W)^-1 W^T
+    C`, so its covariance grows by `G V G^T`: that of the fit with columns `[W C]` (Frisch and
+    Waugh, Econometrica 1, 1933).
     """
     nonlinear = {(place.term, place.parameter): None for place in places}
     changes, first = (
@@ -101,9 +96,9 @@ def nonlinear_errors(
     at = [[i for i, place in enumerate(places) if place.joint == k] for k in range(model.n_joints)]
     blocks = []
     with one_blas_thread():
-        for stretch in sample_blocks(model, samples, block_seconds):
+        for part in sample_blocks(model, samples, block_seconds):
             gram = np.zeros((r + m + 1, r + m + 1))
-            for chunk in stretch.chunks(plan, changes.of(stretch.samples)):
+            for chunk in part.chunks(plan, changes.of(part.samples)):
                 for k, rows in enumerate(chunk):
                     p_k = len(plan.support[k])
                     error = rows[-1] - estimate.beta[plan.support[k]] @ rows[:p_k]
@@ -121,25 +116,28 @@ def nonlinear_errors(
     known, across = together[:r, :r], together[:r, r : r + m]
     own, moved = together[r : r + m, r : r + m], np.linalg.pinv(known, hermitian=True) @ across
     left = own - moved.T @ across
-    told = np.flatnonzero(np.diag(left) > ALONE * np.diag(own)).tolist()
+    determined = np.flatnonzero(np.diag(left) > ALONE * np.diag(own)).tolist()
     values = np.array([_value(base.drive, place) for place in places])
     errors = np.full(m, np.nan)
-    if not told:
+    if not determined:
         return NonlinearErrors(tuple(places), values, errors, np.zeros((base.n_base, base.n_base)))
-    inverse = np.linalg.inv(left[np.ix_(told, told)])
+    inverse = np.linalg.inv(left[np.ix_(determined, determined)])
     noise = np.array(
-        [estimate.sigma[places[i].joint] * estimate.weights[places[i].joint] for i in told]
+        [estimate.sigma[places[i].joint] * estimate.weights[places[i].joint] for i in determined]
     )
     V = inverse * np.outer(noise, noise)
     if not textbook and len(blocks) >= FEWEST_BLOCKS:
         scores = np.array(
-            [gram[[r + i for i in told], -1] - moved[:, told].T @ gram[:r, -1] for gram in blocks]
+            [
+                gram[[r + i for i in determined], -1] - moved[:, determined].T @ gram[:r, -1]
+                for gram in blocks
+            ]
         )
         clustered = np.sum((scores @ inverse) ** 2, axis=0) * len(blocks) / (len(blocks) - 1)
         swell = np.sqrt(np.maximum(clustered / np.diag(V), 1.0))
         V = V * np.outer(swell, swell)
-    errors[told] = np.sqrt(np.diag(V))
-    follows = root @ moved[:, told]
+    errors[determined] = np.sqrt(np.diag(V))
+    follows = root @ moved[:, determined]
     return NonlinearErrors(tuple(places), values, errors, np.asarray(follows @ V @ follows.T))
 
 
@@ -152,7 +150,7 @@ def _value(drive: DriveSet, place: NonlinearPlace) -> float:
 
 
 class _Changes:
-    """What moving each nonlinear parameter by one unit does to the torque of every joint, to first order."""
+    """Hold the derivative of every joint's torque by each nonlinear parameter."""
 
     def __init__(
         self, base: BaseParameters, beta: Array, nonlinear: Sequence[tuple[str, str]], n_joints: int

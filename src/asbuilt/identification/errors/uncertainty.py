@@ -1,7 +1,4 @@
-"""Standard errors that hold although neighbouring residuals are alike.
-
-Judged from one time block to another, not from sample to sample.
-"""
+"""Standard errors that allow for correlated residuals, from the scatter of time blocks."""
 
 from __future__ import annotations
 
@@ -17,23 +14,18 @@ from asbuilt.identification.estimators.least_squares import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 FEWEST_BLOCKS = 8
-"""With fewer blocks their scatter says nothing."""
+"""Blocks below which their scatter gives no usable variance."""
 FEWEST_DEGREES = 3.0
-"""Degrees of freedom below which no variance is widened further."""
+"""Least degrees of freedom in the widening of a variance."""
 COVERED = 0.975
-"""Upper quantile of the 95 % interval that standard errors are widened for."""
+"""Upper quantile of the 95 % interval for which standard errors are widened."""
 MOST_LEVERAGE = 0.999
-"""Share of what is known of a direction that may come from one block.
-
-A larger share is taken as this one.
-"""
+"""Largest share of the information on a direction that one block is taken to have."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """Hold the covariance (p, p) of an estimate, how many independent samples the recording is
-    worth, and how that was judged.
-    """
+    """Hold the covariance (p, p), the effective number of samples and how both were estimated."""
 
     covariance: Array
     effective_samples: float
@@ -41,7 +33,7 @@ class Uncertainty:
 
     @property
     def n_blocks(self) -> int:
-        """Number of time blocks at hand."""
+        """Number of time blocks."""
         return self.basis.n_blocks
 
     @property
@@ -51,19 +43,18 @@ class Uncertainty:
 
 
 def block_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
-    """Judge the errors of an estimate by how much each time block pulls at it.
+    """Estimate the errors of an estimate from the score of each time block.
 
     With `M_b = S^T W_b^T W_b S` and `g_b = S^T W_b^T e_b` of block b, in coordinates where all
     blocks together have unit information (S the inverse root), the variance of a parameter is
     `sum_b (S (1 - M_b)^(-1/2) g_b)^2`: the cluster-robust covariance CR2, unbiased where residuals
     are independent after all (Bell & McCaffrey, Survey Methodology 28, 2002; Pustejovsky & Tipton,
     J. Business & Economic Statistics 36, 2018). It allows for any correlation within a block,
-    across joints too. So few blocks know a variance only roughly; by how many degrees of freedom
-    nu, Satterthwaite's rule says (the variance of the quadratic form were residuals independent).
-    Standard errors are widened by the ratio of Student's quantile with nu to the normal one, so
-    that `estimate +- 1.96 std_error` is a 95 % interval. No variance is taken smaller than the
-    textbook one, and correlations between parameters are the textbook ones, since B blocks cannot
-    tell p (p - 1) / 2 of them.
+    across joints too. A variance from few blocks has few degrees of freedom nu, by Satterthwaite's
+    rule (the variance of the quadratic form for independent residuals). Standard errors are widened
+    by the ratio of Student's quantile with nu to the normal one, so that `estimate +- 1.96
+    std_error` is a 95 % interval. No variance is smaller than the textbook one, and correlations
+    between parameters are the textbook ones, since B blocks do not determine p (p - 1) / 2 of them.
 
     `effective_samples` = N times the geometric mean over parameters of textbook variance /
     variance.
@@ -75,28 +66,30 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
             estimate.covariance, float(n_samples), basis_of(information, "textbook", asked="blocks")
         )
     moves = np.empty((n_blocks, root.shape[1]))
-    pulls = np.empty((n_blocks, root.shape[1], root.shape[0]))
+    leverages = np.empty((n_blocks, root.shape[1], root.shape[0]))
     weight = np.empty((n_blocks, root.shape[0]))
     with one_blas_thread():
-        for b, (gram, pull) in enumerate(zip(*block_scores(information, estimate), strict=True)):
+        for b, (gram, score_b) in enumerate(zip(*block_scores(information, estimate), strict=True)):
             leverage, axes = np.linalg.eigh(gram)
             leverage = np.clip(leverage, 0.0, MOST_LEVERAGE)
-            score = axes.T @ pull
+            score = axes.T @ score_b
             moves[b] = axes @ (score / np.sqrt(1.0 - leverage))
             turned = axes.T @ root.T / np.sqrt(1.0 - leverage)[:, None]
-            pulls[b] = axes @ (leverage[:, None] * turned)
+            leverages[b] = axes @ (leverage[:, None] * turned)
             weight[b] = leverage @ turned**2
-        freedom = _degrees_of_freedom(pulls, weight)
+        freedom = _degrees_of_freedom(leverages, weight)
     clustered = np.sum((moves @ root.T) ** 2, axis=0) * (
         1.0 + 2.0 * _neighbours(information, moves)
     )
     textbook = np.diag(estimate.covariance)
     widened = (stdtrit(np.maximum(freedom, FEWEST_DEGREES), COVERED) / ndtri(COVERED)) ** 2
     variance = np.maximum(clustered * widened, textbook)
-    told = textbook > 0
-    swell = np.where(told, np.sqrt(variance / np.where(told, textbook, 1.0)), 1.0)
-    shrinkage = float(np.exp(-2.0 * np.mean(np.log(swell[told])))) if told.any() else 1.0
-    growth = float(np.median(swell[told])) if told.any() else None
+    determined = textbook > 0
+    swell = np.where(determined, np.sqrt(variance / np.where(determined, textbook, 1.0)), 1.0)
+    shrinkage = (
+        float(np.exp(-2.0 * np.mean(np.log(swell[determined])))) if determined.any() else 1.0
+    )
+    growth = float(np.median(swell[determined])) if determined.any() else None
     return Uncertainty(
         estimate.covariance * np.outer(swell, swell),
         n_samples * shrinkage,
@@ -105,9 +98,7 @@ def block_uncertainty(information: SquareRootInformation, estimate: Estimate) ->
 
 
 def textbook_uncertainty(information: SquareRootInformation, estimate: Estimate) -> Uncertainty:
-    """Return the covariance of the textbook, `s^2 (W^T W)^-1`, right where residuals are
-    independent; the basis says how much larger errors from time blocks are.
-    """
+    """Return the textbook covariance `s^2 (W^T W)^-1`, valid for independent residuals."""
     growth = block_uncertainty(information, estimate).basis.growth
     return Uncertainty(
         estimate.covariance,
@@ -133,43 +124,46 @@ def basis_of(
 
 
 def block_scores(information: SquareRootInformation, estimate: Estimate) -> tuple[Array, Array]:
-    """Return `M_b = S^T W_b^T W_b S` (n_blocks, rank, rank) and `g_b = S^T W_b^T e_b` (n_blocks,
-    rank) of every time block, e the weighted residual.
+    """Return `S^T W_b^T W_b S` (n_blocks, rank, rank) and `S^T W_b^T e_b` (n_blocks, rank).
+
+    e is the weighted residual, S the inverse root.
     """
     root, residual = estimate.solution.inverse_root, np.append(-estimate.beta, 1.0)
     grams = np.empty((information.n_blocks, root.shape[1], root.shape[1]))
-    pulls = np.empty((information.n_blocks, root.shape[1]))
+    scores = np.empty((information.n_blocks, root.shape[1]))
     for b in range(information.n_blocks):
         factor = information.block_stacked(b, estimate.weights)
         whitened = factor[:, :-1] @ root
-        grams[b], pulls[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
-    return grams, pulls
+        grams[b], scores[b] = whitened.T @ whitened, whitened.T @ (factor @ residual)
+    return grams, scores
 
 
-def _degrees_of_freedom(pulls: Array, weight: Array) -> Array:
-    """Return Satterthwaite's `tr(G)^2 / tr(G^2)` of each parameter's variance, `G_bc = weight_b [b
-    = c] - pulls_b . pulls_c`, shape (p,).
+def _degrees_of_freedom(leverages: Array, weight: Array) -> Array:
+    """Return Satterthwaite's `tr(G)^2 / tr(G^2)` of each parameter's variance, shape (p,).
 
-    `pulls` (n_blocks, rank, p) is `M_b (1 - M_b)^(-1/2) S^T`, `weight` (n_blocks, p) the diagonal
-    of `S (1 - M_b)^(-1/2) M_b (1 - M_b)^(-1/2) S^T`.
+    `G_bc = weight_b [b = c] - leverages_b . leverages_c`; `leverages` (n_blocks, rank, p) is `M_b
+    (1 - M_b)^(-1/2) S^T`, `weight` (n_blocks, p) the diagonal of `S (1 - M_b)^(-1/2) M_b (1 -
+    M_b)^(-1/2) S^T`.
     """
-    own = np.einsum("brp,brp->bp", pulls, pulls)
+    own = np.einsum("brp,brp->bp", leverages, leverages)
     trace = np.sum(weight - own, axis=0)
     across = np.array(
-        [np.sum((pulls[:, :, j] @ pulls[:, :, j].T) ** 2) for j in range(pulls.shape[2])]
+        [
+            np.sum((leverages[:, :, j] @ leverages[:, :, j].T) ** 2)
+            for j in range(leverages.shape[2])
+        ]
     )
     square = np.sum(weight**2 - 2.0 * weight * own, axis=0) + across
-    freedom = np.full(len(square), float(len(pulls) - 1))
+    freedom = np.full(len(square), float(len(leverages) - 1))
     np.divide(trace**2, square, out=freedom, where=square > 0)
     return freedom
 
 
 def _neighbours(information: SquareRootInformation, moves: Array) -> float:
-    """Return how much the pulls of blocks that follow each other correlate, zero or more, over all
-    directions together.
+    """Return the correlation of the scores of successive blocks, zero or more.
 
-    The residuals of a fit add up to nothing, which alone makes the pulls of B blocks correlate by
-    -1 / (B - 1); that is put back.
+    The residuals of a fit sum to zero, which alone gives the scores of B blocks a correlation of
+    -1 / (B - 1); that is added back.
     """
     blocks = information.blocks
     adjacent = [

@@ -1,7 +1,4 @@
-"""What an identification knows already, as information about the base parameters.
-
-What a further motion need not tell again.
-"""
+"""Information about base parameters behind a result, for the design of further motion."""
 
 from __future__ import annotations
 
@@ -16,26 +13,20 @@ if TYPE_CHECKING:
 
 
 SINGULAR = 1e-10
-"""Variance of a direction, relative to the largest, that only rounding has left.
-
-The covariance holds nothing there.
-"""
+"""Variance of a direction, relative to the largest, that is rounding."""
 
 
 def determined_directions(result: IdentificationResult) -> tuple[Array, Array, Array]:
-    """Return scale (p,), variances (r,) and directions V (p, r) of what a result knows.
+    """Return scale (p,), variances (r,) and directions V (p, r) of the information of a result.
 
-    `information = D V diag(1 / variances) V^T D`, D = diag(scale).
-
-    The scale is one over the standard errors, zero for parameters without any: dropped ones, and
-    those that the recording does not tell. As many directions are left out as the rank of the
-    result falls short, where its covariance is singular there; that of estimates which lean on CAD
-    is not.
+    `information = D V diag(1 / variances) V^T D`, D = diag(scale). The scale is one over the
+    standard errors, zero for dropped and undetermined parameters. Directions beyond the rank of the
+    result are left out if its covariance is singular there; that of estimates regularised toward
+    CAD is not.
     """
     covariance = np.array(result.covariance)
     size = np.sqrt(np.diag(covariance))
-    told = size > 0
-    scale = np.where(told, 1.0 / np.where(told, size, 1.0), 0.0)
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
     variances, directions = np.linalg.eigh(covariance * np.outer(scale, scale))
     largest, short = max(float(variances[-1]), 0.0), max(0, len(variances) - result.rank)
     kept = variances > largest * len(variances) * np.finfo(float).eps
@@ -45,13 +36,10 @@ def determined_directions(result: IdentificationResult) -> tuple[Array, Array, A
 
 
 def known_information(result: IdentificationResult) -> Array:
-    """Return the information matrix (p, p) behind a result.
+    """Return the information matrix (p, p) of a result: the pseudo-inverse of its covariance.
 
-    The pseudo-inverse of its covariance in scaled columns.
-
-    Directions that the recording does not tell carry no information, nor do dropped parameters,
-    which were set and not measured: a further motion may tell them. The standard errors allow for
-    correlated residuals, so the information does, too.
+    Undetermined directions and dropped parameters carry no information. The information allows for
+    correlated residuals, since the standard errors do.
     """
     scale, variances, directions = determined_directions(result)
     inverse = (directions / variances) @ directions.T

@@ -1,7 +1,4 @@
-"""The rows that identification solves.
-
-Regressor columns and torque of each joint, filtered alike, one time block after another.
-"""
+"""Rows of identification: filtered regressor columns and torque of each joint by time block."""
 
 from __future__ import annotations
 
@@ -25,22 +22,17 @@ if TYPE_CHECKING:
 SAMPLES_AT_ONCE = 2048
 """Samples, before filtering, whose regressor is held at once."""
 LONGEST_BLOCK = 5.0
-"""Length of a time block [s] where nothing else is asked."""
+"""Default length of a time block [s]."""
 SHORTEST_BLOCK = 1.0
 USUAL_BLOCKS = 10
-"""A short recording is cut into about so many blocks, so that errors can be judged from block to
-block.
-"""
+"""Blocks of a short recording, so that standard errors can be estimated from them."""
 MOST_HELD = 200e6
-"""Memory [bytes] that rows may take to be kept between passes; more are made again on every pass."""
+"""Memory [bytes] of rows that are kept between passes; more are made again in every pass."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeBlock:
-    """A stretch of a recording.
-
-    Where it comes from, first and last instant [s] and number of samples.
-    """
+    """Describe a block: recording, first and last instant [s], number of samples."""
 
     source: str
     start: float
@@ -50,9 +42,7 @@ class TimeBlock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleBlock:
-    """Outputs `first` to `last` of the contiguous run of samples from `start` to `stop`, a time
-    block of about `seconds` [s].
-    """
+    """Hold a time block: outputs `first` to `last` of the segment from `start` to `stop`."""
 
     samples: Samples
     start: int
@@ -68,7 +58,7 @@ class SampleBlock:
 
     @property
     def time(self) -> TimeBlock:
-        """When it was and how many samples it has."""
+        """Time and number of samples."""
         t, parallel = self.samples.t[self.start : self.stop], self.samples.parallel
         t = parallel.times(t) if parallel else t
         return TimeBlock(
@@ -78,11 +68,10 @@ class SampleBlock:
     def chunks(
         self, plan: RegressorPlan, beside: Callable[[slice], Sequence[Array]] | None = None
     ) -> Iterator[tuple[Array, ...]]:
-        """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), a cache full at a
-        time; good until the next.
+        """Yield the filtered rows `[W_k | tau_k]^T` of each joint, (p_k + 1, m), in chunks.
 
-        `beside` returns further columns of a span of samples, each (L, n), that stand before the
-        torque. `plan` has a spare row for each and one more.
+        A chunk is valid until the next. `beside` returns further columns of a span of samples, each
+        (L, n), placed before the torque; `plan` has a spare row for each and one more.
         """
         samples, parallel = self.samples, self.samples.parallel
         step, width = (parallel.decimation, parallel.taps.size) if parallel else (1, 1)
@@ -102,9 +91,9 @@ class SampleBlock:
 def sample_blocks(
     model: RobotModel, stream: Iterable[Samples], block_seconds: float | None = None
 ) -> Iterator[SampleBlock]:
-    """Yield the time blocks of samples, each within one contiguous run.
+    """Yield the time blocks of samples, each within one contiguous segment.
 
-    Raises `IdentifiabilityError` where the joints are others.
+    Raises `IdentifiabilityError` if the joints differ from those of the model.
     """
     for samples in stream:
         if samples.joint_names != model.joint_names:
@@ -139,10 +128,7 @@ def sample_blocks(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowBlock:
-    """The rows of a time block.
-
-    For each joint regressor columns and, last, the torque, (p_k + 1, N_b), samples innermost.
-    """
+    """Hold the rows of a time block: columns and, last, torque of each joint, (p_k + 1, N_b)."""
 
     rows: tuple[Array, ...]
     time: TimeBlock
@@ -150,10 +136,10 @@ class RowBlock:
 
 
 class Rows:
-    """Give the rows of samples block by block, as often as they are asked for: `for block in rows`.
+    """Iterate over the rows of samples block by block, any number of times.
 
-    `support[k]` are the base parameters that joint k's columns stand for. Kept in memory between
-    passes where they are not many. `every` n takes each n-th block alone.
+    `support[k]` are the base parameters of joint k's columns. Few rows are kept in memory between
+    passes. `every` n takes each n-th block alone.
     """
 
     def __init__(
@@ -177,17 +163,17 @@ class Rows:
             return
         kept: list[RowBlock] | None = []
         size = 0
-        for stretch in islice(
+        for part in islice(
             sample_blocks(self._plan.model, self._samples, self._block_seconds),
             0,
             None,
             self._every,
         ):
-            chunks = [tuple(rows.copy() for rows in chunk) for chunk in stretch.chunks(self._plan)]
+            chunks = [tuple(rows.copy() for rows in chunk) for chunk in part.chunks(self._plan)]
             block = RowBlock(
                 tuple(np.hstack(parts) for parts in zip(*chunks, strict=True)),
-                stretch.time,
-                stretch.seconds,
+                part.time,
+                part.seconds,
             )
             if kept is not None:
                 size += sum(rows.nbytes for rows in block.rows)

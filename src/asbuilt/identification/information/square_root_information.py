@@ -1,7 +1,4 @@
-"""All that a recording says about the parameters, in a few triangular matrices.
-
-One per joint and time block.
-"""
+"""Square-root information: one triangular factor per joint and time block of a recording."""
 
 from __future__ import annotations
 
@@ -25,6 +22,7 @@ from asbuilt.dynamics.batches import available_cores, chosen_threads
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import RowBlock, SampleBlock, TimeBlock, sample_blocks
 from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
@@ -37,25 +35,20 @@ if TYPE_CHECKING:
 
 
 MOST_BLOCKS = 128
-"""Beyond twice as many, neighbours are merged, so that memory does not grow with the recording."""
+"""Half the number of blocks at which neighbours are merged, which bounds memory."""
 ROUNDED_LENGTH = 1.2
-"""Neighbours that together are this much longer than a block still make one.
-
-Runs are cut into equal parts, whose length is seldom that asked for.
-"""
+"""Length of a merged block in block lengths; segments are cut into equal parts of other lengths."""
 
 
 @dataclass(frozen=True, eq=False)
 class SquareRootInformation:
-    """Hold the triangular factors `R` of `[W_k | tau_k]` for every joint k and time block b.
+    """Hold the triangular factors R of `[W_k | tau_k]` for every joint k and time block b.
 
-    `R^T R = [W_k | tau_k]^T [W_k | tau_k]`.
-
-    Joint k sees only the base parameters `support[k]` (p_k positions among the p of `base`): links
-    it carries and its own drive. `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper
-    triangular; `torque_sum` (n_blocks, n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2 =
-    sum_b |R_b (-beta, 1)|^2`, so every quadratic fit, its errors and its validation need nothing
-    else.
+    `R^T R = [W_k | tau_k]^T [W_k | tau_k]`. Joint k depends only on the base parameters
+    `support[k]` (p_k positions among the p of `base`): links it carries and its own drive.
+    `factors[k]` has shape (n_blocks, p_k + 1, p_k + 1), upper triangular; `torque_sum` (n_blocks,
+    n) is the sum of tau. For any beta, `|tau_k - W_k beta|^2 = sum_b |R_b (-beta, 1)|^2`, so every
+    quadratic fit, its errors and its validation need nothing else.
 
     Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977; the factor is
     built block by block (Golub & Van Loan, Matrix Computations, 2013, section 5.2; Demmel et al.,
@@ -79,8 +72,8 @@ class SquareRootInformation:
                 )
             if not np.all(np.isfinite(factor)):
                 raise IdentifiabilityError(
-                    "samples hold NaN or infinite values; clean the recording first (asbuilt check"
-                    " says where they are)"
+                    "samples hold NaN or infinite values",
+                    cure=Cure("remove them from the recording", call="check_recording"),
                 )
             factor.setflags(write=False)
         self.torque_sum.setflags(write=False)
@@ -140,10 +133,9 @@ class SquareRootInformation:
         )
 
     def merge(self, *others: SquareRootInformation) -> SquareRootInformation:
-        """Return the information of this and other recordings of the same robot with the same base
-        parameters, blocks one after another.
+        """Return the information of this and other recordings of the same robot.
 
-        Raises `IdentifiabilityError` where joints or base parameters are others.
+        Raises `IdentifiabilityError` if joints or base parameters differ.
         """
         for other in others:
             if other.base.names != self.base.names or other.joint_names != self.joint_names:
@@ -166,9 +158,7 @@ class SquareRootInformation:
         )
 
     def stacked(self, weights: ArrayLike | None = None) -> Array:
-        """Return the factor (p + 1, p + 1) of all joints' rows, joint k multiplied by `weights[k]`
-        (1 where none are given).
-        """
+        """Return the factor (p + 1, p + 1) of all joints' rows, joint k times `weights[k]` or 1."""
         return self._stacked(self.joint_factors, weights)
 
     def block_stacked(self, block: int, weights: ArrayLike | None = None) -> Array:
@@ -203,9 +193,7 @@ class SquareRootInformation:
         return np.array([float(error @ error) for error in errors])
 
     def to_bytes(self) -> bytes:
-        """Return the content of an NPZ file (upper triangles only, no pickle) that `from_bytes`
-        reads.
-        """
+        """Return the content of an NPZ file (upper triangles, no pickle) for `from_bytes`."""
         header = {
             "robot": self.base.robot,
             "drive": str(self.base.drive),
@@ -227,10 +215,7 @@ class SquareRootInformation:
 
     @classmethod
     def from_bytes(cls, base: BaseParameters, content: bytes) -> SquareRootInformation:
-        """Rebuild what `to_bytes` wrote for a robot with these base parameters.
-
-        Raises `ResultError` where they are others or it is not readable.
-        """
+        """Rebuild what `to_bytes` wrote; raises `ResultError` for other base parameters."""
         try:
             with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
                 header = json.loads(str(arrays["header"]))
@@ -267,13 +252,7 @@ def accumulate(
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> SquareRootInformation:
-    """Reduce samples to their square-root information in one pass.
-
-    Where `samples.parallel` is set, every regressor column and the torque go through it alike,
-    segment by segment. `block_seconds` is the length of a time block, by default 5 s, less for
-    short recordings. `threads` share the blocks, by default one per core; the result does not
-    depend on it.
-    """
+    """Reduce samples to their square-root information in one pass, as `accumulate_stream` does."""
     return accumulate_stream(model, base, (samples,), block_seconds=block_seconds, threads=threads)
 
 
@@ -285,30 +264,43 @@ def accumulate_stream(
     block_seconds: float | None = None,
     threads: int | None = None,
 ) -> SquareRootInformation:
-    """Reduce any number of samples, recordings or chunks of one, while they are being read.
+    """Reduce a stream of samples to their square-root information, in bounded memory.
 
-    Memory does not grow with their number.
+    Parameters
+    ----------
+    model, base
+        The robot and its base parameters.
+    stream
+        Samples of recordings or of chunks of one. `Samples.parallel` filters regressor columns and
+        torque alike, segment by segment, and leaves out its margin at both ends of each.
+    block_seconds
+        Length of a time block [s], by default 5, less for short recordings. Neighbours are merged
+        beyond 256 blocks.
+    threads
+        Threads that share the blocks, by default one per core; the result does not depend on it.
 
-    A chunk is reduced on its own, so a parallel filter leaves out its margin at the ends of each
-    chunk. Beyond 256 blocks, neighbours are merged. Raises `IdentifiabilityError` where nothing is
-    left after filtering, or the joints are others.
+    Raises
+    ------
+    IdentifiabilityError
+        If nothing is left after filtering, or the joints differ from those of the model.
     """
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=1)
     gathered = _Gathering()
     pending: deque[Future[_Reduced]] = deque()
     workers = chosen_threads(threads, available_cores())
     with one_blas_thread(), ThreadPoolExecutor(max_workers=workers) as pool:
-        for stretch in sample_blocks(model, stream, block_seconds):
-            pending.append(pool.submit(_reduced, plan, stretch))
-            gathered.seconds = max(gathered.seconds, stretch.seconds)
+        for part in sample_blocks(model, stream, block_seconds):
+            pending.append(pool.submit(_reduced, plan, part))
+            gathered.seconds = max(gathered.seconds, part.seconds)
             if len(pending) > 2 * workers:
                 gathered.add(pending.popleft().result())
         while pending:
             gathered.add(pending.popleft().result())
     if not gathered.blocks:
         raise IdentifiabilityError(
-            f"no samples of {model.name} are left to identify from: every contiguous stretch is"
-            " shorter than the filter needs; record longer, raise the cutoff, or filter less"
+            f"no samples of {model.name} are left: every contiguous segment is shorter than the"
+            " filter needs",
+            cure=Cure("record longer, raise the cutoff, or filter less"),
         )
     return gathered.information(base, model.joint_names, plan.support)
 
@@ -319,10 +311,7 @@ def reduce_rows(
     support: Sequence[Indices],
     blocks: Iterable[RowBlock],
 ) -> SquareRootInformation:
-    """Reduce rows that an estimator has made of those of the samples, such as weighted ones.
-
-    `support[k]` are the columns of joint k's rows.
-    """
+    """Reduce rows of an estimator, such as reweighted ones; joint k has columns `support[k]`."""
     gathered = _Gathering()
     with one_blas_thread():
         for block in blocks:
@@ -347,21 +336,21 @@ class _Reduced:
     time: TimeBlock
 
 
-def _reduced(plan: RegressorPlan, stretch: SampleBlock) -> _Reduced:
+def _reduced(plan: RegressorPlan, part: SampleBlock) -> _Reduced:
     growing = [
-        GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, stretch.n_outputs))
+        GrowingFactor(len(columns) + 1, min(ROWS_AT_ONCE, part.n_outputs))
         for columns in plan.support
     ]
     torque_sum = np.zeros(plan.model.n_joints)
-    for chunk in stretch.chunks(plan):
+    for chunk in part.chunks(plan):
         for k, rows in enumerate(chunk):
             torque_sum[k] += rows[-1].sum()
             growing[k].append(rows)
-    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, stretch.time)
+    return _Reduced(tuple(factor.factor() for factor in growing), torque_sum, part.time)
 
 
 class _Gathering:
-    """Keep the blocks in order, merging neighbours into longer ones where there are too many."""
+    """Keep the blocks in order, merging neighbours if there are too many."""
 
     def __init__(self) -> None:
         self.blocks: list[_Reduced] = []
