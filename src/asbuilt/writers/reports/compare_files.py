@@ -1,4 +1,4 @@
-"""What `asbuilt compare` prints and leaves behind."""
+"""Texts, documents and files of `asbuilt compare`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from asbuilt.identification.result.determination import Determination
+from asbuilt.tables import wrapped
 from asbuilt.validation.attribution.attribution import Attribution
 from asbuilt.validation.comparison.comparison import Comparison
 from asbuilt.validation.comparison.drift import Drift
@@ -15,7 +16,7 @@ from asbuilt.workflow.controller_model import ControllerComparison
 from asbuilt.writers.figures.cause_figures import attribution_figure, difference_figure
 from asbuilt.writers.figures.figure_style import save_figure
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.reports.compare_report import UNTOLD, comparison_html
+from asbuilt.writers.reports.compare_report import NO_CAUSES, comparison_html
 from asbuilt.writers.reports.drift_report import drift_html
 
 if TYPE_CHECKING:
@@ -24,34 +25,36 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CadVerdict:
-    """Hold a result against CAD.
-
-    The comparison, why CAD is off (None without cause data) and what the recording determines.
-    """
+    """Hold a comparison with CAD, its causes (None without cause data) and what is determined."""
 
     comparison: Comparison
     attribution: Attribution | None
     determination: Determination
 
-    def as_text(self) -> str:
-        """Return all of it for a terminal.
+    def as_text(self, full: bool = False) -> str:
+        """Return verdict, causes and parameters for a terminal.
 
-        The verdict, why CAD is off, then the parameters, then what the recording tells.
+        Parameters
+        ----------
+        full
+            Show everything; else what fits one screen of 80 columns.
         """
-        parts = [self.comparison.heading()]
-        if self.comparison.torque:
-            parts.append(self.comparison.torque_table().as_text())
-        parts.append(f"{UNTOLD}\n" if self.attribution is None else self.attribution.as_text())
-        parts.append(self.comparison.parameter_table().as_text())
-        parts.append(
-            "\n".join(
-                [
-                    "What this recording determines:",
-                    *(f"  {line}" for line in self.determination.sentences),
-                ]
-            )
-            + "\n"
-        )
+        comparison, found = self.comparison, self.attribution
+        parts = [comparison.heading(full)]
+        if found is None or full:
+            parts += [comparison.torque_table().as_text(full)] if comparison.torque else []
+        if found is None:
+            parts.append(wrapped(NO_CAUSES) + "\n")
+        elif full:
+            parts.append(found.as_text(full))
+        else:
+            said = [wrapped(line, lines=2) for line in found.findings[:3]]
+            table = found.joint_table(comparison.torque[0][1].rms)
+            parts.append("\n".join([*said, "", table.as_text()]))
+        parts.append(comparison.parameter_table().as_text(full))
+        if full:
+            said = [wrapped(line, "  ") for line in self.determination.sentences]
+            parts.append("\n".join(["What the recording determines:", *said]) + "\n")
         return "\n".join(parts)
 
     def as_document(self) -> dict[str, Any]:
@@ -65,14 +68,15 @@ class CadVerdict:
 def write_comparison(
     folder: Path, result: IdentificationResult, verdict: CadVerdict
 ) -> dict[str, Path]:
-    """Write comparison.csv, comparison.txt, comparison.html and, where the cause data allows,
-    attribution.csv and the figures; returns their paths by kind.
+    """Write comparison.csv, .txt and .html, and with causes attribution.csv and figures.
+
+    Returns the paths by kind.
     """
     files = {
         "comparison": atomic_write(
             folder / "comparison.csv", verdict.comparison.parameter_table().as_csv()
         ),
-        "text": atomic_write(folder / "comparison.txt", verdict.as_text()),
+        "text": atomic_write(folder / "comparison.txt", verdict.as_text(full=True)),
         "report": atomic_write(
             folder / "comparison.html",
             comparison_html(result, verdict.comparison, verdict.attribution, verdict.determination),
@@ -92,13 +96,11 @@ def write_comparison(
 
 
 def write_drift(folder: Path, compared: Drift | ControllerComparison) -> dict[str, Path]:
-    """Write drift.csv, drift.txt and drift.html of two results, or of a result and the controller's
-    model; returns their paths by kind.
-    """
+    """Write drift.csv, drift.txt and drift.html; return the paths by kind."""
     drift = compared if isinstance(compared, Drift) else compared.difference
     return {
         "comparison": atomic_write(folder / "drift.csv", drift.table().as_csv()),
-        "text": atomic_write(folder / "drift.txt", compared.as_text()),
+        "text": atomic_write(folder / "drift.txt", compared.as_text(full=True)),
         "report": atomic_write(folder / "drift.html", drift_html(compared)),
     }
 

@@ -1,6 +1,4 @@
-"""One self-contained HTML page of two results of one robot, or of a result and its controller's
-model: what changed, and what that does to the torque.
-"""
+"""Page of two results of one robot, or of a result and the model of its controller."""
 
 from __future__ import annotations
 
@@ -11,18 +9,24 @@ from asbuilt.workflow.controller_model import ControllerComparison
 from asbuilt.writers.figures.drift_figure import drift_figure
 from asbuilt.writers.figures.figure_style import figure_address
 from asbuilt.writers.reports.page import page, table_markup
-from asbuilt.writers.reports.report_verdict import Finding
+from asbuilt.writers.reports.report_verdict import Card
 
 
 def drift_html(compared: Drift | ControllerComparison) -> str:
-    """Return the page as text; it asks the network for nothing, and every name in it is escaped."""
+    """Return the page as text."""
     controller = None if isinstance(compared, Drift) else compared
     drift = compared if isinstance(compared, Drift) else compared.difference
+    n_changed, n = drift.n_changed, len(drift.parameters)
+    contents = [("verdict", "Verdict"), ("torque", "Torque"), ("parameters", "Parameters")]
     return page(
         "drift.html.j2",
         title=f"{drift.robot}: {drift.after} against {drift.before}",
+        heading=drift.robot,
+        subject=f"{drift.after} against {drift.before}",
+        subtitle="",
+        contents=[each for each in contents if drift.joints or each[0] != "torque"],
         drift=drift,
-        findings=[*([] if controller is None else [_prediction(controller)]), *_findings(drift)],
+        cards=[*([] if controller is None else [_prediction_card(controller)]), *_cards(drift)],
         sentences=(
             *(() if controller is None else (controller.verdict(),)),
             drift.verdict(),
@@ -40,48 +44,47 @@ def drift_html(compared: Drift | ControllerComparison) -> str:
         error_table=(
             "" if controller is None else table_markup(controller.torque_table(), "torque-table")
         ),
-        changed_table=table_markup(drift.table(changed=True), "changed") if drift.n_changed else "",
-        other_table=(
-            table_markup(drift.table(changed=False), "others")
-            if drift.n_changed < len(drift.parameters)
-            else ""
-        ),
+        changed_table=table_markup(drift.table(changed=True), "changed") if n_changed else "",
+        other_table=table_markup(drift.table(changed=False), "others") if n_changed < n else "",
     )
 
 
-def _prediction(controller: ControllerComparison) -> Finding:
+def _prediction_card(controller: ControllerComparison) -> Card:
     built, maker = controller.as_built.relative_error, controller.controller.relative_error
-    label = f"of the torque is off as built, against {share(maker)} by the controller's model"
-    return Finding("good" if built < maker else "neutral", share(built), label, "")
+    return Card(
+        "good" if built < maker else "neutral",
+        share(built),
+        f"torque error as built, controller's model {share(maker)}",
+    )
 
 
-def _findings(drift: Drift) -> list[Finding]:
+def _cards(drift: Drift) -> list[Card]:
     verb = "differ" if drift.of_models else "changed"
     tested = sum(parameter.sigmas is not None for parameter in drift.parameters)
     found = [
-        Finding(
+        Card(
             "neutral" if drift.n_changed else "good",
             f"{drift.n_changed} of {tested}",
-            f"parameters {verb} beyond doubt",
-            "",
+            f"parameters {verb} significantly",
         )
     ]
     if drift.joints:
         changed = [joint for joint in drift.joints if joint.holm <= drift.level]
-        label = f"joints {verb} in the torque of the same motion"
         found.append(
-            Finding(
+            Card(
                 "neutral" if changed else "good",
                 f"{len(changed)} of {len(drift.joints)}",
-                label,
-                "",
+                f"joints {verb} in the torque of the same motion",
             )
         )
         if changed:
             most = max(changed, key=lambda joint: joint.torque)
-            beside = (
-                f"largest, at {most.joint}, where the motion takes"
-                f" {significant(most.torque_of_motion)} {most.unit}"
+            found.append(
+                Card(
+                    "neutral",
+                    f"{significant(most.torque)} {most.unit}",
+                    f"largest, at {most.joint}, of"
+                    f" {significant(most.torque_of_motion)} {most.unit} RMS torque",
+                )
             )
-            found.append(Finding("neutral", f"{significant(most.torque)} {most.unit}", beside, ""))
     return found

@@ -1,10 +1,8 @@
-"""What the HTML pages share.
-
-Templates filled with escaped texts, one style, nothing asked of the network.
-"""
+"""HTML pages from templates: texts escaped, one style, nothing asked of the network."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -22,9 +20,7 @@ CITATION = (
 
 
 def page(template: str, **fields: Any) -> str:
-    """Return a template of this package filled with fields, every text escaped that is not
-    `Markup`; style, version and citation are given.
-    """
+    """Return a template of this package filled with fields; all text but `Markup` is escaped."""
     return (
         _environment()
         .get_template(template)
@@ -32,13 +28,18 @@ def page(template: str, **fields: Any) -> str:
     )
 
 
+def section_markup(template: str, fields: Mapping[str, Any]) -> Markup:
+    """Return the text of a template filled with fields; all text but `Markup` is escaped."""
+    return Markup(_environment().from_string(template).render(**fields))
+
+
 def table_markup(table: Table, identifier: str) -> Markup:
-    """Return a table as HTML that stands as it is."""
+    """Return a table as HTML that is not escaped again."""
     return Markup(table.as_html(identifier))
 
 
 def resource(name: str) -> Markup:
-    """Return the text of a file beside the templates, which stands as it is."""
+    """Return the text of a file beside the templates, unescaped."""
     return Markup((Path(__file__).parent / "templates" / name).read_text(encoding="utf-8"))
 
 

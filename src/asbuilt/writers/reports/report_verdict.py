@@ -1,7 +1,4 @@
-"""What a reader of the report must know first.
-
-How well the model predicts, whether it can be, what is determined and what differs.
-"""
+"""Cards of a report: prediction, consistency, determination and differences at a glance."""
 
 from __future__ import annotations
 
@@ -12,71 +9,73 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.identification.bodies.consistency import non_passive_drives
+from asbuilt.identification.result.determination import Determination
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import share, significant
 from asbuilt.validation.comparison.comparison import Comparison, recording_name
+from asbuilt.workflow.study import Study
 
 Mood = Literal["good", "bad", "neutral"]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
-    """One statement of the verdict: a figure, what it is, and a sentence in plain words."""
+class Card:
+    """Hold one statement: a number, its label, and a sentence."""
 
     mood: Mood
     figure: str
     label: str
-    sentence: str
+    sentence: str = ""
 
 
-def verdict(result: IdentificationResult, comparison: Comparison) -> tuple[Finding, ...]:
-    """Return what a reader must know first, each with its sentence."""
+def verdict(study: Study) -> tuple[Card, ...]:
+    """Return the cards of a study."""
     return (
-        _prediction(result, comparison),
-        _consistency(result),
-        _determination(result),
-        _difference(comparison),
+        prediction_card(study.result, study.comparison),
+        consistency_card(study.result),
+        determination_card(study.determination),
+        difference_card(study.comparison),
     )
 
 
-def _prediction(result: IdentificationResult, comparison: Comparison) -> Finding:
+def prediction_card(result: IdentificationResult, comparison: Comparison) -> Card:
+    """Return how well torque is predicted, on validation data if there are any."""
     cad, built = comparison.torque[0]
-    error = share(built.relative_error)
+    error, source = share(built.relative_error), recording_name(built.source)
     weak = _weakest_joint(built)
-    source = recording_name(built.source)
     if not result.validation:
-        return Finding(
+        return Card(
             "neutral",
             error,
-            "torque error, on the data fitted",
-            f"No recording was held out, so {error} is the error on the data used for fitting and"
-            f" says little about other motion.{weak}",
+            "torque error on the training data",
+            f"No recording was held out: {error} is the torque error on the training data, and the"
+            f" error on other motions is unknown.{weak}",
         )
     if cad is None or not cad.relative_error > 0:
-        return Finding(
+        return Card(
             "neutral",
             error,
-            "torque error, held out",
-            f"The error on {source} is {error} of the measured torque.{weak}",
+            "torque error held out",
+            f"The torque error on {source} is {error}.{weak}",
         )
     factor = cad.relative_error / built.relative_error if built.relative_error > 0 else math.inf
-    against = f"{share(cad.relative_error)} by design"
+    by_cad = share(cad.relative_error)
+    label = f"torque error held out, CAD {by_cad}"
     if factor >= 1.0:
-        sentence = (
-            f"On {source}, not used for fitting, the torque error falls from {against} to {error}"
-            f" as built: {significant(factor, 2)} times smaller."
+        return Card(
+            "good",
+            error,
+            label,
+            f"On {source} the torque error is {error} as built and {by_cad} by CAD:"
+            f" {significant(factor, 2)} times smaller.{weak}",
         )
-        return Finding("good", error, f"torque error held out, against {against}", sentence + weak)
-    sentence = (
-        f"On {source}, not used for fitting, the identified model predicts WORSE than the design:"
-        f" {error} against {against}."
-    )
-    return Finding(
+    return Card(
         "bad",
         error,
-        f"torque error held out, against {against}",
-        sentence + " Do not use it as it is; see the warnings." + weak,
+        label,
+        f"On {source} the identified model predicts WORSE than CAD: {error} against {by_cad}."
+        f" Do not use it before the findings below are resolved.{weak}",
     )
 
 
@@ -86,63 +85,64 @@ def _weakest_joint(metrics: TorqueMetrics) -> str:
         return ""
     worst = int(np.nanargmax(relative))
     return (
-        f" Joint {metrics.joint_names[worst]} is predicted worst: its error is"
-        f" {share(float(relative[worst]), 0)} of its own torque."
+        f" The largest relative error is {share(float(relative[worst]), 0)} at joint"
+        f" {metrics.joint_names[worst]}."
     )
 
 
-def _consistency(result: IdentificationResult) -> Finding:
+def consistency_card(result: IdentificationResult) -> Card:
+    """Return whether physically consistent links and passive drives have the parameters."""
     if result.physically_consistent is None:
-        return Finding(
-            "neutral",
-            "not checked",
-            "physical consistency",
-            "Whether rigid bodies can have these parameters was not checked.",
-        )
+        return Card("neutral", "not checked", "physical consistency", "Consistency is not checked.")
     if result.physically_consistent:
-        return Finding(
+        return Card(
             "good",
             "consistent",
             "physically",
-            "Rigid bodies with these parameters exist, so a simulator can use the model.",
+            "The parameters are physically consistent, so simulators can use the model.",
         )
-    pushing = ", ".join(non_passive_drives(result.base, result.estimates))
-    who = (
-        f"Drives would push: {pushing} {'are' if ',' in pushing else 'is'} below zero"
-        if pushing
-        else "NO rigid bodies have these parameters"
+    negative = ", ".join(non_passive_drives(result.base, result.estimates))
+    what = f"Friction or armature is NEGATIVE: {negative}" if negative else "The parameters are NOT"
+    return Card(
+        "bad",
+        "inconsistent",
+        "physically",
+        f"{what}{'' if negative else ' physically consistent'}. Predictions hold, but a simulator"
+        " may become unstable; fit with consistency imposed.",
     )
-    sentence = (
-        f"{who}. Torques are predicted well enough, but a simulator may become unstable. Fit with"
-        " consistency imposed."
-    )
-    return Finding("bad", "inconsistent", "physically", sentence)
 
 
-def _determination(result: IdentificationResult) -> Finding:
-    figure, lost = f"{result.rank} of {result.n_base}", result.n_base - result.rank
-    poor = sum(parameter.poorly_determined for parameter in result.parameters)
-    if lost <= 0 and poor == 0:
-        return Finding(
-            "good", figure, "parameters determined", "This recording excites every base parameter."
-        )
-    if lost <= 0:
-        sentence = (
-            f"This recording excites every base parameter, {poor} of them poorly: their errors are"
-            " large beside their values."
-        )
-        return Finding("neutral", figure, f"parameters determined, {poor} poorly", sentence)
-    sentence = (
-        f"This recording leaves {lost} combination{'s' if lost > 1 else ''} of parameters"
-        " undetermined; they lean on the design values."
+def determination_card(found: Determination) -> Card:
+    """Return how many parameters the recordings determine to half their value."""
+    classes = (found.well, found.fairly, found.hardly, found.not_at_all, found.dropped)
+    good, total = len(found.well) + len(found.fairly), sum(map(len, classes))
+    mood: Mood = "bad" if found.not_at_all else "good" if good == total else "neutral"
+    parts = [
+        f"{len(found.hardly)} have a standard error above half their value" if found.hardly else "",
+        f"{len(found.not_at_all)} are undetermined and regularised toward CAD"
+        if found.not_at_all
+        else "",
+        f"{len(found.dropped)} were dropped" if found.dropped else "",
+    ]
+    rest = ", ".join(part for part in parts if part)
+    return Card(
+        mood,
+        f"{good} of {total}",
+        "parameters determined to 50 % or better",
+        f"The recordings determine {good} of {total} parameters to 50 % or better"
+        f"{f'; {rest}' if rest else ''}.",
     )
-    return Finding("bad", figure, "parameters determined", sentence)
 
 
-def _difference(comparison: Comparison) -> Finding:
-    figure = f"{comparison.n_differing} of {comparison.n_compared}"
-    sentence = (
-        f"{comparison.n_differing} of the {comparison.n_compared} parameters that have a design"
-        f" value and are determined differ from it ({comparison.rule()})."
+def difference_card(comparison: Comparison) -> Card:
+    """Return how many parameters differ from CAD."""
+    matter = comparison.n_mattering
+    verb = "matters" if matter == 1 else "matter"
+    return Card(
+        "neutral",
+        f"{comparison.n_differing} of {comparison.n_compared}",
+        "parameters differ from CAD"
+        + ("" if matter is None else f", {matter} {verb} to the torque"),
+        f"{comparison.n_differing} of {comparison.n_compared} determined parameters with a CAD"
+        f" value differ from it ({comparison.rule()}).",
     )
-    return Finding("neutral", figure, "parameters differ from the design", sentence)

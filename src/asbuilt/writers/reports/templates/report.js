@@ -2,112 +2,218 @@
 (function () {
   const data = JSON.parse(document.getElementById("data").textContent);
   const element = (id) => document.getElementById(id);
-  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
-  const narrow = () => window.innerWidth < 640;
-  const buttons = [["toImage"], ["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"]];
-  const options = { responsive: false, displaylogo: false, modeBarButtons: buttons };
-  const bare = { ...options, displayModeBar: false };
+  const table = element("parameter-table");
   let recording = 0;
   let joint = 0;
-  let paperWidth = null;
 
-  function axis(title, extra) {
-    return {
-      title: { text: title, standoff: 6 }, gridcolor: colour("grid"), linecolor: colour("line"), zeroline: false,
-      automargin: true, ticks: "outside", tickcolor: colour("line"), ...extra,
+  function make(parent, tag, attributes, text) {
+    const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) node.setAttribute(name, value);
+    if (text !== undefined) node.textContent = text;
+    parent.append(node);
+    return node;
+  }
+
+  function ticks(low, high, count) {
+    const raw = (high - low) / count;
+    const power = 10 ** Math.floor(Math.log10(raw));
+    const step = power * [1, 2, 5, 10].find((factor) => factor * power >= raw);
+    const found = [];
+    for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * step; k += 1) found.push(k * step);
+    return found;
+  }
+
+  function decades(low, high) {
+    const found = [];
+    for (let k = Math.floor(low); k <= Math.ceil(high); k += 1) {
+      for (const factor of high - low < 2 ? [1, 2, 5] : [1]) found.push(k + Math.log10(factor));
+    }
+    return found.filter((value) => value >= low && value <= high);
+  }
+
+  const shown = (value) => String(Number(value.toPrecision(4)));
+
+  function extent(values) {
+    let low = Infinity;
+    let high = -Infinity;
+    for (const value of values) {
+      if (value === null) continue;
+      if (value < low) low = value;
+      if (value > high) high = value;
+    }
+    if (low > high) return [0, 1];
+    return low === high ? [low - 0.5, high + 0.5] : [low, high];
+  }
+
+  function path(x, y, across, up) {
+    let text = "";
+    let pen = "M";
+    for (let i = 0; i < x.length; i += 1) {
+      if (x[i] === null || y[i] === null) { pen = "M"; continue; }
+      text += pen + across(x[i]).toFixed(1) + " " + up(y[i]).toFixed(1);
+      pen = "L";
+    }
+    return text;
+  }
+
+  /* A plot: panels above each other on one x axis; traces are lines, dots, bars or a band. */
+  function plot(id, spec) {
+    const holder = element(id);
+    if (!holder) return;
+    const width = holder.clientWidth || 680;
+    const height = holder.clientHeight || 260;
+    const left = 52;
+    const top = spec.legend ? (width < 560 ? 66 : 26) : 8;
+    const bottom = height - 40;
+    holder.textContent = "";
+    const svg = make(holder, "svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": spec.label });
+    const all = spec.panels.flatMap((panel) => panel.traces);
+    const whole = extent(all.flatMap((trace) => trace.x));
+    const range = holder.range || whole;
+    const across = (x) => left + (width - left - 10) * (x - range[0]) / (range[1] - range[0]);
+    const clip = make(make(svg, "clipPath", { id: id + "-clip" }), "rect", { x: left, y: 0, width: width - left - 10, height });
+    clip.id = "";
+    const sum = spec.panels.reduce((total, panel) => total + (panel.share || 1), 0);
+    let from = top;
+    for (const panel of spec.panels) {
+      const to = from + (bottom - top - 14 * (spec.panels.length - 1)) * (panel.share || 1) / sum;
+      const inside = (trace) => trace.y.filter((_, i) => trace.x[i] === null || (trace.x[i] >= range[0] && trace.x[i] <= range[1]));
+      const convert = panel.log ? Math.log10 : (value) => value;
+      let span = panel.range || extent(panel.traces.flatMap((trace) => inside(trace).map((value) => (value === null ? null : convert(value)))));
+      if (!panel.range) span = [span[0] - 0.05 * (span[1] - span[0]), span[1] + 0.05 * (span[1] - span[0])];
+      const up = (y) => to - (to - from) * (convert(y) - span[0]) / (span[1] - span[0]);
+      const level = (y) => to - (to - from) * (y - span[0]) / (span[1] - span[0]);
+      for (const y of panel.bare ? [] : panel.log ? decades(span[0], span[1]) : ticks(span[0], span[1], Math.max(2, (to - from) / 45))) {
+        make(svg, "line", { class: "grid", x1: left, x2: width - 10, y1: level(y), y2: level(y) });
+        make(svg, "text", { class: "tick", x: left - 5, y: level(y) + 4, "text-anchor": "end" }, shown(panel.log ? 10 ** y : y));
+      }
+      if (panel.title) make(svg, "text", { class: "tick", transform: `translate(11 ${(from + to) / 2}) rotate(-90)`, "text-anchor": "middle" }, panel.title);
+      make(svg, "line", { class: "axis", x1: left, x2: width - 10, y1: to, y2: to });
+      const body = make(svg, "g", { "clip-path": `url(#${id}-clip)` });
+      for (const trace of panel.traces) {
+        const style = `trace ${trace.kind || "line"} ${trace.shade}`;
+        if (trace.kind === "dots" || trace.kind === "cross") {
+          const group = make(body, "g", { class: style });
+          trace.x.forEach((x, i) => make(group, "circle", { cx: across(x).toFixed(1), cy: up(trace.y[i]).toFixed(1), r: trace.size || 1.6 }));
+        } else if (trace.kind === "bars") {
+          const group = make(body, "g", { class: style });
+          const wide = Math.abs(across(trace.x[1]) - across(trace.x[0]));
+          trace.x.forEach((x, i) => make(group, "rect", { x: across(x) - wide / 2, width: wide, y: up(trace.y[i]), height: Math.max(0, up(0) - up(trace.y[i])) }));
+        } else if (trace.kind === "band") {
+          make(body, "rect", { class: style, x: left, width: width - left - 10, y: up(trace.y[1]), height: up(trace.y[0]) - up(trace.y[1]) });
+        } else {
+          make(body, "path", { class: style, d: path(trace.x, trace.y, across, up) });
+        }
+      }
+      from = to + 14;
+    }
+    for (const x of ticks(range[0], range[1], Math.max(3, width / 110))) {
+      make(svg, "line", { class: "axis", x1: across(x), x2: across(x), y1: bottom, y2: bottom + 4 });
+      make(svg, "text", { class: "tick", x: across(x), y: bottom + 17, "text-anchor": "middle" }, shown(x));
+    }
+    make(svg, "text", { class: "tick", x: (left + width) / 2, y: height - 4, "text-anchor": "middle" }, spec.x);
+    if (spec.legend) {
+      let x = left;
+      let y = 14;
+      for (const trace of all.filter((each) => each.name)) {
+        const text = make(svg, "text", { class: "legend", x: x + 24, y }, trace.name);
+        const size = 24 + text.getComputedTextLength() + 16;
+        if (x > left && x + size > width) { x = left; y += 17; text.setAttribute("x", x + 24); text.setAttribute("y", y); }
+        make(svg, "path", { class: `trace line ${trace.shade}`, d: `M${x} ${y - 4}h18` });
+        x += size;
+      }
+    }
+    if (spec.zoom) zoomable(holder, svg, left, width, range, top, bottom);
+  }
+
+  function zoomable(holder, svg, left, width, range, top, bottom) {
+    const place = (event) => {
+      const box = svg.getBoundingClientRect();
+      const x = (event.clientX - box.left) * width / box.width;
+      return Math.min(Math.max(x, left), width - 10);
     };
+    const time = (x) => range[0] + (range[1] - range[0]) * (x - left) / (width - left - 10);
+    let start = null;
+    let mark = null;
+    svg.addEventListener("pointerdown", (event) => {
+      start = place(event);
+      mark = make(svg, "rect", { class: "selection", x: start, y: top, width: 0, height: bottom - top });
+    });
+    svg.addEventListener("pointermove", (event) => {
+      if (start === null) return;
+      mark.setAttribute("x", Math.min(start, place(event)));
+      mark.setAttribute("width", Math.abs(place(event) - start));
+    });
+    svg.addEventListener("pointerup", (event) => {
+      if (start === null) return;
+      const ends = [start, place(event)].sort((one, two) => one - two);
+      start = null;
+      mark.remove();
+      if (ends[1] - ends[0] < 6) return;
+      holder.range = ends.map(time);
+      draw();
+    });
+    svg.addEventListener("dblclick", () => { holder.range = null; draw(); });
   }
 
-  function layout(extra) {
-    return {
-      margin: { l: 56, r: 12, t: 28, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
-      font: { color: colour("ink"), size: 12, family: "system-ui, DejaVu Sans, sans-serif" },
-      legend: { orientation: "h", y: 1.0, yanchor: "bottom", x: 0, font: { size: 12 } }, hovermode: "x unified",
-      ...(paperWidth === null ? { autosize: true } : { autosize: false, width: paperWidth }),
-      hoverlabel: { bgcolor: colour("paper"), bordercolor: colour("line"), font: { color: colour("ink") } }, ...extra,
-    };
-  }
+  const difference = (a, b) => a.map((value, i) => (value === null || b[i] === null ? null : value - b[i]));
 
-  function line(x, y, name, shade, extra) {
-    return { type: "scatter", mode: "lines", x, y, name, line: { color: colour(shade), width: 1.4, ...(extra && extra.line) }, connectgaps: false, ...(extra && extra.trace) };
-  }
-
-  function difference(a, b) {
-    return a.map((value, i) => (value === null || b[i] === null ? null : value - b[i]));
-  }
-
-  function sides(x, y, name, shade, style) {
+  function sides(x, y, shade) {
     return [-1, 1].map((side) => {
       const keep = x.map((value) => value * side > 0);
-      const showlegend = keep.some(Boolean) && (side > 0 || !x.some((value) => value > 0));
-      return line(x.filter((_, i) => keep[i]), y.filter((_, i) => keep[i]), name, shade, { trace: { showlegend }, line: style });
+      return { x: x.filter((_, i) => keep[i]), y: y.filter((_, i) => keep[i]), shade };
     });
   }
 
   function drawTorque(of) {
-    const lower = { trace: { yaxis: "y2" } };
-    const traces = [
-      line(of.t, of.measured, "measured", "measured", { line: { width: 2.2 } }),
-      line(of.t, of.cad, "CAD", "cad", { line: { width: 1.1 } }),
-      line(of.t, of.built, "as built", "built", { line: { dash: "6px,2px" } }),
-      line(of.t, difference(of.measured, of.cad), "error, CAD (RMS " + of.rms_cad + ")", "cad", { ...lower, line: { width: 1.1 } }),
-      line(of.t, difference(of.measured, of.built), "error, as built (RMS " + of.rms + ")", "error", lower),
-    ];
-    Plotly.react("torque-plot", traces, layout({
-      margin: { l: 56, r: 12, t: narrow() ? 110 : 56, b: 44 },
-      modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("cad"), activecolor: colour("ink") },
-      xaxis: axis("time [s]", { anchor: "y2" }),
-      yaxis: axis("torque [" + of.unit + "]", { domain: [0.42, 1] }),
-      yaxis2: axis("error [" + of.unit + "]", { domain: [0, 0.36], zeroline: true, zerolinecolor: colour("line") }),
-    }), narrow() ? bare : options);
+    plot("torque-plot", {
+      label: "Measured and predicted torque, and errors, over time", x: "time [s]", legend: true, zoom: true,
+      panels: [
+        { title: "torque [" + of.unit + "]", share: 3, traces: [
+          { x: of.t, y: of.measured, name: "measured", shade: "measured" },
+          { x: of.t, y: of.cad, name: "CAD", shade: "cad" },
+          { x: of.t, y: of.built, name: "as built", shade: "built" } ] },
+        { title: "error [" + of.unit + "]", share: 2, traces: [
+          { x: of.t, y: difference(of.measured, of.cad), name: "error of CAD, RMS " + of.rms_cad, shade: "cad" },
+          { x: of.t, y: difference(of.measured, of.built), name: "error as built, RMS " + of.rms, shade: "error" } ] },
+      ],
+    });
   }
 
   function drawError(of) {
     const z = of.histogram.z;
-    const normal = z.map((value) => Math.exp(-0.5 * value * value) / Math.sqrt(2 * Math.PI));
-    Plotly.react("histogram-plot", [
-      { type: "bar", x: z, y: of.histogram.density, marker: { color: colour("measured"), opacity: 0.55 }, hoverinfo: "skip" },
-      line(z, normal, "normal", "ink"),
-    ], layout({ showlegend: false, bargap: 0, xaxis: axis("error / " + of.histogram.spread + " " + of.unit), yaxis: axis("", { showticklabels: false }) }), bare);
-    const ends = [0, of.lags[of.lags.length - 1]];
-    Plotly.react("correlation-plot", [
-      line(ends, [of.band, of.band], "", "line", { line: { width: 0 }, trace: { hoverinfo: "skip" } }),
-      line(ends, [-of.band, -of.band], "", "line", { line: { width: 0 }, trace: { hoverinfo: "skip", fill: "tonexty", fillcolor: colour("line") } }),
-      line(of.lags, of.correlation, "autocorrelation", "measured"),
-    ], layout({ showlegend: false, xaxis: axis("lag [s]"), yaxis: axis("", { range: [-0.6, 1.05] }) }), bare);
+    plot("histogram-plot", { label: "Distribution of the error", x: "error / " + of.histogram.spread + " " + of.unit, panels: [{ bare: true, traces: [
+      { kind: "bars", x: z, y: of.histogram.density, shade: "measured" },
+      { x: z, y: z.map((value) => Math.exp(-0.5 * value * value) / Math.sqrt(2 * Math.PI)), shade: "ink" } ] }] });
+    plot("correlation-plot", { label: "Autocorrelation of the error", x: "lag [s]", panels: [{ range: [-0.6, 1.05], traces: [
+      { kind: "band", x: [0, of.lags[of.lags.length - 1]], y: [-of.band, of.band], shade: "line" },
+      { x: of.lags, y: of.correlation, shade: "measured" } ] }] });
     const friction = of.friction;
-    Plotly.react("friction-plot", [
-      { type: "scatter", mode: "markers", x: friction.speed, y: friction.torque, name: "samples", marker: { color: colour("measured"), size: 3, opacity: 0.35 } },
-      ...sides(friction.bin, friction.median, "median", "measured", { width: 2 }),
-      ...sides(friction.speed, friction.law, "identified", "built", { width: 2, dash: "6px,2px" }),
-    ], layout({ hovermode: "closest", xaxis: axis("velocity [" + of.speed_unit + "]"), yaxis: axis("[" + of.unit + "]") }), bare);
+    plot("friction-plot", { label: "Torque of the drive against velocity", x: "velocity [" + of.speed_unit + "]", panels: [{ title: "[" + of.unit + "]", traces: [
+      { kind: "dots", x: friction.speed, y: friction.torque, shade: "measured" },
+      ...sides(friction.bin, friction.median, "measured"),
+      ...sides(friction.speed, friction.law, "built") ] }] });
   }
 
   function drawSingularValues() {
     const values = data.singular_values;
     const numbers = values.map((_, i) => i + 1);
-    const part = (from, to, name, shade, symbol) => ({
-      type: "scatter", mode: "markers", x: numbers.slice(from, to), y: values.slice(from, to), name, marker: { color: colour(shade), symbol, size: 7 },
-    });
-    const traces = [part(0, data.rank, "determined", "measured", "circle")];
-    if (data.rank < values.length) traces.push(part(data.rank, values.length, "not determined", "built", "x"));
-    const positive = values.filter((value) => value > 0);
-    const decades = positive.length ? Math.log10(Math.max(...positive) / Math.min(...positive)) : 1;
-    const marks = decades < 3 ? "D2" : Math.ceil(decades / 6);
-    Plotly.react("singular-plot", traces, layout({ hovermode: "closest", xaxis: axis("number"), yaxis: axis("singular value", { type: "log", dtick: marks, tickformat: "~g" }) }), bare);
+    const part = (from, to, kind, shade) => ({ kind, x: numbers.slice(from, to), y: values.slice(from, to), shade, size: 3 });
+    const traces = [part(0, data.rank, "dots", "measured")];
+    if (data.rank < values.length) traces.push(part(data.rank, values.length, "cross", "built"));
+    plot("singular-plot", { label: "Singular values", x: "number", panels: [{ title: "singular value", log: true, traces }] });
   }
 
   function draw() {
     drawSingularValues();
     if (!data.recordings.length) return;
     const whole = data.recordings[recording];
-    const of = whole.joints[joint];
     element("torque-title").textContent = data.joints[joint];
     element("torque-note").textContent = "Drawn with the extremes of every interval of " + whole.n_samples + " samples; drag to zoom, double-click to reset.";
     document.querySelectorAll("#joints button").forEach((button) => button.setAttribute("aria-pressed", String(Number(button.dataset.joint) === joint)));
-    document.querySelectorAll(".residuals").forEach((table) => { table.style.display = Number(table.dataset.recording) === recording ? "" : "none"; });
-    drawTorque(of);
-    drawError(of);
+    document.querySelectorAll(".residuals").forEach((each) => { each.style.display = Number(each.dataset.recording) === recording ? "" : "none"; });
+    drawTorque(whole.joints[joint]);
+    drawError(whole.joints[joint]);
   }
 
   function cellValue(row, column) {
@@ -117,7 +223,6 @@
   }
 
   function sortBy(column) {
-    const table = element("parameter-table");
     const head = table.tHead.rows[0].cells[column];
     const descending = head.getAttribute("aria-sort") === "ascending";
     for (const cell of table.tHead.rows[0].cells) cell.removeAttribute("aria-sort");
@@ -136,44 +241,35 @@
   function filter() {
     const words = element("find").value.toLowerCase().split(/\s+/).filter(Boolean);
     const verdict = element("show").value;
-    let shown = 0;
-    const rows = element("parameter-table").tBodies[0].rows;
+    let count = 0;
+    const rows = table.tBodies[0].rows;
     for (const row of rows) {
       const text = row.cells[0].textContent + " " + row.cells[1].textContent.toLowerCase();
-      const visible = words.every((word) => text.includes(word)) && (!verdict || row.dataset.verdict === verdict);
-      row.hidden = !visible;
-      shown += visible ? 1 : 0;
+      row.hidden = !(words.every((word) => text.includes(word)) && (!verdict || row.dataset.verdict === verdict));
+      count += row.hidden ? 0 : 1;
     }
-    element("count").textContent = shown + " of " + rows.length + " parameters";
+    element("count").textContent = count + " of " + rows.length + " parameters";
   }
 
   document.querySelectorAll("#joints button").forEach((button) => button.addEventListener("click", () => { joint = Number(button.dataset.joint); draw(); }));
-  if (element("recording")) element("recording").addEventListener("change", (event) => { recording = Number(event.target.value); draw(); });
-  Array.from(element("parameter-table").tHead.rows[0].cells).forEach((cell, column) => {
-    const button = cell.querySelector("button");
-    if (button) button.addEventListener("click", () => sortBy(column));
-  });
-  element("find").addEventListener("input", filter);
-  element("show").addEventListener("change", filter);
-  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-  function redraw() {
-    document.querySelectorAll(".plot").forEach((plot) => Plotly.purge(plot));
-    draw();
+  if (element("recording")) {
+    element("recording").addEventListener("change", (event) => {
+      recording = Number(event.target.value);
+      element("torque-plot").range = null;
+      draw();
+    });
   }
-
+  if (table) {
+    Array.from(table.tHead.rows[0].cells).forEach((cell, column) => {
+      const button = cell.querySelector("button");
+      if (button) button.addEventListener("click", () => sortBy(column));
+    });
+    element("find").addEventListener("input", filter);
+    element("show").addEventListener("change", filter);
+    filter();
+  }
   let pending = 0;
-  window.addEventListener("resize", () => { clearTimeout(pending); pending = setTimeout(redraw, 150); });
-  window.addEventListener("beforeprint", () => {
-    document.documentElement.dataset.paper = "true";
-    paperWidth = 680;
-    draw();
-  });
-  window.addEventListener("afterprint", () => {
-    delete document.documentElement.dataset.paper;
-    paperWidth = null;
-    redraw();
-  });
-  filter();
+  window.addEventListener("resize", () => { clearTimeout(pending); pending = setTimeout(draw, 150); });
   draw();
   document.documentElement.dataset.ready = "true";
 })();
