@@ -20,14 +20,15 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import Estimate, fit_least_squares
-from asbuilt.identification.identify import design_values
+from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
@@ -91,7 +92,7 @@ def recordings(
         random_fourier(model, rng=11, duration=duration, n_harmonics=10), RATE
     ).recording
     recording = replace(recording, qd=None, qdd=None)
-    chain, rng = SignalChain().resolved(recording), np.random.default_rng(0)
+    chain, rng = resolve_chain(SignalChain(), recording), np.random.default_rng(0)
     forget, warm_up = np.exp(-1.0 / (RATE * correlation_time)), int(20 * RATE * correlation_time)
     for _ in range(repetitions):
         white = rng.normal(size=(recording.n_samples + warm_up, model.n_joints))

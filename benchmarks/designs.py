@@ -22,17 +22,21 @@ from asbuilt.arrays import Array
 from asbuilt.description.catalogue import robot_names
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.excitation.design.design import USUAL_DRIVE, Design, design_motion
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.information.efficiency import information_efficiency
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from drive_terms import CASES, SHARED, UR10E_SHEET
 
 DURATIONS = (10.0, 20.0, 40.0)
 LONGEST_PERIOD = 40.0
+DRIVE = DriveSet.parse(DesignOptions.drive)
 SHOWN = ("position", "velocity", "acceleration", "torque")
 
 
@@ -110,7 +114,6 @@ def measure(
         for duration in DURATIONS:
             design = design_motion(
                 load_robot(robot),
-                USUAL_DRIVE,
                 DesignOptions(duration=duration, time_limit=time_limit),
             )
             worst = design.limits.worst_margin
@@ -196,16 +199,15 @@ def _beside_recordings(
         log = read_recordings(
             [data / "data" / path for path in recorded.files], model=model, **options
         )[0]
-        samples = prepare_samples(log, SignalChain().resolved(log))
-        base = find_base_parameters(model, USUAL_DRIVE)
+        samples = prepare_samples(log, resolve_chain(SignalChain(), log))
+        base = find_base_parameters(model, DRIVE)
         mean = mean_information(Information.of(model, base), samples.q, samples.qd, samples.qdd)
         periods = math.ceil(log.duration / LONGEST_PERIOD)
         design = design_motion(
             model,
-            USUAL_DRIVE,
             DesignOptions(duration=log.duration, periods=periods, time_limit=time_limit),
         )
-        share = information_efficiency(model, USUAL_DRIVE, samples).d_efficiency
+        share = information_efficiency(model, DRIVE, samples).d_efficiency
         limit = MotionBounds.assumed(model).velocity
         plain, scaled = condition_numbers(mean)
         say(

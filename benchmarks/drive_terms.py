@@ -18,10 +18,11 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.drives.drive_choice import settle_drive
-from asbuilt.identification.identify import identify
-from asbuilt.validation.prediction import validate
+from asbuilt.identification.identify import identify_samples
+from asbuilt.validation.prediction import validate_samples
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 PLAIN = "viscous,coulomb,offset"
@@ -109,7 +110,7 @@ def measure(data: Path = SHARED) -> dict[str, float | str]:
             read_recordings([data / "data" / path], model=model, **options)[0]
             for path in (*case.train, *case.judged)
         ]
-        chain = SignalChain().resolved(*logs[: len(case.train)])
+        chain = resolve_chain(SignalChain(), *logs[: len(case.train)])
         samples = [prepare_samples(log, chain) for log in logs]
         train, judged = samples[: len(case.train)], samples[len(case.train) :]
         if case.holdout is not None:
@@ -121,9 +122,9 @@ def measure(data: Path = SHARED) -> dict[str, float | str]:
                 if text == "auto"
                 else DriveSet.parse(f"armature,{text}" if case.motor else text)
             )
-            result = identify(model, train, drive=settle_drive(model, train, drive).drive)
+            result = identify_samples(model, train, drive=settle_drive(model, train, drive).drive)
             for each in judged:
-                metrics = validate(result, each).metrics_as_built
+                metrics = validate_samples(result, each).metrics_as_built
                 where = Path(each.source).name
                 numbers[f"{name}: {label}, {where}"] = float(np.exp(np.mean(np.log(metrics.rms))))
                 lines.append(

@@ -14,11 +14,11 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.calibration.payload import identify_payload, payload_frame
-from asbuilt.identification.identify import identify
+from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 
 ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
@@ -54,11 +54,11 @@ def measure() -> dict[str, float | str]:
                     + np.sqrt(1.0 - common) * rng.normal(size=model.n_joints)
                 )
                 samples = scaled(bare, factors)
-                result = identify(model, samples, drive=DRIVE)
+                result = identify_samples(model, samples, drive=DRIVE)
                 result = replace(
                     result, cause_data=gather_cause_data(model, result.base, [samples])
                 )
-                payload = identify_payload(result, scaled(loaded, factors))
+                payload = identify_payload_samples(result, scaled(loaded, factors))
                 off = np.abs(payload.values[:4] - np.array([TOOL.mass, *TOOL.com]))
                 whole.append(off < TWO_SIDED * payload.std_errors[:4])
                 noise.append(off < TWO_SIDED * payload.noise_errors[:4])

@@ -22,14 +22,14 @@ from asbuilt.description.model import RobotModel
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.torque_gains import identify_gains
 from asbuilt.tables import Column, Table, columns, share, significant
 from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")
 WEIGHTS = {"ur10e": 8.0, "scara": 4.0}
@@ -59,7 +59,7 @@ def recovered(robot: VirtualRobot, recordings: Sequence[Recording]) -> tuple[Rec
     judged = robot.record(fresh, rng=100 * SEED + 99).recording
     if recordings[0].gains is not None:
         judged = judged.scaled(recordings[0].gains)
-    study = run_study(
+    study = identify(
         model,
         list(recordings),
         validation=[judged],

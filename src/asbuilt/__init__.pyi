@@ -32,7 +32,7 @@ from .experiment.quality.checks import check_recording as check_recording
 from .experiment.recording import Recording as Recording
 from .experiment.signal.samples import Samples as Samples
 from .experiment.signal.signal_chain import SignalChain as SignalChain
-from .experiment.signal.signal_chain import prepare_samples as prepare_samples
+from .experiment.signal.preparation import prepare_samples as prepare_samples
 from .experiment.virtual.free_motion import run_free as run_free
 from .experiment.virtual.simulation import simulate_recording as simulate_recording
 from .experiment.virtual.virtual_robot import VirtualRobot as VirtualRobot
@@ -41,6 +41,7 @@ from .findings import Finding as Finding
 from .identification.estimators.recursive import RecursiveIdentification as RecursiveIdentification
 from .identification.identify import identify_samples as identify_samples
 from .identification.result.result import IdentificationResult as IdentificationResult
+from .identification.result.summary import summarise as summarise
 from .validation.attribution.attribution import attribute as attribute
 from .validation.comparison.comparison import compare as compare
 from .validation.comparison.drift import compare_results as compare_results
@@ -66,5 +67,7 @@ from .writers.motion_files import write_motion as write_motion
 from .writers.programs.program import make_program as make_program
 from .writers.recording_files import write_recording as write_recording
 from .writers.reports.report import write_report as write_report
+from .writers.reports.study_files import write_result as write_result
+from .writers.reports.study_files import write_study as write_study
 
 __version__: str

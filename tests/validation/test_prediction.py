@@ -7,7 +7,7 @@ import pytest
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
-from asbuilt.validation.prediction import design_values, validate, validate_description
+from asbuilt.validation.prediction import cad_values, validate_samples, validate_description
 from asbuilt.writers.models.as_built import as_built_model
 
 
@@ -17,7 +17,7 @@ def test_torques_follow_the_full_observation_matrix(
 ) -> None:
     example: Any = request.getfixturevalue(which)
     samples, result, model = example.held_out, example.result, example.model
-    validation = validate(result, samples)
+    validation = validate_samples(result, samples)
     chi = np.nan_to_num(parameter_values(model, result.base.drive))
     W = observation_matrix(model, samples.q, samples.qd, samples.qdd, drive=result.base.drive)
     expected = samples.filtered((W @ chi).reshape(samples.q.shape))
@@ -35,7 +35,7 @@ def test_torques_follow_the_full_observation_matrix(
 
 
 def test_friction_is_what_rigid_bodies_leave(example: Any) -> None:
-    validation = validate(example.result, example.held_out)
+    validation = validate_samples(example.result, example.held_out)
     rigid = example.truth.copy()
     rigid[40:] = 0.0
     samples = example.held_out
@@ -53,13 +53,13 @@ def test_friction_is_what_rigid_bodies_leave(example: Any) -> None:
 
 def test_another_description_is_compared_only_if_its_geometry_fits(example: Any) -> None:
     other = example.model.with_parameters(example.truth[:40])
-    validation = validate(example.result, example.held_out, cad=other)
+    validation = validate_samples(example.result, example.held_out, cad=other)
     assert (
         validation.metrics_cad.relative_error
-        < validate(example.result, example.held_out).metrics_cad.relative_error
+        < validate_samples(example.result, example.held_out).metrics_cad.relative_error
     )
     np.testing.assert_allclose(
-        design_values(example.result, example.model), example.result.cad_values
+        cad_values(example.result, example.model), example.result.cad_values
     )
     moved = example.model.joints[2].after.copy()
     moved[0, 3] += 0.01
@@ -70,7 +70,7 @@ def test_another_description_is_compared_only_if_its_geometry_fits(example: Any)
         for k, joint in enumerate(example.model.joints)
     )
     with pytest.raises(ResultError, match=r"after translation of joint 'axis_3' by 0\.01"):
-        validate(example.result, example.held_out, cad=replace(example.model, joints=joints))
+        validate_samples(example.result, example.held_out, cad=replace(example.model, joints=joints))
 
 
 def test_other_joints_are_refused(example: Any) -> None:
@@ -78,7 +78,7 @@ def test_other_joints_are_refused(example: Any) -> None:
 
     swapped = replace(example.held_out, joint_names=tuple(reversed(example.model.joint_names)))
     with pytest.raises(ResultError, match="has joints axis_4, axis_3"):
-        validate(example.result, swapped)
+        validate_samples(example.result, swapped)
 
 
 @pytest.mark.parametrize("which", ["example", "filtered_example"])
@@ -87,7 +87,7 @@ def test_the_robot_as_built_predicts_like_the_result_it_comes_from(
 ) -> None:
     example: Any = request.getfixturevalue(which)
     found = validate_description(as_built_model(example.result), example.held_out)
-    expected = validate(example.result, example.held_out).metrics_as_built
+    expected = validate_samples(example.result, example.held_out).metrics_as_built
     for name in ("rms", "max_abs", "rms_recorded", "relative_error"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
     with pytest.raises(ResultError, match="has joints"):

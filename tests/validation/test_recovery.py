@@ -17,7 +17,7 @@ from asbuilt.experiment.virtual.simulation import SimulatedRecording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.recovery import compare_with_truth
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def identified() -> tuple[IdentificationResult, SimulatedRecording]:
         robot.record(random_fourier(model, k, duration=15.0, n_harmonics=5 + k), rng=k).recording
         for k in range(2)
     ]
-    study = run_study(model, learned, options=StudyOptions(drive=robot.drive, checked=False))
+    study = identify(model, learned, options=StudyOptions(drive=robot.drive, checked=False))
     clean = replace(
         robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=50.0, accelerations=True)
     )

@@ -14,10 +14,11 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -73,5 +74,5 @@ def identified(
         prepare_samples(recorded(robot, causes, seed=seed, friction=friction), SignalChain()),
         "blocks:2s:3",
     )
-    result = identify(model, train, base=base)
+    result = identify_samples(model, train, base=base)
     return replace(result, cause_data=gather_cause_data(model, base, [train], [held]))

@@ -13,6 +13,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs import long_recordings
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.workflow.study import StudyOptions, identify
@@ -46,7 +47,7 @@ def log(model, tmp_path_factory):
 
 def test_study_of_a_stream_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
-    chain = SignalChain().resolved(whole)
+    chain = resolve_chain(SignalChain(), whole)
     options = StudyOptions(
         chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3"
     )

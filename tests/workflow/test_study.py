@@ -15,15 +15,15 @@ from asbuilt.errors import RecordingError, ResultError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.calibration.mounting import Mounting
-from asbuilt.identification.identify import identify
-from asbuilt.identification.result.result import IdentificationWarning
+from asbuilt.identification.identify import identify_samples
+from asbuilt.findings import Finding
 from asbuilt.validation.attribution.attribution import attribute
 from asbuilt.validation.generalisation import hidden_causes
-from asbuilt.workflow.study import Study, StudyOptions, run_study
+from asbuilt.workflow.study import Study, StudyOptions, identify
 
 UR10E_SHEET = """
 header = false
@@ -55,7 +55,7 @@ def test_drive_terms_follow_the_torque_source() -> None:
 
 def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording]) -> None:
     options = StudyOptions(holdout="blocks:1s:3")
-    study = run_study(
+    study = identify(
         load_robot("scara"), recordings[:1], validation=recordings[1:], options=options
     )
     assert len(study.validations) == len(study.result.validation) == 2
@@ -69,8 +69,8 @@ def test_held_out_blocks_come_before_other_recordings(recordings: list[Recording
 
 
 def test_without_held_out_data_the_result_says_so(recordings: list[Recording]) -> None:
-    study = run_study(load_robot("scara"), recordings)
-    assert "nothing_held_out" in {warning.code for warning in study.result.warnings}
+    study = identify(load_robot("scara"), recordings)
+    assert "nothing_held_out" in {warning.code for warning in study.findings}
     assert study.result.validation == ()
 
 
@@ -81,10 +81,10 @@ def test_a_motion_too_poor_for_its_parameters_is_called_so(recordings: list[Reco
             **{name: getattr(recordings[0], name)[:150] for name in ("t", "q", "tau")},
         )
     ]
-    study = run_study(
+    study = identify(
         load_robot("scara"), short, validation=recordings[1:], options=StudyOptions(checked=False)
     )
-    assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
+    assert "does_not_generalise" in {warning.code for warning in study.findings}
 
 
 def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording]) -> None:
@@ -92,25 +92,25 @@ def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording
     brief = replace(
         recordings[0], **{name: getattr(recordings[0], name)[:400] for name in ("t", "q", "tau")}
     )
-    study = run_study(load_robot("scara"), [brief], options=StudyOptions(checked=False))
-    said = {warning.code: warning.message for warning in study.result.warnings}
+    study = identify(load_robot("scara"), [brief], options=StudyOptions(checked=False))
+    said = {warning.code: warning.text for warning in study.findings}
     assert study.result.cause_data is None
-    assert "0 to judge by" in said["causes_untold"]
-    whole = run_study(load_robot("scara"), recordings[:1])
-    assert "causes_untold" not in {warning.code for warning in whole.result.warnings}
+    assert "0 to judge by" in said["causes_undetermined"]
+    whole = identify(load_robot("scara"), recordings[:1])
+    assert "causes_undetermined" not in {warning.code for warning in whole.findings}
     with pytest.raises(ResultError, match="recordings of some seconds"):
         attribute(study.result)
 
 
 def test_nothing_to_learn_from_is_refused() -> None:
     with pytest.raises(UsageError, match="no recording"):
-        run_study(load_robot("scara"), [])
+        identify(load_robot("scara"), [])
 
 
 def test_a_recording_with_errors_is_refused_unless_unchecked(recordings: list[Recording]) -> None:
     with pytest.raises(RecordingError, match="flip"):
-        run_study(load_robot("scara"), [recordings[0].flipped()])
-    run_study(load_robot("scara"), [recordings[0].flipped()], options=StudyOptions(checked=False))
+        identify(load_robot("scara"), [recordings[0].flipped()])
+    identify(load_robot("scara"), [recordings[0].flipped()], options=StudyOptions(checked=False))
 
 
 def study_of(
@@ -127,7 +127,7 @@ def study_of(
         read_recordings([shared / "data" / log for log in names], model=model, **reading)
         for names in (logs, validation or [])
     ]  # type: ignore[arg-type]
-    return run_study(model, read[0], validation=read[1], options=options)
+    return identify(model, read[0], validation=read[1], options=options)
 
 
 def recorded_rms(study: Study) -> list[np.ndarray]:
@@ -172,7 +172,7 @@ def test_short_med7_recording_is_said_not_to_generalise(shared: Path) -> None:
         rate=100.0,
         flip_torque=True,
     )
-    assert "does_not_generalise" in {warning.code for warning in study.result.warnings}
+    assert "does_not_generalise" in {warning.code for warning in study.findings}
 
 
 def test_lwr4_beats_plain_least_squares(shared: Path) -> None:
@@ -203,7 +203,7 @@ def test_ur10e_from_currents(shared: Path, tmp_path: Path) -> None:
     for validation in study.validations:
         assert validation.metrics_as_built.relative_error < 0.06
         assert np.all(validation.metrics_as_built.rms < validation.metrics_cad.rms)
-    said = {warning.code: warning.message for warning in study.result.warnings}
+    said = {warning.code: warning.text for warning in study.findings}
     assert "wrist_2_joint" in said["error_at_standstill"]
     assert "wrist_2_joint" not in said.get(
         "does_not_generalise", ""
@@ -219,10 +219,10 @@ def test_a_robot_that_stands_askew_is_suspected(roll: float, said: bool) -> None
     recording = robot.record(
         random_fourier(model, rng=1, duration=20.0, n_harmonics=8), 200.0
     ).recording
-    study = run_study(
+    study = identify(
         model, [recording], options=StudyOptions(drive=drive, holdout="blocks:2s:3", checked=False)
     )
-    assert ("mounting_askew" in {warning.code for warning in study.result.warnings}) is said
+    assert ("base_tilt" in {warning.code for warning in study.findings}) is said
 
 
 def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
@@ -240,28 +240,28 @@ def test_real_bodies_that_fit_badly_are_traced_to_the_mounting() -> None:
     recording = robot.record(
         random_fourier(model, rng=1, duration=30.0, n_harmonics=8), 100.0, rng=1
     ).recording
-    study = run_study(
+    study = identify(
         model, [recording], options=StudyOptions(method="auto", drive=drive, checked=False)
     )
-    warnings = {warning.code: warning.message for warning in study.result.warnings}
+    warnings = {warning.code: warning.text for warning in study.findings}
     assert {"consistent_fit_costly", "consistent_fit_rejected"} & set(warnings)
-    assert "--mounting estimate" in warnings["mounting_askew"]
+    assert "--mounting estimate" in warnings["base_tilt"]
     found = re.search(
         r"gravity is turned by (-?[\d.]+) \+- [\d.]+ deg about x and (-?[\d.]+)",
-        warnings["mounting_askew"],
+        warnings["base_tilt"],
     )
     assert found is not None
     np.testing.assert_allclose(
         np.abs([float(angle) for angle in found.groups()]), [np.rad2deg(tilt), 0.0], atol=0.15
     )
-    mended = run_study(
+    mended = identify(
         model,
         [recording],
         options=StudyOptions(method="auto", drive=drive, checked=False, mounting="estimate"),
     )
     assert mended.result.physically_consistent
-    assert not {"consistent_fit_costly", "consistent_fit_rejected", "mounting_askew"} & {
-        warning.code for warning in mended.result.warnings
+    assert not {"consistent_fit_costly", "consistent_fit_rejected", "base_tilt"} & {
+        warning.code for warning in mended.findings
     }
 
 
@@ -278,9 +278,9 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
     samples = prepare_samples(
         robot.record(random_fourier(model, rng=1, duration=10.0), 100.0, rng=1).recording
     )
-    result = identify(model, samples, drive=drive)
+    result = identify_samples(model, samples, drive=drive)
     result = replace(
-        result, warnings=(IdentificationWarning("consistent_fit_rejected", "no bodies"),)
+        result, findings=(Finding("consistent_fit_rejected", "warning", "no bodies"),)
     )
     angle = np.deg2rad(0.1)
     stands = Mounting(
@@ -297,4 +297,4 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
     monkeypatch.setattr(hidden_causes, "find_mounting", lambda *_, **__: stands)
     monkeypatch.setattr(hidden_causes, "suspected_springs", lambda *_, **__: ())
     found = hidden_causes.with_hidden_causes(result, [samples], drive, tilt=0.0)
-    assert ("mounting_askew" in {warning.code for warning in found.warnings}) is said
+    assert ("base_tilt" in {warning.code for warning in found.warnings}) is said

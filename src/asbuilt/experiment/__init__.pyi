@@ -14,7 +14,8 @@ from .recording import Recording as Recording
 from .signal.hold_out import hold_out as hold_out
 from .signal.samples import Samples as Samples
 from .signal.signal_chain import SignalChain as SignalChain
-from .signal.signal_chain import prepare_samples as prepare_samples
+from .signal.preparation import prepare_samples as prepare_samples
+from .signal.preparation import resolve_chain as resolve_chain
 from .virtual.data_logger import DataLogger as DataLogger
 from .virtual.free_motion import FreeMotion as FreeMotion
 from .virtual.free_motion import run_free as run_free

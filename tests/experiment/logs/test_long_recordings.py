@@ -17,7 +17,8 @@ from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import as_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
 
 
@@ -42,7 +43,7 @@ def log(request, model, tmp_path_factory):
 
 def test_what_the_filters_leave_is_that_of_the_whole(model, log):
     whole = read_recording(log, model=model)
-    chain = SignalChain(cutoff=5.0).resolved(whole)
+    chain = resolve_chain(SignalChain(cutoff=5.0), whole)
     samples = prepare_samples(whole, chain)
     stream = replace(RecordingStream(log, model), chunk_samples=2500)
     pieces = stream.prepared(chain)

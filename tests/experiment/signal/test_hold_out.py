@@ -94,7 +94,7 @@ def test_unreadable_rules_name_the_forms(rule):
 
 
 def test_a_recording_too_short_for_the_rule_is_refused():
-    with pytest.raises(RecordingError, match="leaves nothing to judge by"):
+    with pytest.raises(RecordingError, match="leaves nothing to validate on"):
         hold_out(made(seconds=8.0), "blocks:5s:3")
 
 

@@ -6,7 +6,8 @@ from scipy import signal
 
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples, stream_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 
 W = 2 * np.pi * np.array([0.3, 0.45])
 
@@ -76,7 +77,7 @@ def test_the_cutoff_follows_the_motion_and_is_stated():
     slow = prepare_samples(moving(seconds=60.0))
     stated = next(line for line in slow.provenance if "95 %" in line)
     assert "0.45 Hz" in stated or "0.5 Hz" in stated
-    chain = SignalChain().resolved(moving(seconds=60.0))
+    chain = resolve_chain(SignalChain(), moving(seconds=60.0))
     assert chain.cutoff == pytest.approx(10 * 0.475, rel=0.1)
     assert prepare_samples(moving(100.0, 20.0), chain).parallel.cutoff == chain.cutoff
 
@@ -90,7 +91,7 @@ def test_gaps_become_segments_with_trimmed_ends():
     assert np.abs(samples.qdd - states(samples.t)[2]).max() < 0.006 * W.max() ** 2
 
 
-def test_rests_are_left_out_and_standing_joints_have_exactly_no_velocity():
+def test_rests_are_left_out_and_joints_at_rest_have_exactly_no_velocity():
     rng = np.random.default_rng(5)
     t = np.arange(0, 20, 0.005)
     s = np.clip((t - 4) / 8, 0, 1)
@@ -107,7 +108,7 @@ def test_rests_are_left_out_and_standing_joints_have_exactly_no_velocity():
     assert samples.t[-1] < 12 + shoulder + 0.1
     assert np.all(samples.qd[samples.t < 7.5, 1] == 0)
     assert prepare_samples(recording, SignalChain(cutoff=6.0, rests=True)).t[0] < 0.5
-    assert any("no joint moved" in line for line in samples.provenance)
+    assert any("all joints are at rest" in line for line in samples.provenance)
 
 
 def test_logged_velocities_are_used_when_quieter_and_in_step_only():
@@ -158,7 +159,7 @@ def test_chunks_give_what_the_whole_gives(chunk, rest):
 
 
 def test_paper2015_cannot_be_streamed():
-    with pytest.raises(UsageError, match="cannot run in chunks"):
+    with pytest.raises(UsageError, match="cannot process chunks"):
         list(stream_samples([moving()], SignalChain.preset("paper2015")))
 
 
@@ -184,7 +185,7 @@ def test_wrong_options_are_refused():
             SignalChain(**wrong)
     with pytest.raises(UsageError, match="paper2015"):
         SignalChain.preset("paper2016")
-    with pytest.raises(RecordingError, match="longest run without a gap has 30 samples"):
+    with pytest.raises(RecordingError, match="longest segment without a gap has 30 samples"):
         prepare_samples(moving(100.0, 0.3), SignalChain(cutoff=3.0))
     with pytest.raises(UsageError, match="between 0 and 50 Hz"):
         prepare_samples(moving(100.0), SignalChain(cutoff=60.0))
@@ -204,7 +205,7 @@ def test_the_shuffled_states_are_found_to_be_polled(shared):
     )
     samples = prepare_samples(Recording(t=columns[:, 0], q=columns[:, 1:], tau=efforts[:, 1:]))
     assert samples.rate == 100.0
-    assert "9044 samples that only repeat" in samples.provenance[0]
+    assert "9044 samples that repeat" in samples.provenance[0]
 
 
 def test_the_lagging_velocities_of_the_lwr_are_rejected(shared):

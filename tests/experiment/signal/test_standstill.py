@@ -1,13 +1,13 @@
 import numpy as np
 
-from asbuilt.experiment.signal.standstill import moving_ranges, standing, standstill_speeds
+from asbuilt.experiment.signal.standstill import at_rest, moving_ranges, standstill_speeds
 
 
 def test_a_reversal_is_no_standstill_but_a_pause_is():
     t = np.arange(0, 10, 0.01)
     qd = np.where(t < 5, np.cos(2 * np.pi * 0.5 * t), 0.0)
     qd = np.column_stack([qd, np.cos(2 * np.pi * 0.5 * t)])
-    still = standing(qd, standstill_speeds([qd]), 100.0)
+    still = at_rest(qd, standstill_speeds([qd]), 100.0)
     assert not still[:, 1].any()
     assert still[501:, 0].all()
     assert not still[:499, 0].any()

@@ -16,9 +16,10 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.calibration.mounting import find_mounting
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
@@ -83,9 +84,9 @@ def test_a_real_arm_stood_askew_and_knowing_it_halves_its_errors(shared):
     model = load_robot(shared / "models" / "lbrstack_med7.urdf")
     log = shared / "data" / "lbr_med7" / "measurements_with_ext_tau_1_dgr.csv"
     recordings = read_recordings([log], model=model, rate=100.0, flip_torque=True)
-    samples = prepare_samples(recordings[0], SignalChain().resolved(*recordings))
+    samples = prepare_samples(recordings[0], resolve_chain(SignalChain(), *recordings))
     train, held = hold_out(samples, "blocks:5s:3")
-    study = run_study(
+    study = identify(
         model,
         [train],
         validation=[held],

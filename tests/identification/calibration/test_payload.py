@@ -19,12 +19,17 @@ from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.calibration.payload import Payload, identify_payload, payload_frame
-from asbuilt.identification.identify import identify
+from asbuilt.identification.calibration.payload import (
+    Payload,
+    identify_payload_samples,
+    payload_frame,
+)
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -55,10 +60,10 @@ def arm_of(name: str, noise: float) -> InstalledRobot:
 @pytest.fixture(scope="module", params=ROBOTS)
 def weighed(request: pytest.FixtureRequest) -> tuple[IdentificationResult, Payload, Payload]:
     robot = arm_of(request.param, 0.05)
-    result = identify(robot.model, [prepared(robot, 1), prepared(robot, 2)], drive=DRIVE)
+    result = identify_samples(robot.model, [prepared(robot, 1), prepared(robot, 2)], drive=DRIVE)
     frame, _, _ = payload_frame(robot.model)
     loaded = prepared(robot.with_tool(TOOL, at=frame), 3)
-    return result, identify_payload(result, loaded), identify_payload(result, loaded, arm="frozen")
+    return result, identify_payload_samples(result, loaded), identify_payload_samples(result, loaded, arm="frozen")
 
 
 def test_payload_is_found_within_its_errors(
@@ -100,13 +105,13 @@ def exact(machine: InstalledRobot, motion: FourierMotion) -> Samples:
 def test_noise_free_payload_is_exact() -> None:
     robot = arm_of("kuka-iiwa7-r800", 0.0)
     motion = random_fourier(robot.model, rng=4, duration=10.0)
-    result = identify(robot.model, exact(robot, motion), drive=DRIVE)
+    result = identify_samples(robot.model, exact(robot, motion), drive=DRIVE)
     frame, _, placement = payload_frame(robot.model)
     assert frame == "flange"
     np.testing.assert_allclose(
         placement, next(f.placement for f in robot.model.frames if f.name == "flange")
     )
-    payload = identify_payload(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
+    payload = identify_payload_samples(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
     np.testing.assert_allclose(payload.parameters, TOOL.parameters, atol=1e-8)
     assert not payload.projected
 
@@ -117,23 +122,23 @@ def test_friction_under_load_feels_the_payload() -> None:
     robot = InstalledRobot.ideal(model).with_drive(drive, np.tile([1.0, 2.0, 0.15, 0.3], 6))
     motion = random_fourier(model, rng=4, duration=10.0)
     frame, _, _ = payload_frame(model)
-    result = identify(model, exact(robot, motion), drive=drive)
-    payload = identify_payload(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
+    result = identify_samples(model, exact(robot, motion), drive=drive)
+    payload = identify_payload_samples(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
     np.testing.assert_allclose(payload.parameters[6:], TOOL.parameters[6:], atol=1e-3)
     assert payload.metrics[0].relative_error < 1e-4
 
 
 def test_a_recording_that_is_lighter_than_the_arm_is_refused() -> None:
     robot = arm_of("ur10e", 0.05)
-    result = identify(robot.model, prepared(robot.with_tool(TOOL), 1), drive=DRIVE)
+    result = identify_samples(robot.model, prepared(robot.with_tool(TOOL), 1), drive=DRIVE)
     with pytest.raises(IdentifiabilityError, match="really loaded"):
-        identify_payload(result, prepared(robot, 2))
+        identify_payload_samples(result, prepared(robot, 2))
 
 
 def test_what_a_scara_cannot_tell_has_errors_to_match() -> None:
     robot = arm_of("scara", 0.05)
-    result = identify(robot.model, prepared(robot, 1), drive=DRIVE)
-    payload = identify_payload(result, prepared(robot.with_tool(TOOL), 2))
+    result = identify_samples(robot.model, prepared(robot, 1), drive=DRIVE)
+    payload = identify_payload_samples(result, prepared(robot.with_tool(TOOL), 2))
     assert payload.values[0] == pytest.approx(TOOL.mass, rel=0.1)
     assert {"com_z", "Ixx", "Iyy"} <= set(payload.not_determined)
 
@@ -156,9 +161,9 @@ def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ..
         robot.with_tool(TOOL, at=frame), random_fourier(robot.model, rng=5, duration=10.0)
     )
     loaded = replace(loaded, tau=loaded.tau + noise[1], tau_raw=np.zeros(0))
-    result = identify(robot.model, stood, drive=DRIVE)
+    result = identify_samples(robot.model, stood, drive=DRIVE)
     assert "Fv7" in result.undetermined
-    payload = identify_payload(result, replace(loaded, torque_source="current"))
+    payload = identify_payload_samples(result, replace(loaded, torque_source="current"))
     truth = np.concatenate([[TOOL.mass], TOOL.com, TOOL.inertia_about_com[np.triu_indices(3)]])
     assert np.all(np.abs(payload.values - truth) < 4.5 * payload.noise_errors + 1e-4)
     assert payload.values[0] == pytest.approx(TOOL.mass, rel=0.02)
@@ -166,7 +171,7 @@ def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ..
     friction = payload.arm[[result.base.names.index(name) for name in ("Fv7", "Fc7")]]
     np.testing.assert_allclose(friction, [1.0, 2.0], atol=0.1)
     with pytest.raises(IdentifiabilityError, match="moves what the result of the arm leaves open"):
-        identify_payload(result, loaded, arm="frozen")
+        identify_payload_samples(result, loaded, arm="frozen")
 
 
 def test_the_frame_of_the_payload_is_named_by_words_and_not_by_chance() -> None:
@@ -191,7 +196,7 @@ def test_unknown_frame_lists_the_known_ones() -> None:
 
 def test_a_pose_held_still_tells_no_payload() -> None:
     robot = arm_of("ur10e", 0.0)
-    result = identify(robot.model, prepared(robot, 1), drive=DRIVE)
+    result = identify_samples(robot.model, prepared(robot, 1), drive=DRIVE)
     q = np.tile([0.3, -1.0, 0.8, 0.2, 0.4, 0.1], (400, 1))
     still = Samples(
         np.arange(400) / 100.0,
@@ -203,9 +208,9 @@ def test_a_pose_held_still_tells_no_payload() -> None:
         joint_names=robot.model.joint_names,
     )
     with pytest.raises(IdentifiabilityError, match="different poses"):
-        identify_payload(result, still, arm="frozen")
+        identify_payload_samples(result, still, arm="frozen")
     with pytest.raises(UsageError, match="no samples are given of ur10e under load"):
-        identify_payload(result, [])
+        identify_payload_samples(result, [])
 
 
 def scaled(samples: Samples, factors: np.ndarray) -> Samples:
@@ -227,17 +232,17 @@ def test_what_gains_do_to_a_payload_is_seen_by_changing_them(
     robot, bare, loaded, _ = by_current
     n = robot.model.n_joints
 
-    reference = identify(robot.model, bare, drive=DRIVE, method="ols")
+    reference = identify_samples(robot.model, bare, drive=DRIVE, method="ols")
 
     def found(factors: np.ndarray, keep_evidence: bool) -> Payload:
-        result = identify(robot.model, scaled(bare, factors), drive=DRIVE, method="ols")
+        result = identify_samples(robot.model, scaled(bare, factors), drive=DRIVE, method="ols")
         result = replace(result, sigma=np.full(n, 0.1), covariance=reference.covariance)
         if keep_evidence:
             result = replace(
                 result,
                 cause_data=gather_cause_data(robot.model, result.base, [scaled(bare, factors)]),
             )
-        return identify_payload(result, scaled(loaded, factors), arm=arm)
+        return identify_payload_samples(result, scaled(loaded, factors), arm=arm)
 
     payload = found(np.ones(n), True)
     np.testing.assert_allclose(
@@ -261,11 +266,11 @@ def test_random_gains_are_covered(by_current: tuple[InstalledRobot, Samples, Sam
         factors = 1.0 + 0.07 * (
             np.sqrt(1.0 / 3.0) * rng.normal() + np.sqrt(2.0 / 3.0) * rng.normal(size=n)
         )
-        result = identify(robot.model, scaled(bare, factors), drive=DRIVE)
+        result = identify_samples(robot.model, scaled(bare, factors), drive=DRIVE)
         result = replace(
             result, cause_data=gather_cause_data(robot.model, result.base, [scaled(bare, factors)])
         )
-        payload = identify_payload(result, scaled(loaded, factors))
+        payload = identify_payload_samples(result, scaled(loaded, factors))
         off.append((payload.values[:4] - np.array([TOOL.mass, *TOOL.com])) / payload.std_errors[:4])
     assert 0.85 < np.mean(np.abs(off) < 1.96) <= 1.0
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.3
@@ -275,11 +280,11 @@ def test_gains_of_sensors_are_not_questioned(
     by_current: tuple[InstalledRobot, Samples, Samples, str],
 ) -> None:
     robot, bare, loaded, _ = by_current
-    result = identify(robot.model, bare, drive=DRIVE)
+    result = identify_samples(robot.model, bare, drive=DRIVE)
     ones = np.ones(robot.model.n_joints)
-    sensor = identify_payload(result, replace(loaded, torque_source="sensor"))
-    exact = identify_payload(result, scaled(loaded, ones), gain_uncertainty=0.0)
-    current = identify_payload(result, scaled(loaded, ones))
+    sensor = identify_payload_samples(result, replace(loaded, torque_source="sensor"))
+    exact = identify_payload_samples(result, scaled(loaded, ones), gain_uncertainty=0.0)
+    current = identify_payload_samples(result, scaled(loaded, ones))
     for payload in (sensor, exact):
         np.testing.assert_array_equal(payload.gain_errors, 0.0)
         np.testing.assert_array_equal(payload.std_errors, payload.noise_errors)
@@ -287,14 +292,14 @@ def test_gains_of_sensors_are_not_questioned(
     np.testing.assert_allclose(
         current.std_errors, np.hypot(current.noise_errors, current.gain_errors)
     )
-    half = identify_payload(
+    half = identify_payload_samples(
         result, scaled(loaded, ones), gain_uncertainty=np.full(len(ones), 0.035)
     )
     np.testing.assert_allclose(half.gain_errors[:4], 0.5 * current.gain_errors[:4], rtol=1e-6)
     with pytest.raises(UsageError, match=r"fractions from 0 to 0\.5"):
-        identify_payload(result, loaded, gain_uncertainty=7.0)
+        identify_payload_samples(result, loaded, gain_uncertainty=7.0)
     with pytest.raises(UsageError, match="one per joint"):
-        identify_payload(result, loaded, gain_uncertainty=[0.1, 0.1])
+        identify_payload_samples(result, loaded, gain_uncertainty=[0.1, 0.1])
 
 
 def test_ur10e_weighs_its_known_payload(shared: Path, tmp_path: Path) -> None:
@@ -316,13 +321,13 @@ def test_ur10e_weighs_its_known_payload(shared: Path, tmp_path: Path) -> None:
         read_recordings([shared / "data" / "ur10e" / log], model=model, sheet=sheet)[0]
         for log in logs
     )
-    chain = SignalChain().resolved(train, bare)
-    result = identify(
+    chain = resolve_chain(SignalChain(), train, bare)
+    result = identify_samples(
         model,
         prepare_samples(train, chain),
         drive=DriveSet.parse("armature,viscous,coulomb,offset"),
     )
-    payload = identify_payload(
+    payload = identify_payload_samples(
         result, prepare_samples(loaded, chain), unloaded=[prepare_samples(bare, chain)]
     )
     assert abs(payload.values[0] - 2.805) < 2.0 * payload.std_errors[0]

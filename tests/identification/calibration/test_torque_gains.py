@@ -17,7 +17,8 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.identification.calibration.torque_gains import identify_gains

@@ -20,7 +20,7 @@ from asbuilt.identification.calibration.two_channels import (
     MOTOR_SIDE,
     identify_two_channels,
 )
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
 
@@ -67,7 +67,7 @@ def test_both_sides_come_back(channels):
 def test_the_sensor_decides_what_both_see_where_it_is_the_better(channels):
     sensor, motor, *_ = channels
     together = identify_two_channels(ROBOT, sensor, motor)
-    alone = identify(ROBOT, sensor, drive=LINK_SIDE)
+    alone = identify_samples(ROBOT, sensor, drive=LINK_SIDE)
     p = len(alone.parameters)
     assert together.names[:p] == tuple(parameter.name for parameter in alone.parameters)
     np.testing.assert_allclose(

@@ -23,14 +23,15 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.drives.drive_choice import choose_drive, settle_drive
 from asbuilt.identification.drives.motor_side import motor_side_parameters
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.prediction import validate
+from asbuilt.validation.prediction import validate_samples
 
 PLAIN = DriveSet.parse("viscous,coulomb,offset")
 
@@ -98,7 +99,7 @@ def test_load_friction_is_found_with_its_own_load_whatever_cad_says():
     drive = DriveSet.parse("viscous,coulomb,load_friction,offset")
     samples = recorded(model, drive, np.tile([0.5, 1.0, 0.1, 0.2], 3))
     wrong = model.with_parameters(0.5 * model.parameters)
-    result = identify(wrong, samples, drive=drive)
+    result = identify_samples(wrong, samples, drive=drive)
     found = {parameter.name: parameter.estimate for parameter in result.parameters}
     np.testing.assert_allclose([found[f"Fl{k}"] for k in (1, 2, 3)], 0.1, atol=0.005)
     np.testing.assert_allclose(result.train.rms, 0.02, rtol=0.1)
@@ -114,7 +115,7 @@ def test_a_coupled_wrist_comes_back():
     drive = DriveSet.parse("armature,viscous,coulomb,motor_viscous,motor_coulomb,offset")
     values = np.tile([0.1, 0.5, 0.3, 1.0, 0.7, 0.2], 3)
     samples = recorded(model, drive, values, noise=0.005)
-    result = identify(model, samples, drive=drive)
+    result = identify_samples(model, samples, drive=drive)
     found = {parameter.name: parameter.estimate for parameter in result.parameters}
     assert found["Fvm3"] == pytest.approx(0.3, abs=0.01)
     assert found["Fcm3"] == pytest.approx(0.7, abs=0.01)
@@ -201,8 +202,8 @@ def test_the_choice_finds_what_was_put_in_and_where():
     )
     judged = recorded(model, truth, values, noise=0.05, seed=5)
     errors = [
-        validate(
-            identify(model, recorded(model, truth, values, noise=0.05), drive=drive), judged
+        validate_samples(
+            identify_samples(model, recorded(model, truth, values, noise=0.05), drive=drive), judged
         ).metrics_as_built.rms
         for drive in (PLAIN, choice.drive)
     ]
@@ -263,7 +264,7 @@ def test_friction_under_load_is_found_on_whole_arms(robot):
     choice = choose_drive(model, [train])
     assert choice.drive.keys == truth.keys
     np.testing.assert_allclose(
-        validate(identify(model, train, drive=choice.drive), judged).metrics_as_built.rms,
+        validate_samples(identify_samples(model, train, drive=choice.drive), judged).metrics_as_built.rms,
         0.02,
         rtol=0.3,
     )
@@ -287,7 +288,7 @@ def test_parameters_at_the_motor():
         joints=tuple(replace(joint, drive=DriveValues(gear_ratio=100.0)) for joint in model.joints),
     )
     drive = DriveSet.parse("armature,viscous,coulomb,power:exponent=1.5,offset")
-    result = identify(
+    result = identify_samples(
         ratio, recorded(ratio, drive, np.tile([0.5, 1.0, 2.0, 0.3, 0.2], 3)), drive=drive
     )
     found = {each.name: each.motor_side / each.joint_side for each in motor_side_parameters(result)}
@@ -302,7 +303,7 @@ def test_parameters_at_the_motor():
         ),
     )
     drive = DriveSet.parse("viscous,spring,balancer,offset")
-    result = identify(
+    result = identify_samples(
         turned, recorded(turned, drive, np.tile([1.0, 3.0, 0.4, 0.5, 0.2], 3)), drive=drive
     )
     found = {each.name: each.motor_side / each.joint_side for each in motor_side_parameters(result)}
@@ -314,7 +315,7 @@ def test_parameters_at_the_motor():
         "Fo": -1.0,
     }
     with pytest.raises(DescriptionError, match="gear_ratio"):
-        motor_side_parameters(identify(model, recorded(model, PLAIN, np.ones(9)), drive=PLAIN))
+        motor_side_parameters(identify_samples(model, recorded(model, PLAIN, np.ones(9)), drive=PLAIN))
 
 
 def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
@@ -339,7 +340,7 @@ def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):
     assert "load_friction" in choice.drive.keys
     assert not {"spring", "balancer", "cubic"} & set(choice.drive.keys)
     plain, rich = (
-        validate(identify(model, train, drive=drive), judged).metrics_as_built.rms
+        validate_samples(identify_samples(model, train, drive=drive), judged).metrics_as_built.rms
         for drive in (DriveSet.default("current"), choice.drive)
     )
     assert np.exp(np.mean(np.log(rich / plain))) < 0.85

@@ -13,12 +13,13 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Finding
 from asbuilt.identification.drives.spring_search import suspected_springs
-from asbuilt.identification.identify import identify
-from asbuilt.identification.result.result import IdentificationWarning
+from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.generalisation.hidden_causes import with_hidden_causes
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
@@ -88,8 +89,8 @@ def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
     assert beside.error_with == pytest.approx(alone.error_with, rel=0.05)
 
     refused = replace(
-        identify(case.model, samples, drive=described),
-        warnings=(IdentificationWarning("consistent_fit_rejected", "no real bodies"),),
+        identify_samples(case.model, samples, drive=described),
+        findings=(Finding("consistent_fit_rejected", "warning", "no real bodies"),),
     )
     _, said = with_hidden_causes(refused, [samples], described).warnings
     advised = said.message.rpartition("--drive ")[2].rstrip(".")
@@ -103,7 +104,7 @@ def test_two_recordings_of_a_real_arm_tell_of_the_same_spring(shared) -> None:
         recording = read_recordings(
             [shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model
         )[0]
-        samples = prepare_samples(recording, SignalChain().resolved(recording))
+        samples = prepare_samples(recording, resolve_chain(SignalChain(), recording))
         (spring,) = suspected_springs(model, [samples], DRIVE)
         found.append(spring)
     assert {spring.joint_name for spring in found} == {"lwr_6_joint"}
@@ -116,16 +117,16 @@ def test_a_study_says_what_a_spring_would_explain(shared) -> None:
         read_recordings([shared / f"data/kuka_lwr4/measurements_{number}.npz"], model=model)[0]
         for number in (1, 2)
     ]
-    study = run_study(
+    study = identify(
         model, recordings[:1], validation=recordings[1:], options=StudyOptions(method="auto")
     )
     (said,) = [
-        warning.message for warning in study.result.warnings if warning.code == "spring_suspected"
+        warning.text for warning in study.findings if warning.code == "spring_suspected"
     ]
     assert "lwr_6_joint" in said
     assert "--mounting estimate --drive viscous,coulomb,offset,spring:joints=7" in said
     drive = DriveSet.parse("viscous,coulomb,offset,spring:joints=7")
-    sprung_study = run_study(
+    sprung_study = identify(
         model,
         recordings[:1],
         validation=recordings[1:],

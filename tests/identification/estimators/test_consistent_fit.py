@@ -18,7 +18,8 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.body_bounds import body_bounds
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.bodies.consistency import consistency_margin, margin_is_consistent
@@ -27,10 +28,11 @@ from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
 from asbuilt.identification.estimators.prior_weight import DEFAULT_WEIGHT
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.result.summary import summarise
 
 ROBOTS = ["kuka-iiwa7-r800", "ur10e", "puma-560", "scara", "franka-panda"]
 
@@ -83,7 +85,7 @@ def test_the_weight_follows_how_far_cad_is_off(trial):
     wrong = trial("kuka-iiwa7-r800", noise=0.002, seed=5, spread=0.4)
     near, far = (fit_toward_cad(case.information, case.prior) for case in (exact, wrong))
     assert near.prior_weight >= 100.0 * far.prior_weight
-    assert near.notes[0].startswith(f"weight of CAD {near.prior_weight:g}: the strongest")
+    assert near.notes[0].startswith(f"weight of CAD {near.prior_weight:g}: the largest")
     few = exact.information.select([0, 1])
     assert fit_toward_cad(few, exact.prior).prior_weight == DEFAULT_WEIGHT
 
@@ -104,7 +106,7 @@ def test_given_weight_bounds_and_joint_weights(trial):
         assert estimate.notes[0] == "weight of CAD 50, as given"
         assert 2.0 - 1e-6 <= estimate.standard[59] <= 3.0 + 1e-6
         np.testing.assert_array_equal(estimate.weights, 2.0)
-    with pytest.raises(UsageError, match="entropic and euclidean"):
+    with pytest.raises(UsageError, match="entropic, euclidean"):
         fit_toward_cad(case.information, case.prior, metric="manhattan")
 
 
@@ -168,7 +170,7 @@ def test_what_is_known_is_the_inverse_of_the_covariance(trial, method):
     q[:, 5:], qd[:, 5:], qdd[:, 5:] = 0.3, 0.0, 0.0
     W = observation_matrix(case.model, q, qd, qdd, drive=case.base.drive, columns=case.base.columns)
     tau = (W @ case.beta).reshape(q.shape) + 0.05 * np.random.default_rng(0).normal(size=q.shape)
-    result = identify(
+    result = identify_samples(
         case.model,
         replace(case.samples, q=q, qd=qd, qdd=qdd, tau=tau, tau_raw=np.zeros(0)),
         base=case.base,
@@ -191,7 +193,7 @@ def med7(shared, log, rule):
     recordings = read_recordings(
         [shared / "data" / "lbr_med7" / log], model=model, rate=100.0, flip_torque=True
     )
-    samples = prepare_samples(recordings[0], SignalChain().resolved(*recordings))
+    samples = prepare_samples(recordings[0], resolve_chain(SignalChain(), *recordings))
     return model, *hold_out(samples, rule)
 
 
@@ -225,13 +227,13 @@ def test_held_out_torque_of_a_real_arm(shared, log, rule, no_worse):
 def test_result_says_method_margin_and_weight(shared):
     model, train, _ = med7(shared, "measurements_with_ext_tau_1_dgr.csv", "blocks:5s:3")
     for method in ("consistent", "entropic", "euclidean"):
-        result = identify(
+        result = identify_samples(
             model, train, drive=DriveSet.parse("viscous,coulomb,offset"), method=method
         )
         assert result.physically_consistent
-        text = result.summary().as_text()
+        text = summarise(result).as_text()
         assert "physically consistent" in text.splitlines()[0]
-        assert any("real body" in note for note in result.notes)
+        assert any("physically consistent" in note for note in result.notes)
         assert result.std_errors.min() > 0
 
 

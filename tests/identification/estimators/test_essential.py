@@ -19,14 +19,15 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import InertiaError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.calibration.payload import identify_payload, payload_frame
-from asbuilt.identification.identify import identify
+from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.known_information import known_information
 from asbuilt.identification.result.determination import determination
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.summary import summarise
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.drift import compare_results
@@ -58,7 +59,7 @@ def results() -> tuple[IdentificationResult, IdentificationResult]:
     robot = machine()
     recorded = [moved(robot, seed) for seed in (1, 2)]
     essential, whole = (
-        identify(robot.model, recorded, drive=DRIVE, method=method)
+        identify_samples(robot.model, recorded, drive=DRIVE, method=method)
         for method in ("essential", "wls")
     )
     return essential, whole
@@ -117,11 +118,11 @@ def test_files_of_versions_that_said_zero_are_read_as_dropped(
     np.testing.assert_array_equal(again.dropped, essential.dropped)
     np.testing.assert_array_equal(again.std_errors, essential.std_errors)
     assert again.errors.kind == "unstated"
-    assert "Standard errors allow for residual correlation" in str(again.summary())
+    assert "Standard errors allow for residual correlation" in str(summarise(again))
 
 
 def test_the_summary_shows_them_as_dropped(essential: IdentificationResult) -> None:
-    lines = str(essential.summary()).splitlines()
+    lines = str(summarise(essential)).splitlines()
     marked = {
         int(line.split()[0])
         for line in lines
@@ -210,14 +211,14 @@ def test_a_payload_is_weighed_with_them_at_zero(
     loaded, bare = moved(robot.with_tool(TOOL, at=frame), 3), moved(robot, 4)
     for arm in ("refined", "frozen"):
         light, full = (
-            identify_payload(result, loaded, unloaded=[bare], arm=arm) for result in results
+            identify_payload_samples(result, loaded, unloaded=[bare], arm=arm) for result in results
         )
         assert light.values[0] == pytest.approx(TOOL.mass, abs=5 * light.std_errors[0])
         assert light.values[0] == pytest.approx(full.values[0], abs=5 * full.std_errors[0])
         assert 0.2 < light.std_errors[0] / full.std_errors[0] < 2.0
         np.testing.assert_allclose(light.arm[results[0].dropped], 0.0, atol=1e-12)
         assert np.all(np.isfinite(light.covariance))
-    frozen = identify_payload(results[0], loaded, arm="frozen").arm
+    frozen = identify_payload_samples(results[0], loaded, arm="frozen").arm
     np.testing.assert_allclose(frozen, results[0].estimates, rtol=1e-6, atol=1e-8)
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.validation.comparison.comparison import compare
-from asbuilt.validation.prediction import validate
+from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.tables.tabular import json_text
 
 
@@ -28,7 +28,7 @@ def test_differences_are_those_of_the_estimates(example: Any) -> None:
 
 def test_truth_as_cad_does_not_differ(example: Any) -> None:
     truth = example.model.with_parameters(example.truth[:40])
-    validation = validate(example.result, example.held_out, cad=truth)
+    validation = validate_samples(example.result, example.held_out, cad=truth)
     comparison = compare(example.result, truth, validation)
     assert comparison.n_compared > 0
     assert sum(p.verdict == "differs" and p.name[0] in "Im" for p in comparison.parameters) <= 1
@@ -38,7 +38,7 @@ def test_truth_as_cad_does_not_differ(example: Any) -> None:
 
 
 def test_text_csv_and_json_hold_the_same_numbers(example: Any) -> None:
-    comparison = compare(example.result, validation=validate(example.result, example.held_out))
+    comparison = compare(example.result, validation=validate_samples(example.result, example.held_out))
     text = comparison.as_text()
     assert "DIFFERS" in text
     assert "RMS torque error" in text

@@ -8,10 +8,11 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError, ResultError
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.comparison.drift import compare_results
-from asbuilt.workflow.controller_model import compare_with_controller
+from asbuilt.workflow.controller_model import compare_controller
 from asbuilt.writers.reports.drift_report import drift_html
 
 ARM = "kuka-iiwa7-r800"
@@ -125,7 +126,7 @@ def test_the_controllers_own_model_is_recovered() -> None:
     qd = np.gradient(recording.q, recording.t, axis=0, edge_order=2)
     qdd = np.gradient(qd, recording.t, axis=0, edge_order=2)
     external = recording.tau - inverse_dynamics(model, recording.q, qd, qdd)
-    found = compare_with_controller(
+    found = compare_controller(
         identified(ARM, "pf"),
         replace(recording, extra={"tau_ext": external}),
         holdout="blocks:2s:3",
@@ -144,4 +145,4 @@ def test_the_controllers_own_model_is_recovered() -> None:
 
 def test_a_log_without_external_torque_is_refused() -> None:
     with pytest.raises(RecordingError, match="tau_ext"):
-        compare_with_controller(identified(ARM, "pf"), recorded(ARM, "pf"))
+        compare_controller(identified(ARM, "pf"), recorded(ARM, "pf"))

@@ -16,14 +16,15 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.comparison.drift import Drift, compare_results
 from asbuilt.validation.comparison.equal_terms import ComparedValues
 from asbuilt.validation.comparison.significance import chi_square
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 ROBOT = bundled_robot("kuka-iiwa7-r800")
 SEED = 14
@@ -55,7 +56,7 @@ def identified(motion: int, change: str = "", method: str = "auto") -> Identific
         )
         .recording
     )
-    return run_study(
+    return identify(
         ROBOT, [recording], options=StudyOptions(method=method, holdout="blocks:2s:3")
     ).result
 
@@ -109,7 +110,7 @@ def test_free_values_are_those_of_lapack_on_the_rows_themselves() -> None:
     recording = robot_of("").record(random_fourier(ROBOT, 1, duration=12.0), rng=1).recording
     train, _ = hold_out(prepare_samples(recording, SignalChain()), "blocks:2s:3")
     whole = replace(train, parallel=None)
-    result = identify(ROBOT, whole, drive=identified(0).base.drive, method="consistent")
+    result = identify_samples(ROBOT, whole, drive=identified(0).base.drive, method="consistent")
     assert result.free is not None
     rows = observation_matrix(
         ROBOT, whole.q, whole.qd, whole.qdd, drive=result.base.drive, columns=result.base.columns
@@ -162,7 +163,7 @@ def test_a_result_by_weighted_least_squares_is_its_own_free_one() -> None:
     )
     drive = identified(0).base.drive
     plain, real = (
-        identify(ROBOT, train, drive=drive, method=method) for method in ("wls", "consistent")
+        identify_samples(ROBOT, train, drive=drive, method=method) for method in ("wls", "consistent")
     )
     assert plain.free is None
     values = ComparedValues.free(plain)

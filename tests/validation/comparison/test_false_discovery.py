@@ -10,7 +10,7 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.study import Study, StudyOptions, run_study
+from asbuilt.workflow.study import Study, StudyOptions, identify
 
 
 def study_of_a_robot_as_designed(name: str, seed: int) -> Study:
@@ -20,7 +20,7 @@ def study_of_a_robot_as_designed(name: str, seed: int) -> Study:
     recording = robot.record(
         random_fourier(robot.model, 1000 + seed, duration=30.0), rng=seed
     ).recording
-    return run_study(robot.described, [recording], options=StudyOptions(holdout="blocks:2s:3"))
+    return identify(robot.described, [recording], options=StudyOptions(holdout="blocks:2s:3"))
 
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])
@@ -41,4 +41,4 @@ def test_few_parameters_differ_and_none_matters(name: str) -> None:
     for study in studies:
         assert study.attribution is not None
         assert set(study.attribution.chosen) <= {"offset", "friction", "armature"}
-        assert "mounting_askew" not in {warning.code for warning in study.result.warnings}
+        assert "base_tilt" not in {warning.code for warning in study.findings}

@@ -9,15 +9,16 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.fourier import FourierMotion
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.torque_cost import torque_cost
-from asbuilt.validation.prediction import validate
+from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.figures.cause_figures import difference_figure
 
 ARM = "kuka-iiwa7-r800"
@@ -85,7 +86,7 @@ def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself()
     )
     samples = prepare_samples(machine.record(motion, 100.0, rng=1).recording, SignalChain())
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
-    result = identify(model, samples, base=base)
+    result = identify_samples(model, samples, base=base)
     comparison = compare(replace(result, cause_data=gather_cause_data(model, base, [samples])))
     left = comparison.torque[0][1].rms
     shared = [each for each in comparison.parameters if each.shared_with]
@@ -99,7 +100,7 @@ def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself()
 def test_evidence_judges_as_validation_does() -> None:
     result = identified(ARM, "pf")
     _, held = hold_out(prepare_samples(recorded(ARM, "pf"), SignalChain()), "blocks:2s:3")
-    validation = validate(result, held)
+    validation = validate_samples(result, held)
     np.testing.assert_allclose(
         result.cause_data.error_of(result.base.names, result.estimates),
         validation.metrics_as_built.rms,

@@ -15,10 +15,10 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 ROBOT = bundled_robot("scara")
 
@@ -58,14 +58,14 @@ def test_few_moving_joints_say_nothing() -> None:
 
 
 def test_a_study_says_which_recording_is_no_other_motion() -> None:
-    study = run_study(
+    study = identify(
         ROBOT,
         [recorded(1)],
         validation=[recorded(1, 1), recorded(2)],
         options=StudyOptions(method="wls"),
     )
     said = [
-        warning.message for warning in study.result.warnings if warning.code == "held_out_repeats"
+        warning.text for warning in study.findings if warning.code == "held_out_repeats"
     ]
     assert len(said) == 1
     assert "repeats the motion fitted" in said[0]
@@ -81,10 +81,10 @@ def test_two_recordings_of_a_real_arm_are_one_motion_and_its_spring_may_be_at_fi
     )
     assert float(np.abs(first.q - second.q).max()) < 0.01
     said = {
-        warning.code: warning.message
-        for warning in run_study(
+        warning.code: warning.text
+        for warning in identify(
             model, [first], validation=[second], options=StudyOptions(method="auto")
-        ).result.warnings
+        ).findings
     }
     assert (
         "measurements_2.npz repeats the motion fitted (100 % of its states"

@@ -25,7 +25,8 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.bodies.consistency import consistency_margin
 from asbuilt.identification.identify import identify_samples
@@ -182,7 +183,7 @@ def reproduce_paper(progress: Progress | None = None) -> Reproduction:
     full, full_validation = _identified(
         model,
         recordings,
-        SignalChain().resolved(recordings.training, recordings.test),
+        resolve_chain(SignalChain(), recordings.training, recordings.test),
         "wls",
         DriveSet.parse("viscous,coulomb,offset"),
     )

@@ -18,7 +18,8 @@ from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples, stream_samples
+from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 
 LONG = 200e6
@@ -132,7 +133,7 @@ def head_of(recording: Recording | RecordingStream) -> Recording:
 def prepare_logged(recording: Recording | RecordingStream, chain: SignalChain) -> Samples:
     """Return the samples of a recording or stream; what the chain leaves open is chosen for it."""
     if isinstance(recording, RecordingStream):
-        return recording.prepared(chain.resolved(recording.head))
+        return recording.prepared(resolve_chain(chain, recording.head))
     return prepare_samples(recording, chain)
 
 

@@ -1,4 +1,4 @@
-"""How fast a recorded motion is: the band that holds nearly all of its velocity."""
+"""Bandwidth of a recorded motion: the band that holds nearly all of its velocity."""
 
 from __future__ import annotations
 
@@ -16,35 +16,32 @@ VELOCITY_SHARE = 0.95
 WINDOW = 20.0
 """Length of the averaged spectra's windows [s]; their resolution is its inverse."""
 NOISY = 0.01
-"""Share of the velocity's power from which white noise of the positions is reckoned with;"""
+"""Share of the velocity's power from which white noise of the positions is allowed for."""
 ABOVE_NOISE = 4.0
-"""the motion then ends where its spectrum, over SMOOTHED bins, last exceeds that of the noise so
-many times.
-"""
+"""Multiple of the noise's spectrum that the smoothed spectrum of the motion exceeds."""
 SMOOTHED = 11
+"""Number of bins over which spectra are smoothed."""
 
 
-def motion_bandwidth(runs: Sequence[Array], rate: float) -> float:
-    """Return the frequency [Hz] below which 95 % of the velocity's power lies, for the fastest of
-    the joints that move.
+def motion_bandwidth(segments: Sequence[Array], rate: float) -> float:
+    """Return the frequency [Hz] below which 95 % of the fastest joint's velocity power lies.
 
-    `runs` are position arrays (L, n) at one uniform `rate` [Hz]. The velocity's spectrum is (2 pi
-    f)^2 times the position's (Welch, IEEE Trans. Audio and Electroacoustics, 1967). Joints whose
-    velocity is below a hundredth of the fastest joint's are noise, not motion, and do not count.
-    White noise of the positions, whose differences grow with the rate, is told by the upper half of
-    the spectrum, and what it buries does not count.
+    `segments` are position arrays (L, n) at one uniform `rate` [Hz]. The velocity's spectrum is (2
+    pi f)^2 times the position's (Welch, IEEE Trans. Audio and Electroacoustics, 1967). Joints
+    slower than a hundredth of the fastest do not count. White noise of the positions is estimated
+    from the upper half of the spectrum; bins beyond the motion that it dominates do not count.
     """
-    window = min(round(WINDOW * rate), max(q.shape[0] for q in runs) - 1)
-    total = np.zeros((window // 2 + 1, runs[0].shape[1]))
+    window = min(round(WINDOW * rate), max(q.shape[0] for q in segments) - 1)
+    total = np.zeros((window // 2 + 1, segments[0].shape[1]))
     frequency = np.fft.rfftfreq(window, 1.0 / rate)
-    for q in runs:
+    for q in segments:
         if q.shape[0] <= window:
             continue
         _, density = signal.welch(
             np.diff(q, axis=0) * rate, rate, nperseg=window, detrend=False, axis=0
         )
         total += density * (q.shape[0] - 1)
-    total[_buried(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
+    total[_noise_bins(total, np.asarray(frequency / rate, dtype=np.float64))] = 0.0
     power = total.sum(axis=0)
     moving = power > 1e-4 * power.max()
     if not moving.any():
@@ -54,10 +51,8 @@ def motion_bandwidth(runs: Sequence[Array], rate: float) -> float:
     return float(max(frequency[reached.max()], 1.0 / WINDOW))
 
 
-def _buried(total: Array, cycles: Array) -> NDArray[np.bool_]:
-    """Return which bins (F, n) of velocity spectra lie beyond the motion in white noise of the
-    positions; `cycles` (F,) are frequencies per sample.
-    """
+def _noise_bins(total: Array, cycles: Array) -> NDArray[np.bool_]:
+    """Return which bins (F, n) of velocity spectra are noise; `cycles` (F,) are per sample."""
     shape = np.sin(np.pi * cycles)[:, None] ** 2
     upper = cycles >= 0.25
     noise = shape * (

@@ -8,15 +8,14 @@ from scipy import interpolate, signal
 
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
 
 
 def central_differences(x: ArrayLike, rate: float) -> Array:
-    """Differentiate the columns of x (N,) or (N, m).
+    """Differentiate the columns of x (N,) or (N, m) by central differences.
 
-    (x[k+1] - x[k-1]) rate / 2, exact on parabolas; second-order one-sided at the ends.
-
-    A sine of frequency f comes out at sin(w) / w of its derivative, w = 2 pi f / rate, without
-    phase.
+    x'[k] = (x[k+1] - x[k-1]) rate / 2, exact on parabolas; second-order one-sided at the ends. A
+    sine of frequency f is attenuated by sin(w) / w, w = 2 pi f / rate, without phase.
 
     Examples
     --------
@@ -32,8 +31,7 @@ def central_differences(x: ArrayLike, rate: float) -> Array:
 def savitzky_golay(
     x: ArrayLike, rate: float, *, cutoff: float, degree: int = 4
 ) -> tuple[Array, Array, Array]:
-    """Smooth the columns of x (N,) or (N, m) and return value, first and second derivative from a
-    moving polynomial of the given degree.
+    """Return value, first and second derivative of the columns of x by a moving polynomial.
 
     The window is that of `savitzky_golay_window`. Exact on polynomials up to the degree, also at
     the ends (Savitzky and Golay, Analytical Chemistry, 1964).
@@ -48,7 +46,10 @@ def savitzky_golay(
     if window > values.shape[0]:
         raise UsageError(
             f"a Savitzky-Golay cutoff of {cutoff:g} Hz needs {window} samples at {rate:g} Hz, but"
-            f" the segment has {values.shape[0]}; raise the cutoff"
+            f" the segment has {values.shape[0]}",
+            cure=Cure("raise the cutoff"),
+            value=values.shape[0],
+            lower=window,
         )
     q, qd, qdd = (
         np.ascontiguousarray(
@@ -62,19 +63,17 @@ def savitzky_golay(
 
 
 def savitzky_golay_window(cutoff: float, rate: float, degree: int = 4) -> int:
-    """Return the odd window length 2 m + 1 whose smoothing filter has its -3 dB point nearest
-    `cutoff` [Hz], at least degree + 2.
+    """Return the window length 2 m + 1 whose -3 dB point is nearest `cutoff` [Hz].
 
-    Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6) (What is a Savitzky-Golay
-    filter?, IEEE Signal Processing Magazine, 2011).
+    It is at least degree + 2. Schafer's rule cutoff / (rate / 2) = (degree + 1) / (3.2 m - 4.6)
+    (What is a Savitzky-Golay filter?, IEEE Signal Processing Magazine, 2011).
     """
     half = ((degree + 1) / (2.0 * cutoff / rate) + 4.6) / 3.2
     return max(2 * round(half) + 1, degree + 2 + (degree + 1) % 2)
 
 
 def smoothing_spline(x: ArrayLike, rate: float, *, cutoff: float) -> tuple[Array, Array, Array]:
-    """Smooth the columns of x (N,) or (N, m) with a cubic smoothing spline and return value, first
-    and second derivative.
+    """Return value, first and second derivative of the columns of x by a smoothing spline.
 
     With time k counted in samples the spline minimises sum (x - s)^2 + lambda int s''^2 dk
     (Reinsch, Numerische Mathematik, 1967). Away from the ends it is a zero-phase filter of

@@ -1,13 +1,9 @@
-"""What a signal chain comes to at one sampling rate.
-
-Filters, factors and margins, and how they turn a run into segments.
-"""
+"""Filter plan: filters, decimation and margins of a signal chain at one sampling rate."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,36 +21,33 @@ from asbuilt.experiment.signal.parallel_filter import (
     ParallelFilter,
     design_parallel_filter,
 )
-from asbuilt.experiment.signal.resampling import UniformRun
-from asbuilt.experiment.signal.standstill import PAUSE, moving_ranges, standing
+from asbuilt.experiment.signal.resampling import UniformSegment
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.standstill import PAUSE, at_rest, moving_ranges
+from asbuilt.findings import Cure
 
-if TYPE_CHECKING:
-    from asbuilt.experiment.signal.signal_chain import SignalChain
-
-Piece = tuple[Array, Array, Array, Array, Array, Array]
+SegmentArrays = tuple[Array, Array, Array, Array, Array, Array]
 """t, q, qd, qdd, tau and the torque as recorded, of one segment."""
 
 LOWEST_RATE = 100.0
-"""Logs are not thinned below this rate [Hz] before the regressor is evaluated."""
+"""Lowest rate [Hz] to which logs are thinned."""
 RATE_IN_CUTOFFS = 12.0
-"""Nor below this multiple of the position cutoff."""
+"""Lowest rate to which logs are thinned, in position cutoffs."""
 PARALLEL_IN_CUTOFFS = 1.0
 """Default cutoff of the parallel filter, in position cutoffs."""
 OUTPUT_RATE_IN_CUTOFFS = 4.0
-"""Rate after the parallel filter in its cutoffs, where the user does not say otherwise."""
+"""Default rate after the parallel filter, in its cutoffs."""
 EXACT = 1e-12
-"""Where the low-pass's impulse response has fallen to this share of its peak, what lies beyond does
-not matter.
-"""
+"""Share of its peak below which the impulse response of the low-pass counts as zero."""
 
 
 @dataclass(frozen=True, slots=True)
 class FilterPlan:
-    """The filters of a chain whose cutoff is known, for logs at `rate` [Hz].
+    """Hold the filters of a chain whose cutoff is known, for logs at `rate` [Hz].
 
-    `thinning` is how many logged samples make one of `Samples`, `anti_alias` what the torque passes
-    before that, `parallel` what remains to be applied. `margin` logged samples are trimmed at
-    either end of a run; `exact` of them depend on the ends at all.
+    `thinning` logged samples make one of `Samples`; the torque passes `anti_alias` before that, and
+    `parallel` remains to be applied. `margin` logged samples are trimmed at either end of a
+    segment; `exact` of them depend on the ends at all.
     """
 
     chain: SignalChain
@@ -67,7 +60,7 @@ class FilterPlan:
 
     @classmethod
     def of(cls, chain: SignalChain, rate: float) -> FilterPlan:
-        """Work out a chain at a rate.
+        """Return the plan of a chain at a rate [Hz].
 
         Raises
         ------
@@ -77,8 +70,8 @@ class FilterPlan:
         cutoff, total = chain.cutoff, chain.decimate
         if cutoff is None:
             raise UsageError(
-                "this chain has no cutoff yet; give one, or take it from a recording with"
-                " chain.resolved(recording)"
+                "the signal chain has no cutoff",
+                cure=Cure("give one, or choose it from a recording", call="resolve_chain"),
             )
         if chain.derivative == "savitzky-golay":
             margin = exact = savitzky_golay_window(cutoff, rate) // 2
@@ -117,26 +110,24 @@ class FilterPlan:
         )
 
     @property
-    def reach(self) -> int:
-        """How many logged samples on either side a prepared sample depends on (the rest of the
-        response is below 1e-12).
-        """
+    def support(self) -> int:
+        """Number of logged samples on either side that a prepared sample depends on."""
         smear = self.anti_alias.margin if self.anti_alias else 0
         rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
         return max(self.exact, smear) + rest + 2
 
     @property
     def shoulder(self) -> int:
-        """How many logged samples on either side an output of the parallel filter takes."""
+        """Number of logged samples on either side that an output of the parallel filter takes."""
         return self.parallel.margin * self.thinning if self.parallel else 0
 
     @property
     def step(self) -> int:
-        """How many logged samples lie between outputs of the parallel filter."""
+        """Number of logged samples between outputs of the parallel filter."""
         return self.parallel.decimation * self.thinning if self.parallel else self.thinning
 
-    def motion(self, run: UniformRun) -> tuple[Array, Array, Array]:
-        """Return q, qd, qdd (L, n) of a run at the logged rate, low-passed."""
+    def motion(self, segment: UniformSegment) -> tuple[Array, Array, Array]:
+        """Return q, qd, qdd (L, n) of a segment at the logged rate, low-passed."""
         chain, rate = self.chain, self.rate
         cutoff = chain.cutoff or 0.0
 
@@ -146,62 +137,64 @@ class FilterPlan:
             )
 
         if chain.derivative == "savitzky-golay":
-            q, qd, qdd = savitzky_golay(run.q, rate, cutoff=cutoff)
+            q, qd, qdd = savitzky_golay(segment.q, rate, cutoff=cutoff)
         elif chain.derivative == "spline":
-            q, qd, qdd = smoothing_spline(run.q, rate, cutoff=cutoff)
+            q, qd, qdd = smoothing_spline(segment.q, rate, cutoff=cutoff)
         else:
-            q = smooth(run.q)
+            q = smooth(segment.q)
             qd = central_differences(q, rate)
             qdd = central_differences(qd, rate)
-        if chain.velocity == "measured" and run.qd is not None:
-            qd = smooth(run.qd)
+        if chain.velocity == "measured" and segment.qd is not None:
+            qd = smooth(segment.qd)
             qdd = central_differences(qd, rate)
         return q, qd, qdd
 
-    def fits(self, run: UniformRun) -> bool:
-        """Whether a run is long enough to be filtered and differentiated."""
-        return run.t.size >= (
+    def fits(self, segment: UniformSegment) -> bool:
+        """Return whether a segment is long enough to be filtered and differentiated."""
+        return segment.t.size >= (
             2 * self.exact + 1
             if self.chain.derivative == "savitzky-golay"
             else max(2 * self.margin + 1, 5)
         )
 
-    def segments(self, run: UniformRun, low: int, stop: int) -> tuple[list[Piece], int]:
-        """Return the segments of a run between the logged samples `low` and `stop`, and the `low`
-        from which a longer run would go on.
+    def arrays(
+        self, segment: UniformSegment, low: int, stop: int
+    ) -> tuple[list[SegmentArrays], int]:
+        """Return what is left of a segment between logged samples, and where a longer one goes on.
 
-        Going on from there gives, put together, the filtered samples of the whole run, each once.
+        The samples are those from `low` to before `stop`. Continued from the index returned, the
+        filtered samples of the whole segment appear once each.
         """
-        q, qd, qdd = self.motion(run)
+        q, qd, qdd = self.motion(segment)
         n, speeds = self.thinning, self.chain.standstill
         if not self.chain.parallel and n > 1:
-            q, qd, qdd, tau = (decimate_chebyshev(x, n) for x in (q, qd, qdd, run.tau))
-            return [(run.t[::n], q, qd, qdd, tau, run.tau[::n])], run.t.size
-        ranges = [(0, run.t.size)]
+            q, qd, qdd, tau = (decimate_chebyshev(x, n) for x in (q, qd, qdd, segment.tau))
+            return [(segment.t[::n], q, qd, qdd, tau, segment.tau[::n])], segment.t.size
+        ranges = [(0, segment.t.size)]
         if not self.chain.rests and speeds is not None:
-            still = standing(qd, speeds, self.rate)
+            still = at_rest(qd, speeds, self.rate)
             qd, qdd = np.where(still, 0.0, qd), np.where(still, 0.0, qdd)
             ranges = moving_ranges(still, self.rate, self.shoulder)
         m = self.anti_alias.margin if self.anti_alias else 0
-        pieces, after = [], stop
+        parts, after = [], stop
         for begin, end in ranges:
-            a, b = max(begin, low, m), min(end, stop, run.t.size - m)
+            a, b = max(begin, low, m), min(end, stop, segment.t.size - m)
             if a >= b:
                 continue
             kept = slice(a, b, n)
             tau = (
-                self.anti_alias.apply(run.tau[a - m : b + m], axis=0)
+                self.anti_alias.apply(segment.tau[a - m : b + m], axis=0)
                 if self.anti_alias
-                else run.tau[kept]
+                else segment.tau[kept]
             )
-            pieces.append((run.t[kept], q[kept], qd[kept], qdd[kept], tau, run.tau[kept]))
+            parts.append((segment.t[kept], q[kept], qd[kept], qdd[kept], tau, segment.tau[kept]))
             if end >= stop:
                 outputs = self.parallel.n_outputs(len(tau)) if self.parallel else len(tau)
                 after = a + outputs * self.step
-        return pieces, after
+        return parts, after
 
     def description(self) -> Iterator[str]:
-        """Say in sentences what the plan does."""
+        """Yield sentences about what the plan does."""
         chain, cutoff = self.chain, self.chain.cutoff
         if chain.derivative == "central":
             passes = "of both passes" if chain.corrected else "of each pass"
@@ -220,7 +213,7 @@ class FilterPlan:
         if self.margin:
             yield (
                 f"{self.margin} samples ({self.margin / self.rate:.2g} s) trimmed at either end of"
-                " every run, where the low-pass has not settled"
+                " every segment, where the low-pass has not settled"
             )
         if self.anti_alias is not None:
             yield (

@@ -1,4 +1,4 @@
-"""Divide samples into those to learn from and those held out to judge by."""
+"""Division of samples into training and held-out ones."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure
 
 FORMS = "blocks:5s:3 (every third 5 s block) or last:0.3 (the last 30 %)"
 
@@ -28,8 +29,15 @@ class Last:
 
 
 def parse_rule(rule: str) -> Blocks | Last:
-    """Return what a rule of `hold_out` says; raises UsageError where it cannot be read.
+    """Return the rule of `hold_out` that a text stands for.
 
+    Raises
+    ------
+    UsageError
+        If it is none.
+
+    Examples
+    --------
     >>> parse_rule("blocks:5s:3")
     Blocks(seconds=5.0, every=3)
     """
@@ -39,38 +47,47 @@ def parse_rule(rule: str) -> Blocks | Last:
         every = _number(arguments[1], rule, "every how many blocks one is held out")
         if seconds <= 0 or every != int(every) or every < 2:
             raise UsageError(
-                f"cannot hold out {rule!r}: blocks need a positive length and a whole number of 2"
-                f" or more, as in {FORMS}"
+                f"cannot hold out {rule!r}: blocks have a positive length and a whole number of 2"
+                f" or more, as in {FORMS}",
+                value=rule,
             )
         return Blocks(seconds, int(every))
     if kind == "last" and len(arguments) == 1:
         share = _number(arguments[0], rule, "a share of the time")
         if not 0 < share < 1:
             raise UsageError(
-                f"cannot hold out {rule!r}: the share must lie between 0 and 1, as in {FORMS}"
+                f"cannot hold out {rule!r}: the share must lie between 0 and 1, as in {FORMS}",
+                value=rule,
             )
         return Last(share)
-    raise UsageError(f"cannot hold out {rule!r}: give {FORMS}")
+    raise UsageError(f"cannot hold out {rule!r}: give {FORMS}", value=rule)
 
 
 def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
-    """Return (train, held out) by a rule.
+    """Divide samples into training and held-out ones.
 
-    `blocks:5s:3` holds out every third 5 s block, `last:0.3` the last 30 % of the time.
+    Time counts from the beginning of the recording, so the division does not depend on what the
+    filters trimmed. Every border ends a segment, so the parallel filter, which drops outputs
+    without `margin` inputs on either side, does not mix torques of the two parts.
 
-    Time counts from where the recording began, whatever was trimmed, so that the division does not
-    depend on the filters.
+    Parameters
+    ----------
+    samples
+        The samples.
+    rule
+        `"blocks:5s:3"` holds out every third block of 5 s, `"last:0.3"` the last 30 % of the time.
 
-    Every sample goes to exactly one side and every border cuts a segment, so the parallel filter,
-    which needs `margin` inputs on either side of an output and drops outputs that lack them, never
-    mixes torques of the two sides: the margins are the guard bands.
+    Returns
+    -------
+    train, held_out : Samples
+        Every sample is in exactly one of them.
 
     Raises
     ------
     UsageError
         If the rule cannot be read.
     RecordingError
-        If the recording is too short for it: one side would be empty.
+        If one part would be empty.
 
     Examples
     --------
@@ -89,7 +106,10 @@ def hold_out(samples: Samples, rule: str) -> tuple[Samples, Samples]:
     if held.all() or not held.any():
         raise RecordingError(
             f"{samples.source}: holding out {rule!r} leaves nothing to"
-            f" {'train on' if held.all() else 'judge by'} in {since[-1]:.3g} s; give shorter blocks"
+            f" {'train' if held.all() else 'validate'} on in {since[-1]:.3g} s",
+            cure=Cure("give shorter blocks"),
+            file=samples.source,
+            value=rule,
         )
     return samples.select(~held), samples.select(held)
 
@@ -100,5 +120,7 @@ def _number(text: str, rule: str, what: str) -> float:
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise UsageError(f"cannot hold out {rule!r}: {text!r} is not {what}; give {FORMS}")
+        raise UsageError(
+            f"cannot hold out {rule!r}: {text!r} is not {what}; give {FORMS}", value=rule
+        )
     return value

@@ -13,8 +13,7 @@ from asbuilt.errors import UsageError
 
 
 def single_pass_cutoff(cutoff: float, rate: float, order: int) -> float:
-    """Return the -3 dB cutoff [Hz] of one Butterworth pass whose double pass (forwards and
-    backwards) has -3 dB at `cutoff` [Hz].
+    """Return the -3 dB cutoff [Hz] of one pass whose double pass has -3 dB at `cutoff` [Hz].
 
     The double pass has the amplitude 1 / (1 + r^(2 order)) with r the ratio of bilinearly warped
     frequencies tan(pi f / rate), which is 1 / sqrt(2) where r = (sqrt(2) - 1)^(1 / (2 order)), that
@@ -33,13 +32,12 @@ def single_pass_cutoff(cutoff: float, rate: float, order: int) -> float:
 def butterworth(
     x: ArrayLike, *, cutoff: float, rate: float, order: int = 4, corrected: bool = True
 ) -> Array:
-    """Low-pass the columns of x (N,) or (N, m) with a Butterworth filter run forwards and
-    backwards: no phase, amplitude 1 / (1 + r^(2 order)).
+    """Low-pass the columns of x (N,) or (N, m) with a Butterworth filter forwards and backwards.
 
-    `cutoff` [Hz] is where the amplitude of the whole, both passes together, is 1 / sqrt(2); with
-    `corrected=False` it is the cutoff of each pass, and the whole has 1/2 there. The ends are
-    extended by odd reflection, so straight lines pass; what else the ends do is over after
-    `settling_samples`.
+    The phase is zero, the amplitude 1 / (1 + r^(2 order)). `cutoff` [Hz] is where the amplitude of
+    the whole, both passes together, is 1 / sqrt(2); with `corrected=False` it is the cutoff of each
+    pass, and the whole has 1/2 there. The ends are extended by odd reflection, so straight lines
+    pass; other effects of the ends last `settling_samples`.
 
     Raises
     ------
@@ -68,11 +66,10 @@ def butterworth(
 def settling_samples(
     cutoff: float, rate: float, *, order: int = 4, corrected: bool = True, tolerance: float = 0.01
 ) -> int:
-    """Return after how many samples the double pass's impulse response stays below `tolerance`
-    times its peak.
+    """Return after how many samples the double pass has settled to `tolerance` of its peak.
 
-    The response dies as the slowest pole p does, |p|^k; the count is read from the response itself,
-    which is the autocorrelation of one pass.
+    The impulse response dies as the slowest pole p does, |p|^k; the count is read from the response
+    itself, which is the autocorrelation of one pass.
     """
     sections = _sections(cutoff, rate, order, corrected)
     slowest = max(abs(root) for section in sections for root in np.roots(section[3:]))
@@ -86,8 +83,7 @@ def settling_samples(
 
 
 def decimate_chebyshev(x: ArrayLike, factor: int, *, order: int = 8) -> Array:
-    """Keep every `factor`-th row of x (N,) or (N, m) after an anti-aliasing Chebyshev type I filter
-    run forwards and backwards.
+    """Keep every `factor`-th row of x (N,) or (N, m) after a zero-phase Chebyshev type I filter.
 
     The filter has 0.05 dB of ripple in each pass and its edge at 0.8 of the new Nyquist frequency
     (IEEE, Programs for Digital Signal Processing, 1979, chapter 8), as `scipy.signal.decimate` has.

@@ -1,4 +1,4 @@
-"""The low-pass and decimation that torque and every regressor column go through alike."""
+"""Parallel filter: low-pass and decimation of torque and every regressor column alike."""
 
 from __future__ import annotations
 
@@ -11,21 +11,19 @@ from scipy import optimize, signal
 
 from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
 
 STOP_BAND = 60.0
 """Attenuation of the stop band [dB]."""
 STOP_BAND_EDGE = 1.75
-"""Where the stop band begins, in cutoffs."""
+"""Lower edge of the stop band, in cutoffs."""
 TRANSITION = 1.2
-"""Width of the transition band about the -6 dB point, in cutoffs.
-
-That point lies near 1.12 cutoffs.
-"""
+"""Width of the transition band about the -6 dB point, which is near 1.12 cutoffs, in cutoffs."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParallelFilter:
-    """A zero-phase finite low-pass followed by decimation.
+    """Hold a zero-phase finite low-pass followed by decimation.
 
     Y[k] = sum_j taps[j] x[k decimation + j].
 
@@ -69,19 +67,14 @@ class ParallelFilter:
         return self.rate / self.decimation
 
     def n_outputs(self, n_inputs: int) -> int:
-        """Return how many outputs a run of `n_inputs` contiguous samples has.
-
-        0 where it is too short.
-        """
+        """Return the number of outputs of `n_inputs` contiguous samples, 0 if they are too few."""
         return max(0, (n_inputs - self.taps.size) // self.decimation + 1)
 
     def apply(self, x: Array, axis: int = -1, out: Array | None = None) -> Array:
-        """Filter and decimate one contiguous run along `axis`.
+        """Filter and decimate one contiguous segment along `axis`: L becomes n_outputs(L).
 
-        (..., L) becomes (..., n_outputs(L)).
-
-        Fastest where samples are innermost (`axis=-1`, C order). `out` is filled where given (only
-        for two-dimensional x and axis -1).
+        Fastest if samples are innermost (`axis=-1`, C order). `out`, if given, is filled (only for
+        two-dimensional x and axis -1).
         """
         values = np.asarray(x, dtype=np.float64)
         if values.ndim == 2 and axis in (-1, 1) and values.flags.c_contiguous:
@@ -97,7 +90,7 @@ class ParallelFilter:
         )
 
     def times(self, t: Array) -> Array:
-        """Return the instants of the outputs for the instants t (L,) of one contiguous run."""
+        """Return the times of the outputs for the times t (L,) of one contiguous segment."""
         return np.asarray(t)[
             self.margin : self.margin + self.n_outputs(len(t)) * self.decimation : self.decimation
         ]
@@ -105,8 +98,9 @@ class ParallelFilter:
 
 @lru_cache(maxsize=64)
 def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> ParallelFilter:
-    """Design a Kaiser-windowed sinc with -3 dB at `cutoff` [Hz] and 60 dB from 1.75 cutoffs on
-    (Kaiser, 1974).
+    """Design a Kaiser-windowed sinc with -3 dB at `cutoff` [Hz], -60 dB from 1.75 cutoffs.
+
+    The method is Kaiser's (1974).
 
     Raises
     ------
@@ -123,8 +117,14 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
     if rate / decimation < 2.0 * STOP_BAND_EDGE * cutoff * (1 - 1e-12):
         raise UsageError(
             f"decimation by {decimation} leaves {rate / decimation:g} Hz, too little for a filter"
-            f" at {cutoff:g} Hz; decimate by at most {int(rate / (2.0 * STOP_BAND_EDGE * cutoff))}"
-            f" or lower the cutoff to {rate / decimation / (2 * STOP_BAND_EDGE):g} Hz"
+            f" at {cutoff:g} Hz",
+            cure=Cure(
+                f"decimate by at most {int(rate / (2.0 * STOP_BAND_EDGE * cutoff))} or lower the"
+                f" cutoff to {rate / decimation / (2 * STOP_BAND_EDGE):g} Hz"
+            ),
+            value=decimation,
+            lower=1,
+            upper=int(rate / (2.0 * STOP_BAND_EDGE * cutoff)),
         )
     ratio = cutoff / rate
     beta = signal.kaiser_beta(STOP_BAND)

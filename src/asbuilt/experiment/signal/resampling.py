@@ -1,4 +1,4 @@
-"""From the clock of the log to uniformly sampled runs without gaps."""
+"""Resampling of a recording to segments without gaps on a uniform clock."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from scipy.interpolate import CubicSpline
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure
 
 GAP = 4.5
-"""A pause in the clock longer than this many sample periods is a gap."""
+"""Pause in the clock, in sampling periods, from which it is a gap."""
 JITTER = 0.01
-"""A clock whose steps all lie within this fraction of the sample period counts as uniform."""
-SHORTEST_RUN = 8
-"""Runs of fewer samples than this are not worth a spline and are dropped."""
+"""Largest deviation of a step of a uniform clock, in sampling periods."""
+SHORTEST = 8
+"""Number of samples below which a segment is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
-class UniformRun:
-    """One gapless run on a uniform clock: t (L,), q, tau and, where logged, qd (L, n).
+class UniformSegment:
+    """Hold a segment on a uniform clock: t (L,), q, tau and, if logged, qd (L, n).
 
-    `tau` is the torque as recorded, at the instants t.
+    `tau` is the torque as recorded, at the times t.
     """
 
     t: Array
@@ -33,23 +34,22 @@ class UniformRun:
     qd: Array | None
 
 
-def uniform_runs(
+def uniform_segments(
     recording: Recording, rate: float | None = None, max_gap: float | None = None
-) -> tuple[list[UniformRun], float, tuple[str, ...]]:
-    """Return the gapless runs of a recording on a uniform clock, their common rate [Hz] and a
-    sentence for everything that was changed.
+) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
+    """Return the segments of a recording on a uniform clock, their rate [Hz], and notes.
 
-    Rows with NaN or infinities, rows whose time does not advance and rows that repeat the row
-    before them to the last bit while the robot moves (a log polled faster than the controller
-    writes) are dropped. A pause longer than `max_gap` [s] (by default 4.5 sample periods) ends a
-    run; nothing is ever interpolated across it. An irregular clock, or one at another rate than
-    asked for, is brought to a uniform one by cubic splines through the samples of the run (error
-    (5/384) h^4 x'''' at step h: Hall and Meyer, Journal of Approximation Theory, 1976).
+    Rows that are not finite, rows whose time does not increase and rows that repeat the row before
+    while the robot moves (a log polled faster than the controller writes) are dropped. A pause
+    longer than `max_gap` [s] (by default 4.5 sampling periods) ends a segment; nothing is
+    interpolated across it. An irregular clock, or one at another rate than `rate`, is resampled by
+    cubic splines through the samples of the segment (error (5/384) h^4 x'''' at step h: Hall and
+    Meyer, Journal of Approximation Theory, 1976).
 
     Raises
     ------
     RecordingError
-        If nothing is left, or the rate asked for is far above what was logged.
+        If nothing is left, or `rate` is far above that of the log.
     """
     n = recording.n_samples
     kept = (
@@ -66,73 +66,82 @@ def uniform_runs(
     advancing = kept & np.concatenate([[True], recording.t[1:] > latest[:-1]])
     if not np.array_equal(advancing, kept):
         notes.append(
-            f"{int(kept.sum() - advancing.sum())} samples whose time does not advance were dropped"
+            f"{int(kept.sum() - advancing.sum())} samples whose time does not increase were dropped"
         )
     index = np.flatnonzero(advancing)
-    fresh = _fresh(recording, index)
-    if fresh.size < index.size:
+    kept_rows = _not_repeated(recording, index)
+    if kept_rows.size < index.size:
         notes.append(
-            f"{index.size - fresh.size} samples that only repeat the one before (the log was polled"
+            f"{index.size - kept_rows.size} samples that repeat the one before (the log was polled"
             " faster than the controller writes) were dropped"
         )
-    t = recording.t[fresh]
-    if t.size < SHORTEST_RUN:
+    t = recording.t[kept_rows]
+    if t.size < SHORTEST:
         raise RecordingError(
-            f"{recording.source}: {t.size} usable samples of {n}; at least {SHORTEST_RUN} are"
-            " needed"
+            f"{recording.source}: {t.size} of {n} samples are usable; at least {SHORTEST} are"
+            " required",
+            file=recording.source,
+            value=t.size,
+            lower=SHORTEST,
         )
     steps = np.diff(t)
     period = float(np.median(steps))
     logged_rate = _logged_rate(t, period)
     if rate is not None and rate > 1.05 * logged_rate:
         raise RecordingError(
-            f"{recording.source}: a rate of {rate:g} Hz was asked for but only {logged_rate:g} Hz"
-            " were logged; drop the option or give a lower rate"
+            f"{recording.source}: a rate of {rate:g} Hz is above that of the log,"
+            f" {logged_rate:g} Hz",
+            cure=Cure("give a lower rate, or none"),
+            file=recording.source,
+            value=rate,
+            upper=logged_rate,
         )
     gap = GAP * period if max_gap is None else max_gap
     breaks = np.flatnonzero(steps > gap) + 1
     if breaks.size:
         notes.append(
             f"{breaks.size} gaps longer than {gap:g} s (the longest {steps.max():.3g} s) split the"
-            f" recording into {breaks.size + 1} runs"
+            f" recording into {breaks.size + 1} segments"
         )
-    runs = [run for run in np.split(fresh, breaks) if run.size >= SHORTEST_RUN]
-    if not runs:
+    segments = [rows for rows in np.split(kept_rows, breaks) if rows.size >= SHORTEST]
+    if not segments:
         raise RecordingError(
-            f"{recording.source}: no {SHORTEST_RUN} samples in a row without a gap of more than"
-            f" {gap:g} s; check the clock"
+            f"{recording.source}: no segment of {SHORTEST} samples is without a gap of more than"
+            f" {gap:g} s",
+            cure=Cure("check the clock"),
+            file=recording.source,
         )
     target = logged_rate if rate is None else rate
     inside = np.delete(steps, breaks - 1)
     if np.all(np.abs(inside * target - 1.0) <= JITTER):
-        return [_taken(recording, run, target) for run in runs], target, tuple(notes)
-    clocks = [_clock(recording.t[run], recording.q[run]) for run in runs]
+        return [_taken(recording, rows, target) for rows in segments], target, tuple(notes)
+    clocks = [_clock(recording.t[rows], recording.q[rows]) for rows in segments]
     ticks = sum(even for _, even in clocks)
-    if rate is None and ticks == len(runs):
+    if rate is None and ticks == len(segments):
         target = _rounded(
             1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
         )
     if ticks:
         notes.append(
-            "the time stamps jitter but the positions are smoother on an even clock, so the samples"
-            " were taken as evenly spaced"
+            "the time stamps jitter, but the positions are smoother on a uniform clock, which was"
+            " used"
         )
-    if ticks < len(runs) or rate is not None:
+    if ticks < len(segments) or rate is not None:
         notes.append(
             f"a clock with steps of {1e3 * inside.min():.3g} to {1e3 * inside.max():.3g} ms was"
             f" resampled to {target:g} Hz by cubic splines"
         )
     return (
         [
-            _splined(recording, run, clock, target)
-            for run, (clock, _) in zip(runs, clocks, strict=True)
+            _splined(recording, rows, clock, target)
+            for rows, (clock, _) in zip(segments, clocks, strict=True)
         ],
         target,
         tuple(notes),
     )
 
 
-def _fresh(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
+def _not_repeated(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Drop exact repeats; those several times longer than usual are a robot at rest and stay."""
     rows = [recording.q[index], recording.tau[index]] + (
         [recording.qd[index]] if recording.qd is not None else []
@@ -145,14 +154,12 @@ def _fresh(recording: Recording, index: NDArray[np.intp]) -> NDArray[np.intp]:
     starts = np.flatnonzero(changed)
     lengths = np.diff(np.append(starts, index.size))
     rest = np.repeat(lengths > GAP * np.median(lengths), lengths)
-    fresh: NDArray[np.intp] = index[changed | rest]
-    return fresh
+    kept_rows: NDArray[np.intp] = index[changed | rest]
+    return kept_rows
 
 
 def _logged_rate(t: Array, period: float) -> float:
-    """Return the inverse of the mean step outside gaps, rounded where a whole number fits to a part
-    in a thousand.
-    """
+    """Return the inverse of the mean step outside gaps, rounded to a whole number within 0.1 %."""
     steps = np.diff(t)
     return _rounded(1.0 / float(np.mean(steps[steps <= GAP * period])))
 
@@ -162,14 +169,11 @@ def _rounded(rate: float) -> float:
 
 
 def _clock(t: Array, q: Array) -> tuple[Array, bool]:
-    """Return the instants of a run.
+    """Return the times of a segment: its stamps, or a uniform clock on which it is smoother.
 
-    An even clock fitted to the stamps where that makes the positions smoother, otherwise the
-    stamps.
-
-    A controller that samples evenly but is stamped by another process has stamps that jitter about
-    its ticks; believing them would turn speed times jitter into position noise. Smoothness is the
-    root mean square of the third difference on an even grid.
+    A controller that samples uniformly but is stamped by another process has stamps that jitter
+    about its ticks; with them, speed times jitter would become position noise. Smoothness is the
+    root mean square of the third difference on a uniform grid.
     """
     period = float(np.median(np.diff(t)))
     tick = _ticks(t, period)
@@ -194,48 +198,49 @@ def _clock(t: Array, q: Array) -> tuple[Array, bool]:
 
 
 def _ticks(t: Array, period: float) -> Array | None:
-    """Return the number of the clock tick (L,) each stamp belongs to, or None where the stamps
-    follow no clock of this period.
+    """Return the clock tick (L,) of each stamp, None if the stamps follow no clock of this period.
 
-    The phase of the stamps against the period is averaged on the circle over stretches of a few
-    hundred stamps, so that a late stamp is not taken for a lost sample, and unwrapped from stretch
-    to stretch, so that the period need not be exact.
+    The phase of the stamps against the period is averaged on the circle over blocks of a few
+    hundred stamps, so that a late stamp does not count as a lost sample, and unwrapped from block
+    to block, so that the period need not be exact.
     """
     turns = (t - t[0]) / period
-    stretches = np.array_split(np.arange(t.size), max(1, t.size // 256))
-    means = np.array([np.mean(np.exp(2j * np.pi * turns[stretch])) for stretch in stretches])
+    blocks = np.array_split(np.arange(t.size), max(1, t.size // 256))
+    means = np.array([np.mean(np.exp(2j * np.pi * turns[block])) for block in blocks])
     if np.any(np.abs(means) < 0.3):
         return None
-    centre = np.array([stretch.mean() for stretch in stretches])
+    centre = np.array([block.mean() for block in blocks])
     phase = np.interp(np.arange(t.size), centre, np.unwrap(np.angle(means)) / (2.0 * np.pi))
     tick = np.rint(turns - phase)
     return tick - tick[0] if np.all(np.diff(tick) >= 1) else None
 
 
-def _taken(recording: Recording, run: NDArray[np.intp], rate: float) -> UniformRun:
-    t0 = recording.t[run[0]]
-    even = t0 + np.arange(run.size) / rate
-    t = even if np.max(np.abs(even - recording.t[run])) < 0.5 / rate else recording.t[run]
-    qd = None if recording.qd is None else recording.qd[run]
-    return UniformRun(
+def _taken(recording: Recording, rows: NDArray[np.intp], rate: float) -> UniformSegment:
+    t0 = recording.t[rows[0]]
+    even = t0 + np.arange(rows.size) / rate
+    t = even if np.max(np.abs(even - recording.t[rows])) < 0.5 / rate else recording.t[rows]
+    qd = None if recording.qd is None else recording.qd[rows]
+    return UniformSegment(
         t,
-        recording.q[run],
-        recording.tau[run],
+        recording.q[rows],
+        recording.tau[rows],
         qd if qd is not None and np.all(np.isfinite(qd)) else None,
     )
 
 
-def _splined(recording: Recording, run: NDArray[np.intp], clock: Array, rate: float) -> UniformRun:
+def _splined(
+    recording: Recording, rows: NDArray[np.intp], clock: Array, rate: float
+) -> UniformSegment:
     t = clock[0] + np.arange(int(np.floor((clock[-1] - clock[0]) * rate + 1e-6)) + 1) / rate
     inside = np.minimum(t, clock[-1])
-    qd = None if recording.qd is None else recording.qd[run]
+    qd = None if recording.qd is None else recording.qd[rows]
 
     def resampled(x: Array) -> Array:
         return np.ascontiguousarray(CubicSpline(clock, x, axis=0)(inside))
 
-    return UniformRun(
+    return UniformSegment(
         t,
-        resampled(recording.q[run]),
-        resampled(recording.tau[run]),
+        resampled(recording.q[rows]),
+        resampled(recording.tau[rows]),
         resampled(qd) if qd is not None and np.all(np.isfinite(qd)) else None,
     )

@@ -1,7 +1,4 @@
-"""What identification uses.
-
-Positions, velocities, accelerations and torques on a uniform clock, and how they were made.
-"""
+"""Samples: motion and torque on a uniform clock, as identification uses them."""
 
 from __future__ import annotations
 
@@ -16,30 +13,52 @@ from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import TorqueSource
 from asbuilt.experiment.signal.parallel_filter import ParallelFilter
+from asbuilt.findings import joined
 
 Segments = tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Samples:
-    """Hold prepared samples: t (N,) s; q, qd, qdd, tau (N, n) in SI.
+    """Hold prepared samples in SI units, all joints at the same times.
 
-    All joints at the same instants.
+    Parameters
+    ----------
+    t
+        Times [s], shape (N,).
+    q, qd, qdd, tau
+        Positions, velocities, accelerations and torques before the parallel filter, (N, n).
+    rate
+        Sampling rate [Hz] within a segment.
+    joint_names
+        Names of the n joints.
+    segments
+        Half-open index ranges of contiguous samples, by default all; there are gaps between them.
+    source, torque_source
+        Name of the recording, and what measured the torque.
+    parallel
+        Filter still to be applied, segment by segment, to torque and regressor columns alike.
+    tau_raw
+        Torque as logged, unfiltered, (N, n), by default `tau`.
+    origin
+        Time [s] at which the recording began before trimming, by default that of the first sample;
+        time blocks count from it.
+    provenance
+        Sentences about what was done.
 
-    `segments` are the half-open index ranges of contiguous, uniformly sampled runs at `rate` [Hz];
-    between them lie gaps. `parallel` is a filter still to be applied, run by run and alike, to the
-    torque and to every regressor column (`filtered`); None where there is none. `tau` is what that
-    filter takes; `tau_raw` is the torque as logged, unfiltered, at the same instants, for errors
-    that filtering cannot flatter. `origin` [s] is where the recording began, before trimming, and
-    where blocks of time begin; by default the first sample. `provenance` says in sentences what was
-    done.
+    Raises
+    ------
+    RecordingError
+        If shapes do not agree or segments are not ordered index ranges.
 
     Examples
     --------
-    >>> motion = np.zeros((6, 1))
-    >>> samples = Samples(np.arange(6.0), motion, motion, motion, motion, rate=1.0, joint_names=("elbow",), segments=((0, 2), (3, 6)))
-    >>> samples.n_samples, samples.select(np.array([1, 1, 1, 1, 1, 0], bool)).segments
-    (6, ((0, 2), (2, 4)))
+    >>> t, x = np.arange(6.0), np.zeros((6, 1))
+    >>> samples = Samples(t, x, x, x, x, rate=1.0, joint_names=("j",), segments=((0, 2), (3, 6)))
+    >>> samples.select(np.array([1, 1, 1, 1, 1, 0], bool)).segments
+    ((0, 2), (2, 4))
+    >>> samples
+    Samples('samples': 6 samples x 1 joints (j), 5 s at 1 Hz in 2 segments)
     """
 
     t: Array
@@ -86,6 +105,13 @@ class Samples:
                 f" {list(segments)}"
             )
 
+    def __repr__(self) -> str:
+        return (
+            f"Samples({self.source!r}: {self.n_samples} samples x {self.n_joints} joints"
+            f" ({joined(self.joint_names)}), {self.duration:.4g} s at {self.rate:.4g} Hz in"
+            f" {len(self.segments)} segments)"
+        )
+
     @property
     def n_samples(self) -> int:
         """Number of samples, before the parallel filter's decimation."""
@@ -98,9 +124,7 @@ class Samples:
 
     @property
     def n_filtered(self) -> int:
-        """Number of samples after the parallel filter, which is how many rows per joint
-        identification has.
-        """
+        """Number of samples after the parallel filter, the rows per joint of identification."""
         return sum(self._n_outputs(b - a) for a, b in self.segments)
 
     @property
@@ -110,7 +134,7 @@ class Samples:
 
     @property
     def filtered_times(self) -> Array:
-        """The instants (n_filtered,) of `filtered` [s]."""
+        """Times of the filtered samples [s], shape (n_filtered,)."""
         return np.concatenate(
             [
                 self.parallel.times(self.t[a:b]) if self.parallel else self.t[a:b]
@@ -120,17 +144,11 @@ class Samples:
 
     @property
     def filtered_torque(self) -> Array:
-        """The torque (n_filtered, n) after the parallel filter.
-
-        The right-hand side of identification.
-        """
+        """Torque after the parallel filter, shape (n_filtered, n): what identification fits."""
         return self.filtered(self.tau)
 
     def filtered(self, x: Array) -> Array:
-        """Apply the parallel filter, segment by segment, to x (N, ...) given at `t`.
-
-        Returns (n_filtered, ...).
-        """
+        """Apply the parallel filter to x (N, ...), segment by segment, giving (n_filtered, ...)."""
         return np.concatenate(
             [
                 self.parallel.apply(x[a:b], axis=0) if self.parallel else x[a:b]
@@ -139,14 +157,11 @@ class Samples:
         )
 
     def select(self, keep: NDArray[np.bool_]) -> Samples:
-        """Return the samples where `keep` (N,) holds.
-
-        What was contiguous and stays so remains one segment.
-        """
+        """Return the samples where `keep` (N,) is true; contiguous ones remain one segment."""
         mask = np.asarray(keep)
         if mask.dtype != np.bool_ or mask.shape != self.t.shape:
             raise UsageError(
-                f"a selection needs one truth value for each of {self.n_samples} samples, got"
+                f"a selection is one truth value for each of {self.n_samples} samples, got"
                 f" {mask.dtype} of shape {mask.shape}"
             )
         ranges: list[tuple[int, int]] = []
@@ -186,7 +201,7 @@ class Samples:
         return self.select((self.t >= start) & (self.t < stop))
 
     def outside(self, windows: Sequence[tuple[float, float]]) -> Samples:
-        """Return the samples whose instants lie in none of the half-open windows (start, stop) [s]."""
+        """Return the samples outside the half-open windows (start, stop) [s]."""
         keep = np.ones(self.n_samples, dtype=bool)
         for start, stop in windows:
             keep &= (self.t < start) | (self.t >= stop)

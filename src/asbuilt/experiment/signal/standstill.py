@@ -1,4 +1,4 @@
-"""When a joint stands still: its friction then has no sign, and the sign of its velocity is noise."""
+"""Joints at rest: their friction has no sign, and the sign of their velocity is noise."""
 
 from __future__ import annotations
 
@@ -9,36 +9,30 @@ import numpy as np
 from asbuilt.arrays import Array, Mask
 
 SLOW = 0.003
-"""Share of a joint's top speed below which it may be standing."""
+"""Share of a joint's top speed below which it may be at rest."""
 SLOWEST = 0.0015
-"""The same as a share of the fastest joint's top speed, for joints that hardly move at all."""
+"""Share of the fastest joint's top speed below which any joint may be at rest."""
 PAUSE = 0.5
-"""How long [s] a joint must be slow to be standing, and all joints must stand to be left out.
-
-A reversal is over sooner.
-"""
+"""Least duration [s] of a rest; a reversal is shorter."""
 
 
 def standstill_speeds(velocities: Sequence[Array]) -> tuple[float, ...]:
-    """Return the speed of each joint below which it may be standing, from the velocities (L, n) of
-    all runs.
-    """
+    """Return the speed of each joint below which it may be at rest, from all velocities (L, n)."""
     top = np.max([np.quantile(np.abs(qd), 0.99, axis=0) for qd in velocities], axis=0)
     return tuple(np.maximum(SLOW * top, SLOWEST * top.max()).tolist())
 
 
-def standing(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
-    """Return where each joint stands still, (L, n): slower than its speed for `PAUSE` or longer."""
+def at_rest(qd: Array, speeds: Sequence[float], rate: float) -> Mask:
+    """Return where each joint is at rest, (L, n): slower than its speed for `PAUSE` or longer."""
     slow = np.abs(qd) < np.asarray(speeds)
     return np.column_stack([_lasting(slow[:, k], PAUSE * rate) for k in range(qd.shape[1])])
 
 
 def moving_ranges(still: Mask, rate: float, shoulder: int) -> list[tuple[int, int]]:
-    """Return the index ranges that are left of (L, n) when rests of all joints are cut out but for
-    `shoulder` samples next to motion.
+    """Return the index ranges without rests of all joints, but `shoulder` samples at their ends.
 
-    Within a rest friction takes any value up to the Coulomb torque, so its samples say little about
-    a model in which friction follows the velocity.
+    During a rest friction takes any value up to the Coulomb torque, which a model whose friction
+    follows the velocity does not describe.
     """
     rest = _lasting(np.asarray(still.all(axis=1)), PAUSE * rate)
     keep = ~rest

@@ -1,4 +1,4 @@
-"""Whether logged velocities are better than differentiated positions."""
+"""Choice between logged velocities and differentiated positions."""
 
 from __future__ import annotations
 
@@ -19,10 +19,7 @@ LARGEST_NOISE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class VelocityVerdict:
-    """Say how logged velocities compare with the derivative of the positions.
-
-    Worst lag [s] and gain over the joints, median ratio of noise.
-    """
+    """Hold lag [s] and gain of the worst joint, and the median noise ratio."""
 
     lag: float
     gain: float
@@ -31,7 +28,7 @@ class VelocityVerdict:
 
     @property
     def helps(self) -> bool:
-        """Whether they are in step, to scale, and at least twice as quiet."""
+        """Whether lag and gain error are small and the noise is at most half."""
         return (
             abs(self.lag) * self.rate <= LARGEST_LAG
             and abs(self.gain - 1.0) <= LARGEST_GAIN_ERROR
@@ -50,13 +47,12 @@ class VelocityVerdict:
 def compare_velocities(
     pairs: Sequence[tuple[Array, Array, Array, Array]], rate: float
 ) -> VelocityVerdict:
-    """Compare velocities over the runs.
+    """Compare logged velocities with the derivative of the positions.
 
-    Each of `pairs` holds the low-passed derivative v, the logged velocity w low-passed alike, and
-    both before the low-pass.
-
-    To first order w(t) = gain v(t - lag) = gain v - gain lag dv/dt, whose two coefficients follow
-    by least squares, joint by joint. Noise is what the low-pass removes.
+    Each of `pairs` holds, for one segment, the low-passed derivative v, the logged velocity w
+    low-passed alike, and both before the low-pass. To first order w(t) = gain v(t - lag) = gain v -
+    gain lag dv/dt, whose two coefficients follow by least squares, joint by joint. Noise is what
+    the low-pass removes.
     """
     n = pairs[0][0].shape[1]
     lags, gains, noises = np.zeros(n), np.ones(n), np.ones(n)
