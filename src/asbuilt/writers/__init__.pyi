@@ -1,14 +1,11 @@
-from .figures.figures import friction_figure as friction_figure
-from .figures.figures import parameter_figure as parameter_figure
-from .figures.figures import residual_figure as residual_figure
-from .figures.figures import torque_figure as torque_figure
+from .figures.torque_figure import torque_figure as torque_figure
 from .models.export import Export as Export
 from .models.export import export_result as export_result
 from .motion_files import write_motion as write_motion
 from .pictures.animation import write_picture as write_picture
 from .pictures.viewer import Viewer as Viewer
-from .programs.registry import make_program as make_program
-from .programs.registry import program_format as program_format
+from .programs.program import make_program as make_program
+from .programs.format import program_format as program_format
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation
 from .reports.report import report_html as report_html

@@ -52,6 +52,7 @@ def sentences_on_causes(
         )
     missing = frozenset(fits.causes) - set(weighed)
     missing -= {"payload"} if "links" in weighed else frozenset()
+    missing -= choice.rival.causes if choice.rival is not None else frozenset()
     if missing and choice.undecided is None:
         found.append(f"Not needed to explain this recording: {_listed(missing)}.")
     return tuple(found)
@@ -159,7 +160,7 @@ def _on_tilt(choice: CauseChoice) -> str:
         for j, axis in zip(place, fits.cause_data.tilt_axes, strict=True)
     )
     sure = np.any(np.abs(fit.values[place]) >= SIGNIFICANT_SIGMAS * fit.std_errors[place])
-    return f"The base {'is' if sure else 'may be'} tilted by {tilts}."
+    return f"Fitted with the other causes, the base {'is' if sure else 'may be'} tilted by {tilts}."
 
 
 def _on_gains(choice: CauseChoice) -> str:

@@ -1,4 +1,4 @@
-"""Figures of what CAD left out, drawn with matplotlib's objects."""
+"""Figures of the causes of the CAD error, and of the differences with the most torque."""
 
 from __future__ import annotations
 
@@ -36,14 +36,11 @@ CAUSE_COLOURS: dict[str, str] = {
 """One colour per cause, after Okabe and Ito (2008)."""
 UNEXPLAINED = "#D5D9DE"
 LABELLED = 0.09
-"""Share from which there is room for its number."""
+"""Smallest share that is labelled with its number."""
 
 
 def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
-    """Draw, joint by joint, what the squared error of CAD is made of.
-
-    Stacked shares, negative ones below zero, what is left in grey.
-    """
+    """Draw the shares of the causes in the squared CAD error of each joint, stacked."""
     n = len(attribution.joint_names)
     with styled():
         figure = blank_figure(1.05 * n + 3.2, 4.2)
@@ -108,8 +105,7 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
         if below.min() < -0.02:
             axis.axhline(100.0, color=INK, linewidth=0.6, linestyle=":")
             figure.supxlabel(
-                "A cause below 0 works against the others at that joint; the shares of a joint add"
-                " up to 100 %.",
+                "A negative share works against the others; the shares of a joint add up to 100 %.",
                 fontsize=7.5,
                 color=QUIET,
             )
@@ -125,15 +121,13 @@ def attribution_figure(attribution: Attribution, *, title: str = "") -> Figure:
         figure.legend(loc="outside right upper", reverse=True)
         headline(
             figure,
-            title or f"{attribution.robot}: what the torque error of CAD is made of (RMS on top)",
+            title or f"{attribution.robot}: causes of the torque error of CAD (RMS on top)",
         )
     return figure
 
 
 def difference_figure(comparison: Comparison, *, most: int = 20, title: str = "") -> Figure:
-    """Draw the parameters whose difference costs the most torque.
-
-    The torque, the part that is each one's own, and whether they differ.
+    """Draw the parameters whose difference has the most torque, with the part that is their own.
 
     Those below a fiftieth of the largest are left out.
     """
@@ -165,7 +159,7 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
                 if each.shared_with
                 else ""
                 if each.matters
-                else ", matters little"
+                else ", small"
             )
             axis.text(
                 total[k] + 0.01 * total.max(),
@@ -180,10 +174,10 @@ def difference_figure(comparison: Comparison, *, most: int = 20, title: str = ""
         axis.set_xlim(0, 1.22 * float(total.max(initial=1e-12)))
         axis.set_xlabel("torque of the difference, RMS over all joints [N m]")
         axis.grid(axis="y", visible=False)
-        for colour, label in ((AS_BUILT, "differs"), (GREY, "within errors")):
+        for colour, label in ((AS_BUILT, "differs"), (GREY, "within standard errors")):
             axis.bar([0], [0], color=colour, label=label)
         axis.legend(
-            loc="lower right", title="pale: what others could make up for", title_fontsize=8
+            loc="lower right", title="pale: part that others could make up for", title_fontsize=8
         )
-        headline(figure, title or f"{comparison.robot}: where it differs and what that costs")
+        headline(figure, title or f"{comparison.robot}: differences from CAD and their torque")
     return figure

@@ -1,4 +1,4 @@
-"""The sweep of the low-pass cutoff, drawn."""
+"""Figure of a sweep of the low-pass cutoff."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ from asbuilt.writers.figures.figure_style import (
 )
 
 WIDE = 4.0
-"""Held-out error, relative to the best, from which the axis is logarithmic."""
+"""Held-out error, relative to the best, above which the axis is logarithmic."""
 
 
 def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
-    """Draw held-out error against the cutoff, as recorded and in the band, and the whiteness of the
-    residual below.
-    """
+    """Draw held-out error and the whiteness of the residual against the cutoff."""
     cutoffs = np.array([trial.cutoff for trial in sweep.trials])
     with styled():
         figure = blank_figure(7.0, 4.6)
@@ -36,7 +34,7 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
             color=VERMILION,
             marker="o",
             markersize=4,
-            label="against the torque as recorded",
+            label="against unfiltered torque",
         )
         upper.plot(
             cutoffs,
@@ -45,7 +43,7 @@ def cutoff_figure(sweep: CutoffSweep, *, title: str = "") -> Figure:
             marker="o",
             markersize=3,
             linestyle="--",
-            label="in the filter's band",
+            label="against filtered torque",
         )
         upper.set_ylabel("held-out error,\nrelative to the best")
         upper.legend(loc="best")

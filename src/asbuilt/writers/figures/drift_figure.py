@@ -1,4 +1,4 @@
-"""What the changes between two results do to the torque of each joint, drawn."""
+"""Figure of the torque of the changes between two results."""
 
 from __future__ import annotations
 
@@ -18,20 +18,16 @@ from asbuilt.writers.figures.figure_style import (
 )
 
 CHANCE = "#D5D9DE"
-"""Colour of what errors alone would make."""
+"""Colour of the change expected by chance."""
 
 
 def drift_figure(drift: Drift, *, title: str = "") -> Figure:
-    """Draw two bars per joint.
-
-    The torque that all changes make together, and below it what the errors of both results alone
-    would make, RMS.
-    """
+    """Draw the RMS torque of all changes at each joint, and what standard errors explain below."""
     change = "difference" if drift.of_models else "change"
     joints = drift.joints
     place = np.arange(len(joints))
     bars = {
-        f"{change}, beyond doubt": (
+        f"{change}, significant": (
             -0.2,
             0.38,
             AS_BUILT,
@@ -43,7 +39,7 @@ def drift_figure(drift: Drift, *, title: str = "") -> Figure:
             GREY,
             [np.nan if each.holm <= drift.level else each.torque for each in joints],
         ),
-        "errors alone": (0.17, 0.28, CHANCE, [each.by_chance for each in joints]),
+        "expected from standard errors": (0.17, 0.28, CHANCE, [each.by_chance for each in joints]),
     }
     longest = max((max(each.torque, each.by_chance) for each in joints), default=0.0) or 1.0
     with styled():
@@ -78,6 +74,6 @@ def drift_figure(drift: Drift, *, title: str = "") -> Figure:
         figure.legend(loc="outside lower right", ncols=3)
         headline(
             figure,
-            title or f"{drift.robot}: {change} of torque beside what errors alone would make",
+            title or f"{drift.robot}: {change} of torque, and what standard errors explain",
         )
     return figure

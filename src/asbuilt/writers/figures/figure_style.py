@@ -1,8 +1,6 @@
-"""How figures look and are kept.
+"""Style of figures: colours, empty figures with a headline, files and addresses.
 
-Colours, the house style, empty figures with a headline, files and addresses.
-
-Colours are those of Okabe and Ito (2008), told apart by the colour-blind and in grey.
+Colours are those of Okabe and Ito (2008), distinct for the colour-blind and in grey.
 """
 
 from __future__ import annotations
@@ -35,6 +33,8 @@ BLUE, VERMILION, GREEN, ORANGE, GREY, INK, QUIET = (
 MEASURED, AS_BUILT, CAD = BLUE, VERMILION, GREY
 
 FORMATS = ("png", "svg", "pdf")
+POINTS = 4000
+"""Points of a long curve."""
 
 _STYLE: dict[Any, Any] = {
     "font.family": "sans-serif",
@@ -71,8 +71,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def broken(name: str, width: int) -> str:
-    r"""Return a name on as few lines as its underscores and spaces allow within `width` characters,
-    three at most, what is longer cut.
+    r"""Break a name after underscores or spaces into up to three lines of `width` characters.
 
     >>> broken("shoulder_lift_joint", 14)
     'shoulder_lift_\njoint'
@@ -92,8 +91,7 @@ def save_figure(figure: Figure, path: str | os.PathLike[str], *, dpi: int = 160)
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in FORMATS:
         raise UsageError(
-            f"cannot tell the format of figure {str(path)!r} from its suffix; use"
-            f" .{', .'.join(FORMATS)}"
+            f"figure {str(path)!r} has an unknown suffix; expected .{', .'.join(FORMATS)}"
         )
     stream = io.BytesIO()
     dateless = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[
@@ -112,23 +110,20 @@ def styled() -> Iterator[None]:
 
 
 def blank_figure(width: float, height: float) -> Figure:
-    """Return an empty figure of a size [inch] that knows how to save itself."""
+    """Return an empty figure of a size [inch]."""
     figure = Figure(figsize=(width, height), layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
 
 
 def headline(figure: Figure, title: str) -> None:
-    """Put a title over the whole figure, if there is one."""
+    """Put a title above the whole figure, if there is one."""
     if title:
         figure.suptitle(title, x=0.01, ha="left", fontsize=10.5, fontweight="bold")
 
 
 def figure_address(figure: Figure) -> str:
-    """Return a figure as a `data:` address that a page carries in itself.
-
-    Equal figures give equal texts.
-    """
+    """Return a figure as a `data:` address of an SVG; equal figures give equal texts."""
     stream = io.BytesIO()
     with styled():
         figure.savefig(stream, format="svg", metadata={"Date": None})

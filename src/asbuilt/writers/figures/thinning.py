@@ -1,21 +1,18 @@
-"""Draw a long recording with few points and without losing a peak."""
+"""Thinning of long curves without losing a peak."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.validation.residuals import contiguous_runs
 
 
 def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
-    """Return `t` (M,) and each curve (M,) thinned to about `points`, NaN between contiguous runs so
-    that no line bridges a gap.
+    """Return `t` (M,) and each curve (M,) thinned to about `points`.
 
-    Time is cut into buckets; every bucket keeps the samples where any curve is smallest and
-    largest, and each run its first and last sample, so all curves keep the same instants, their
-    extremes and their steps.
+    Every bucket of time keeps the samples where any curve is smallest and largest, and each
+    contiguous segment its ends; NaN between segments keeps lines from bridging gaps.
     """
     t_out: list[Array] = []
     kept: list[list[Array]] = [[] for _ in curves]
@@ -33,16 +30,14 @@ def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     return np.concatenate(t_out[:-1]), *(np.concatenate(parts[:-1]) for parts in kept)
 
 
-def _extremes(curves: list[Array], points: int) -> NDArray[np.int64]:
-    """Return the sorted indices of the bucket-wise minima and maxima of every curve, with the first
-    and last sample.
-    """
+def _extremes(curves: list[Array], points: int) -> Indices:
+    """Return the indices of the bucket-wise extremes of every curve, and of both ends."""
     n = len(curves[0])
     if n <= points:
         return np.arange(n)
     width = max(1, -(-2 * len(curves) * n // points))
     whole = n // width * width
-    chosen: list[NDArray[np.int64]] = [np.array([0, n - 1])]
+    chosen: list[Indices] = [np.array([0, n - 1])]
     offsets = np.arange(0, whole, width)
     for curve in curves:
         buckets = curve[:whole].reshape(-1, width)

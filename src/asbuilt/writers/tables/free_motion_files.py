@@ -13,7 +13,7 @@ import polars as pl
 from asbuilt.experiment.virtual.free_motion import FreeMotion
 from asbuilt.tables import significant
 from asbuilt.writers.figures.figure_style import save_figure
-from asbuilt.writers.figures.figures import energy_figure
+from asbuilt.writers.figures.energy_figure import energy_figure
 from asbuilt.writers.files import atomic_write, path_texts
 
 WHAT = {
