@@ -33,6 +33,7 @@ class Screen:
     def __init__(self, *, quiet: bool = False, verbose: bool = False) -> None:
         self.quiet = quiet
         self.verbose = verbose
+        self._terminal = sys.stderr.isatty()
         self._started = time.perf_counter()
         self._bar: Any = None
         self._tasks: dict[str, Any] = {}
@@ -44,7 +45,7 @@ class Screen:
         first = stage not in self._tasks
         if self.verbose and first:
             self._line(f"{time.perf_counter() - self._started:7.1f} s  {stage}")
-        if self.quiet or not sys.stderr.isatty():
+        if self.quiet or not self._terminal:
             self._tasks.setdefault(stage, None)
             return
         bar = self._opened()
@@ -62,7 +63,7 @@ class Screen:
         self._announced = True
         kept = type(event.data["dispatcher"]._cache).__name__ != "NullCache"
         message = COMPILING if kept else COMPILING_EACH_TIME
-        if sys.stderr.isatty():
+        if self._terminal:
             self.report(message.replace(":", ","), 0.0)
         elif not self.quiet:
             self._line(f"asbuilt: {message}")

@@ -68,7 +68,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "Design the most informative motion within the limits.",
             (
                 "kuka-iiwa7-r800 -o motion.csv",
-                "ur10e --duration 30 --collision skeleton:0.08 --program urscript",
+                "ur10e --collision skeleton:0.08 --program urscript",
             ),
             "design_motion",
         ),
@@ -112,7 +112,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "Identify link and motor side from two torque channels.",
             (
                 "kuka-iiwa7-r800 sensors.csv --motor motors.csv",
-                "kuka-iiwa7-r800 sensors.csv --motor motors.csv --motor-gain 0.1",
+                "kuka-iiwa7-r800 sensors.csv --motor currents.csv -v",
             ),
             "identify_channels",
         ),

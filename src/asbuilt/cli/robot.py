@@ -1,7 +1,4 @@
-"""Commands about a robot.
-
-What it is, what torques can tell of it, how it looks, and what other software needs.
-"""
+"""Commands about a robot: description, base parameters, views and exports."""
 
 from __future__ import annotations
 
@@ -15,6 +12,7 @@ from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.options import (
     AsJson,
     Drive,
+    Full,
     Result,
     Robot,
     RobotOrResult,
@@ -42,29 +40,36 @@ def drives(as_json: AsJson = False) -> None:
     answer(as_json, drives_document, drives_text)
 
 
-def show(robot: Robot, as_json: AsJson = False) -> None:
+def show(robot: Robot, full: Full = False, as_json: AsJson = False) -> None:
     """Show geometry, mass properties, limits and the physical consistency of every link."""
     from asbuilt.writers.tables.robot_tables import robot_document, robot_text
 
     model = described_robot(robot)
-    answer(as_json, lambda: robot_document(model), lambda: robot_text(model))
+    answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
 
 
-def base(robot: Robot, drive: Drive = "none", as_json: AsJson = False) -> None:
-    """Find the base parameters, and say of each standard parameter whether torques tell it, and
-    why.
+def base(robot: Robot, drive: Drive = "none", full: Full = False, as_json: AsJson = False) -> None:
+    """Find the base parameters and which standard parameters of each link are identifiable.
+
+    The full text says why, parameter by parameter.
     """
     from asbuilt.dynamics.base.base_parameters import find_base_parameters
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.writers.tables.robot_tables import base_table, standard_table
+    from asbuilt.tables import stacked
+    from asbuilt.writers.tables.robot_tables import (
+        base_table,
+        identifiability_table,
+        standard_table,
+    )
     from asbuilt.writers.tables.tabular import base_document
 
     model = described_robot(robot)
     found = find_base_parameters(model, DriveSet.parse(drive or "none"))
+    standard = standard_table if full else identifiability_table
     answer(
         as_json,
         lambda: base_document(found, model),
-        lambda: base_table(found, model).as_text() + "\n" + standard_table(found).as_text(),
+        lambda: stacked((base_table(found, model), standard(found)), full),
     )
 
 

@@ -12,7 +12,7 @@ from asbuilt.description.formats.document import model_document
 from asbuilt.description.model import ROOT, DriveValues, RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.tables import Cell, Column, Table
+from asbuilt.tables import Cell, Column, Table, stacked, wrapped
 
 ROUNDING = 1e-12
 """Products of inertia below this part of the largest moment are rounding, and shown as zero."""
@@ -51,7 +51,7 @@ def robots_document(models: Sequence[RobotModel]) -> dict[str, Any]:
 def robot_document(model: RobotModel) -> dict[str, Any]:
     """Return what `asbuilt show --json` prints.
 
-    The model with, for every link, whether such a body can exist.
+    The model, and the reason for every link that is physically inconsistent.
     """
     inconsistencies = {
         link.name: link.inertia.inconsistency() for link in model.links if link.inertia_known
@@ -67,9 +67,7 @@ def robot_document(model: RobotModel) -> dict[str, Any]:
 
 
 def joints_table(model: RobotModel) -> Table:
-    """List the joints: parent link, kind, where the axis sits in the parent link, limits and the
-    drive values that the description gives.
-    """
+    """List the joints: parent link, placement of the axis in it, limits and described drives."""
     rows: list[tuple[Cell, ...]] = []
     further = any(joint.drive.terms for joint in model.joints)
     for joint in model.joints:
@@ -101,16 +99,16 @@ def joints_table(model: RobotModel) -> Table:
     columns = (
         Column("joint"),
         Column("kind"),
-        Column("on link"),
-        Column("axis at", "m"),
-        Column("axis along"),
-        Column("range"),
+        Column("on link", width=16),
+        Column("axis at", "m", detail=True),
+        Column("axis along", detail=True),
+        Column("range", width=20),
         Column("velocity", "1/s", "decimal", ".4g"),
         Column("torque", "N m", "decimal", ".4g"),
-        Column("Ia", "", "decimal", ".4g"),
-        Column("Fv", "", "decimal", ".4g"),
-        Column("Fc", "", "decimal", ".4g"),
-        *([Column("further drive terms")] if further else []),
+        Column("Ia", "", "decimal", ".4g", detail=True),
+        Column("Fv", "", "decimal", ".4g", detail=True),
+        Column("Fc", "", "decimal", ".4g", detail=True),
+        *([Column("further drive terms", detail=True)] if further else []),
     )
     return Table(columns, tuple(rows), title="Joints")
 
@@ -124,9 +122,7 @@ def _further_terms(drive: DriveValues) -> str:
 
 
 def links_table(model: RobotModel) -> Table:
-    """List the links: mass, centre of mass and inertia about it in link axes, and whether such a
-    body can exist.
-    """
+    """List the links: mass, centre of mass, inertia about it in link axes, and consistency."""
     rows: list[tuple[Cell, ...]] = []
     for link in model.links:
         inertia = link.inertia
@@ -148,7 +144,7 @@ def links_table(model: RobotModel) -> Table:
                 com,
                 _vector(np.diag(about_com)),
                 products,
-                "OK" if reason is None else f"IMPOSSIBLE: {reason}",
+                "OK" if reason is None else f"INCONSISTENT: {reason}",
             )
         )
     columns = (
@@ -156,23 +152,21 @@ def links_table(model: RobotModel) -> Table:
         Column("mass", "kg", "decimal", ".6g"),
         Column("centre of mass", "m"),
         Column("Ixx Iyy Izz about it", "kg m^2"),
-        Column("Ixy Ixz Iyz", "kg m^2"),
+        Column("Ixy Ixz Iyz", "kg m^2", detail=True),
         Column("consistency"),
     )
     return Table(columns, tuple(rows), title="Links")
 
 
-def robot_text(model: RobotModel) -> str:
-    """Return everything `asbuilt show` prints."""
-    gravity = _vector(model.gravity)
+def robot_text(model: RobotModel, full: bool = False) -> str:
+    """Return what `asbuilt show` prints; every column and note if `full`."""
+    mass = f"{model.parameters[9::10].sum():.4g}"
     head = [
-        (
-            f"{model.name}: {model.n_joints} joints, {model.parameters[9::10].sum():.4g} kg moving,"
-            f" gravity {gravity} m/s^2 in {model.root_link}"
-        ),
+        f"{model.name}: {model.n_joints} joints, {mass} kg moving, gravity"
+        f" {_vector(model.gravity)} m/s^2 in {model.root_link}",
     ]
     if model.citation:
-        head.append(f"facts from: {model.citation}")
+        head.append(f"source: {model.citation}")
     if model.source:
         head.append(f"read from: {model.source}")
     merged = [
@@ -182,17 +176,13 @@ def robot_text(model: RobotModel) -> str:
     ]
     if merged:
         head.append(f"fixed frames: {', '.join(merged)}")
-    notes = [f"note: {note}" for note in model.notes]
-    return "\n".join(
-        [*head, *notes, "", joints_table(model).as_text(), links_table(model).as_text()]
-    )
+    lines = [wrapped(line) for line in (*head, *(f"note: {note}" for note in model.notes))]
+    tables = stacked((joints_table(model), links_table(model)), full)
+    return "\n".join([*lines, "", tables])
 
 
 def base_table(base: BaseParameters, model: RobotModel) -> Table:
-    """List the base parameters.
-
-    Id, expression with symbols where the description names lengths, value by design.
-    """
+    """List the base parameters: id, expression with symbolic lengths, value by design."""
     values = base.values(parameter_values(model, base.drive))
     rows = tuple(
         (int(number), symbolic, unit, None if np.isnan(value) else float(value))
@@ -202,24 +192,37 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
     )
     columns = (
         Column("id", align="right"),
-        Column("base parameter", width=110),
+        Column("base parameter", width=54),
         Column("unit"),
         Column("value", align="decimal", style=".6g"),
     )
-    return Table(
-        columns,
-        rows,
-        title=(
-            f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters"
-        ),
+    title = f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters"
+    return Table(columns, rows, title=title)
+
+
+def identifiability_table(base: BaseParameters) -> Table:
+    """List the standard parameters of each link or joint by identifiability."""
+    statuses = ("identifiable", "grouped", "unidentifiable")
+    places: dict[str, dict[str, list[str]]] = {}
+    for parameter in base.standard:
+        symbol = parameter.name.rstrip("0123456789")
+        found = places.setdefault(parameter.name[len(symbol) :], {name: [] for name in statuses})
+        found[parameter.status].append(symbol)
+    rows = tuple(
+        (int(number), *(" ".join(found[status]) or "-" for status in statuses))
+        for number, found in places.items()
     )
+    columns = (
+        Column("link", align="right"),
+        Column("identifiable"),
+        Column("in sums only"),
+        Column("unidentifiable"),
+    )
+    return Table(columns, rows, title="Standard parameters")
 
 
 def standard_table(base: BaseParameters) -> Table:
-    """List the standard parameters.
-
-    Whether torques tell each alone, in a sum (which) or never, and why.
-    """
+    """List the standard parameters: identifiable, in which base parameters, and why."""
     rows = tuple(
         (
             parameter.id,

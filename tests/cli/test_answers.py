@@ -1,0 +1,79 @@
+"""Progress, cures and findings as the command line shows them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from asbuilt.cli.answers import COMPILING, Screen, cure_text, finding_text
+from asbuilt.findings import Cure, Finding
+
+
+class Terminal:
+    """A stderr that says that it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        return len(text)
+
+    def flush(self) -> None:
+        pass
+
+
+def test_cures_name_options_and_commands() -> None:
+    cure = Cure("find the gains", {"gain": (1.0, 2.0), "checked": False}, call="find_gains")
+    assert cure_text(cure) == "find the gains (--gain 1.0,2.0, --unchecked, asbuilt gains)"
+    assert cure_text(Cure("record longer")) == "record longer"
+    assert cure_text(None) == ""
+    finding = Finding("flipped_torque", "error", "the torque of A2 has the other sign", cure)
+    assert finding_text(finding).startswith("ERROR flipped_torque: the torque of A2 has")
+    assert finding_text(finding).endswith("asbuilt gains).")
+
+
+def test_a_bar_pulses_until_a_fraction_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stderr", Terminal())
+    screen = Screen()
+    screen.report("identify", 0.0)
+    (task,) = screen._bar.tasks
+    assert task.total is None
+    screen.report("identify: A2", 0.4)
+    assert (task.total, task.completed, task.description) == (1.0, 0.4, "identify: A2")
+    screen.report("write", 0.0)
+    assert screen._bar.tasks[0].finished
+    screen.close()
+
+
+def test_verbose_prints_each_step_once(capsys: pytest.CaptureFixture[str]) -> None:
+    screen = Screen(verbose=True)
+    for fraction in (0.0, 0.5, 1.0):
+        screen.report("filter", fraction)
+    assert [line.split()[-1] for line in capsys.readouterr().err.splitlines()] == ["filter"]
+
+
+class Started:
+    """The start of a compilation, as numba reports it."""
+
+    is_start = True
+
+    def __init__(self, cache: Any) -> None:
+        self.data = {"dispatcher": type("Dispatcher", (), {"_cache": cache})()}
+
+
+class NullCache:
+    """The cache of a function whose machine code cannot be stored."""
+
+
+def test_compilation_is_announced_once_with_how_often_it_happens(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    screen = Screen()
+    for _ in range(2):
+        screen.announce_compilation(Started(object()))
+    assert capsys.readouterr().err == f"asbuilt: {COMPILING}\n"
+    Screen().announce_compilation(Started(NullCache()))
+    assert "in every run" in capsys.readouterr().err
+    Screen(quiet=True).announce_compilation(Started(object()))
+    assert capsys.readouterr().err == ""
