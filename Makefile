@@ -5,13 +5,21 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check bench docs format clean
+.PHONY: demo test quick check bench docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
 
 test: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+QUICK := tests/test_architecture.py tests/test_tables.py tests/test_errors.py tests/description \
+	tests/dynamics tests/excitation/motions tests/experiment/logs tests/experiment/signal \
+	tests/identification/information tests/writers/tables
+
+# Tests of the foundations, under a minute.
+quick: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -n auto -m "not slow" $(QUICK)
 
 check: $(VENV)/.installed-check
 	$(BIN)/ruff check .
@@ -27,6 +35,16 @@ docs: $(VENV)/.installed-docs
 format: $(VENV)/.installed-check
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Distributions in dist/, checked by installing the wheel into an empty environment.
+wheel: $(VENV)/.installed-check
+	rm -rf dist build/wheel
+	$(BIN)/python -m build --outdir dist
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/python -m venv build/wheel
+	build/wheel/bin/python -m pip install --quiet dist/*.whl
+	cd build && wheel/bin/python -c "import asbuilt, importlib.resources as r; assert (r.files(asbuilt) / 'py.typed').is_file(); [getattr(asbuilt, name) for name in asbuilt.__all__]"
+	cd build && wheel/bin/asbuilt robots
 
 $(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "asbuilt needs Python 3.11 or newer, this is " + sys.version.split()[0] + ": make PYTHON=python3.12 ...")'

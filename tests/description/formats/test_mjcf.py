@@ -45,6 +45,7 @@ TREE = """
 """
 
 
+@pytest.mark.slow
 def test_a_tree_with_every_feature_needs_mujocos_torques():
     model = read_mjcf(TREE)
     oracle = mujoco.MjModel.from_xml_string(TREE)

@@ -98,6 +98,7 @@ def agrees_with_pinocchio(model: RobotModel, text: str) -> None:
         assert np.allclose(inverse_dynamics(model, q, qd, qdd), tau[order], rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHARED_URDFS)
 def test_descriptions_from_strangers_agree_with_pinocchio(shared, name):
     path = shared / "models" / name

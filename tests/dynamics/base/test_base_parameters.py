@@ -220,6 +220,7 @@ def test_a_weight_that_never_changes_is_an_offset() -> None:
     np.testing.assert_allclose(base.values([0.0] * 9 + [2.0, 0.5, 9.81]), [3.0, -0.5], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_sympy_agrees_on_the_symbols() -> None:
     sympy = pytest.importorskip("sympy")
     base = find_base_parameters(iiwa())

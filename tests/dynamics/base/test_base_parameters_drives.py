@@ -33,6 +33,7 @@ def drives(draw: st.DrawFn) -> DriveSet:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 @given(robots(most=5), drives(), st.data())
 def test_structure_agrees_with_singular_values(model, drive, data):

@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from pinocchio_oracle import pinocchio_model
 
 from asbuilt.description.load import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.design.design import design_motion
-from asbuilt.excitation.design.interior_point import StateConstraint
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.torque_limit import WeightLimit
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.pacing import paced_moves
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+from asbuilt.excitation.state_constraint import StateConstraint
+from asbuilt.excitation.torque_limit import WeightLimit
 
 PLANE = MotionBounds(*(np.array([value, value]) for value in (-1.0, 1.0, 1.0, 4.0, np.inf, np.inf)))
 POSES = np.array([[-0.8, 0.0], [0.8, 0.0], [0.8, 0.9], [-0.8, 0.9]])
@@ -97,13 +97,14 @@ def test_the_weight_is_gravity_by_pinocchio() -> None:
     assert WeightLimit((model,), 0.1 * limit).binds(q)
 
 
+@pytest.mark.slow
 def test_poses_are_designed_for_a_robot_that_hardly_carries_itself() -> None:
     model = weakened("ur10e", 0.3)
     options = DesignOptions(
         parametrisation="point-to-point", duration=5.0, size=6, starts=2, time_limit=20.0
     )
     motion = design_motion(
-        model, DriveSet.parse("viscous,coulomb,offset"), options, with_bound=False, cores=1
+        model, options, with_bound=False, cores=1
     ).motion
     other = pinocchio_model(model)
     data = other.createData()
