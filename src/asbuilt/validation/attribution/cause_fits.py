@@ -135,8 +135,11 @@ class CauseFits:
         self.prior[self.columns["mounting"]] = 1.0 / ASSUMED.tilt
         prior = self.prior * np.sqrt(cause_data.n_fitted / self.independent)
         self.length = np.where(self.present, np.hypot(length, prior), 1.0)
-        self.matrix = np.vstack([stacked[:, :-1] / self.length, np.diag(prior / self.length)])
-        self.target = np.concatenate([stacked[:, -1], np.zeros(len(self.names))])
+        whole = np.zeros((len(self.names), len(self.names) + 1))
+        whole[:, :-1] = np.diag(prior / self.length)
+        stacked[:, :-1] /= self.length
+        factor = triangular_factor(np.vstack([stacked, whole]))
+        self.matrix, self.target = factor[:, :-1], factor[:, -1]
         self.causes = tuple(cause for cause in CAUSES if np.any(self.present[self.columns[cause]]))
         self._known: dict[Subset, CauseModel] = {}
 
@@ -195,9 +198,9 @@ class CauseFits:
         if np.any(np.isfinite(lower) & (y < 0)):
             U, s, Vt = np.linalg.svd(A, full_matrices=False)
             kept = s**2 > ASSUMED.weakest * s[0] ** 2
-            truncated = (U[:, kept] * s[kept]) @ Vt[kept]
             bounds = (np.where(np.isfinite(lower), 0.0, -np.inf), np.inf)
-            free = lsq_linear(truncated, b, bounds, method="bvls").active_mask == 0
+            found = lsq_linear(s[kept, None] * Vt[kept], U[:, kept].T @ b, bounds, method="bvls")
+            free = found.active_mask == 0
             y, variance = np.zeros(places.size), np.zeros(places.size)
             y[free], variance[free], rank = _least_squares(A[:, free], b)
         x[places] = (y + start) / self.length[places]
