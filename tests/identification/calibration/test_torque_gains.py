@@ -63,7 +63,7 @@ def test_the_mass_alone_gives_every_gain(pair):
     np.testing.assert_allclose(found.gains, GAINS, rtol=0.03)
     assert np.all(np.abs(found.gains - GAINS) < 5.0 * found.std_errors)
     np.testing.assert_allclose(found.payload[6:9] / 3.0, [0.03, -0.02, 0.09], atol=0.01)
-    assert "known of the payload: mass" in found.sentences()[0]
+    assert "given for the payload: mass" in found.sentences()[0]
 
 
 def test_more_knowledge_makes_the_gains_surer(pair):
@@ -127,7 +127,7 @@ def test_wrong_calls_are_refused(pair):
             identify_gains(ROBOT, *pair, mass=3.0, drive=DRIVE, in_use=wrong)
     short = pair[1].between(1.0, 1.1)
     assert short.n_filtered == 0
-    with pytest.raises(IdentifiabilityError, match="with the payload are left to find gains from"):
+    with pytest.raises(IdentifiabilityError, match="with the payload are left"):
         identify_gains(ROBOT, pair[0], short, mass=3.0, drive=DRIVE)
 
 

@@ -1,1 +1,1 @@
-"""Payload, torque gains, mounting and two torque channels."""
+"""Calibration: payload, torque gains, base tilt and two torque channels."""

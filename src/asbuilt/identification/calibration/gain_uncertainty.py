@@ -1,4 +1,4 @@
-"""How well the torque per ampere of each joint is known, and what that leaves open of a payload."""
+"""Uncertainty of torque gains and its effect on a payload."""
 
 from __future__ import annotations
 
@@ -18,64 +18,52 @@ USUAL_UNCERTAINTY: dict[TorqueSource, float] = {
     "motor": 0.05,
     "current": 0.07,
 }
-"""Standard deviation of a joint's gain, as a fraction, where nothing better is stated.
+"""Default standard deviation of a joint's gain, as a fraction.
 
-Currents: data sheets of motors usually promise the torque constant to +-10 % (limits: 5.8 % as a
-standard deviation), and neodymium magnets lose about 0.1 % of their field per kelvin, 4 % over 40 K
-of warming; together 7 %. Torques that a controller works out from currents have been calibrated
-once, and warm up all the same: 5 %. Joint torque sensors are calibrated at the joint; their gain is
-not questioned. These are assumptions: the published gains of a UR10e turned out 3 to 11 % high.
+Currents: data sheets usually state the torque constant to +-10 % (limits: 5.8 % as a standard
+deviation), and neodymium magnets lose about 0.1 % of their field per kelvin, 4 % over 40 K of
+warming; together 7 %. Torques that a controller computes from currents have been calibrated once,
+and warm up too: 5 %. Joint torque sensors are calibrated at the joint. These are assumptions: the
+published gains of a UR10e are 3 to 11 % high.
 """
 COMMON = 1.0 / 3.0
-"""Share of the variance that all joints have in common.
-
-They warm up together and often have magnets of one make (4 of 7 %, squared).
-"""
+"""Part of the variance common to all joints, which warm up together (4 of 7 %, squared)."""
 MOST = 0.5
-"""Largest fraction that is taken for an uncertainty."""
+"""Largest valid fraction."""
 RANK_TOLERANCE = 1e-10
 
 
 def relative_gain_errors(
     source: TorqueSource, n_joints: int, stated: ArrayLike | None = None
 ) -> Array:
-    """Return the standard deviation of each joint's gain, (n,), as fractions.
+    """Return the standard deviation of each joint's gain as fractions, shape (n,).
 
-    What is stated (one for all joints or one each), else what is usual for the source.
-
-    Raises UsageError for another number of values, and for values that are no fractions from 0 to
-    0.5.
+    `stated` has one for all joints or one each; by default that of the torque source. Raises
+    `UsageError` for another number of values, or values outside 0 to 0.5.
     """
     if stated is None:
         return np.full(n_joints, USUAL_UNCERTAINTY[source])
     values = np.atleast_1d(np.asarray(stated, dtype=np.float64))
     if values.ndim != 1 or values.size not in (1, n_joints):
         raise UsageError(
-            f"the uncertainty of the gains takes one fraction or {n_joints}, one per joint, got"
-            f" {values.size}"
+            f"gain uncertainty has {values.size} values; expected 1 or {n_joints}, one per joint"
         )
     if not np.all((values >= 0.0) & (values <= MOST)):
         raise UsageError(
-            f"the uncertainty of the gains must be fractions from 0 to {MOST:g} (5% or 0.05), got"
-            f" {values.tolist()}"
+            f"gain uncertainty is {values.tolist()}; expected fractions from 0 to {MOST:g}, such as"
+            " 5% or 0.05"
         )
     return np.broadcast_to(values, (n_joints,)).copy()
 
 
 def gain_covariance(uncertainty: Array) -> Array:
-    """Return the covariance (n, n) of gains with these standard deviations (n,), as fractions.
-
-    A third of the variance is common to all joints.
-    """
+    """Return the covariance (n, n) of gains, a third of the variance common to all joints."""
     n = len(uncertainty)
     return np.asarray(np.outer(uncertainty, uncertainty) * ((1.0 - COMMON) * np.eye(n) + COMMON))
 
 
 def parse_gain_uncertainty(text: str | None) -> list[float] | None:
-    """Read `7%`, `0.07` or one of these per joint, separated by commas.
-
-    None where there is no text. Raises UsageError on anything else.
-    """
+    """Read `7%`, `0.07` or one of these per joint, separated by commas; None without text."""
     if text is None:
         return None
     try:
@@ -85,21 +73,19 @@ def parse_gain_uncertainty(text: str | None) -> list[float] | None:
         ]
     except ValueError:
         raise UsageError(
-            "--gain-uncertainty takes a fraction for all joints or one for each, such as 7% or"
-            f" 0.05,0.03,..., got {text!r}"
+            f"gain uncertainty is {text!r}; expected a fraction for all joints or one for each,"
+            " such as 7% or 0.05,0.03,..."
         ) from None
 
 
 def arm_by_joint(result: IdentificationResult, stand_in: Sequence[Array], weights: Array) -> Array:
-    """Return the arm's base parameters as a sum of what the torque of each joint gave to them, (p,
-    n).
+    """Return the contribution of each joint's torque to the arm's base parameters, (p, n).
 
     `beta = (sum_j w_j^2 W_j^T W_j)^-1 sum_k w_k^2 W_k^T tau_k`: if joint k's torque is a fraction
-    larger, beta changes by that fraction of column k. W and tau are those the result was identified
-    from, where it kept its cause data (all of it: what was put aside to judge by is part of it where
-    no other recording was at hand); else those of `stand_in`, weighted rows `[W_k | ...]` of other
-    motion of the arm, with the torque that the result predicts. Parameters that the result dropped
-    stay zero.
+    larger, beta changes by that fraction of column k. W and tau are those of the cause data of the
+    result (held-out data included if they are part of the recordings used), or else those of
+    `stand_in`, weighted rows `[W_k | ...]` of other motion with the torque that the result
+    predicts. Dropped parameters stay zero.
     """
     p, beta = result.n_base, result.estimates
     if result.cause_data is not None:

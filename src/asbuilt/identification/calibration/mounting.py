@@ -1,4 +1,4 @@
-"""How the robot stands: the direction of gravity in its root frame, found along with its bodies."""
+"""Base tilt: the direction of gravity in the root frame, estimated with the links."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_para
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.body_bounds import BodyBounds, generous_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
@@ -31,33 +32,34 @@ if TYPE_CHECKING:
 
 
 SEARCHES = ((20e-3, 2e-3), (4e-3, 1e-4))
-"""First steps and last ones [rad] of the two searches, the second with joint weights settled by the
-first.
-"""
+"""First and last steps [rad] of two searches; the second has the joint weights of the first."""
 MOST_TRIES = 80
 DIFFERENCE = 4e-3
-"""Tilt [rad] by which costs are differenced for the errors."""
+"""Step [rad] of the finite differences of the cost."""
 FARTHEST = 0.35
-"""A robot on a wall or a ceiling must be described so.
-
-This tilt [rad] is as far as the search goes.
-"""
+"""Largest tilt [rad] of the search; walls and ceilings belong into the description."""
 SIGNIFICANT = 4.0
-"""A tilt counts where it exceeds so many standard errors,"""
+"""Standard errors that a base tilt must exceed."""
 NOTICEABLE = 1e-3
-"""and this angle [rad]: the better part of what a floor is level to."""
+"""Angle [rad] that a base tilt must exceed: about the accuracy of a level floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mounting:
-    """Hold how a robot was found to stand.
+    """Hold the base tilt of a robot.
 
-    `tilt` (2,) [rad] turns gravity about `axes` (2, 3) of the root frame; `gravity` (3,) is the
-    turned one.
-
-    `covariance` (2, 2) allows for residuals that are alike within a time block. `rms_as_given` and
-    `rms` (n,) are the torque residuals of the best real bodies, standing as described and as found.
-    `is_tilted` says whether the tilt is more than its error and more than a floor's.
+    Parameters
+    ----------
+    as_given
+        The robot as described.
+    axes, tilt
+        Axes (2, 3) of the root frame and angles (2,) [rad] by which gravity is turned.
+    covariance
+        Of the tilt (2, 2), for residuals that are correlated within a time block.
+    gravity
+        Estimated gravity in the root frame (3,) [m/s^2].
+    rms_as_given, rms
+        Torque residuals (n,) of consistent fits without and with the tilt [N m or N].
     """
 
     as_given: RobotModel
@@ -75,12 +77,12 @@ class Mounting:
 
     @property
     def angle(self) -> float:
-        """Angle between gravity as described and as found [rad]."""
+        """Angle between described and estimated gravity [rad]."""
         return float(np.linalg.norm(self.tilt))
 
     @property
     def is_tilted(self) -> bool:
-        """Whether the robot stands otherwise than described."""
+        """Whether the tilt exceeds 4 standard errors and the accuracy of a level floor."""
         z = (
             float(self.tilt @ np.linalg.solve(self.covariance, self.tilt))
             if np.all(np.diag(self.covariance) > 0)
@@ -90,20 +92,18 @@ class Mounting:
 
     @property
     def relief(self) -> float:
-        """Part of the torque residual of the best real bodies, joints together, that standing as
-        found takes away.
-        """
+        """Fraction by which the tilt lowers the torque residual of all joints."""
         before = float(np.linalg.norm(self.rms_as_given))
         return 1.0 - float(np.linalg.norm(self.rms)) / before if before > 0.0 else 0.0
 
     @property
     def model(self) -> RobotModel:
-        """The robot standing as found; as described where that is not askew."""
+        """The robot with estimated gravity if it is tilted, else as described."""
         return self.as_given.with_gravity(self.gravity) if self.is_tilted else self.as_given
 
     @property
     def sentence(self) -> str:
-        """Say how the robot stands."""
+        """The tilt with standard errors, as text."""
         degrees, errors = np.rad2deg(self.tilt), np.rad2deg(self.std_errors)
         turned = " and ".join(
             f"{angle:.2f} +- {error:.2f} deg about {_written(axis)}"
@@ -115,13 +115,10 @@ class Mounting:
         )
         if self.is_tilted:
             return (
-                f"gravity is turned by {turned} from where the description has it: the robot stands"
-                f" askew; torque residual {before:.3g} -> {after:.3g} N m"
+                f"base tilt of {turned} relative to the description; torque residual"
+                f" {before:.3g} -> {after:.3g} N m"
             )
-        return (
-            f"gravity points where the description has it: turned by {turned}, which is not told"
-            " from nothing"
-        )
+        return f"no significant base tilt: {turned} relative to the description"
 
 
 def find_mounting(
@@ -131,21 +128,30 @@ def find_mounting(
     drive: DriveSet = NO_DRIVE,
     block_seconds: float | None = None,
 ) -> Mounting:
-    """Find the direction of gravity in the root frame, near that of the description, from the
-    samples of a recording.
+    """Find the direction of gravity in the root frame, near that of the description.
 
-    Least torque error over direction and real bodies: `V(theta) = min_chi |w (tau - W_theta K
-    chi)|^2 / 2` with bodies as in `fit_consistent`, which alone keeps a tilt and impossible
-    inertias apart. A simplex search on V (variable projection: Golub & Pereyra, Inverse Problems
-    19, 2003), whose second derivatives jump where bodies reach their bounds; K is the same for all
-    directions that are not special. Drive terms that depend on the load are left out. The
-    covariance is `H^-1 (sum_b g_b g_b^T) H^-1` with the slopes g_b of the blocks' shares in V along
-    the fitted bodies and the Hessian H of V, by differences.
+    Minimises `V(theta) = min_chi |w (tau - W_theta K chi)|^2 / 2` over physically consistent chi,
+    without which inconsistent inertias imitate a tilt. A simplex search on V (variable projection:
+    Golub & Pereyra, Inverse Problems 19, 2003), whose second derivatives jump at active bounds; K
+    is the same for all generic directions. Load-dependent drive terms are left out. The covariance
+    is `H^-1 (sum_b g_b g_b^T) H^-1` with the slopes g_b of the blocks' parts of V and the Hessian H
+    of V, by finite differences.
+
+    Parameters
+    ----------
+    model
+        The robot as described.
+    samples
+        Samples of one or more recordings.
+    drive
+        Drive terms.
+    block_seconds
+        Length of a time block [s].
 
     Raises
     ------
     IdentifiabilityError
-        If the samples do not tell the direction, or it is far from that of the description.
+        If the samples do not determine the direction, or it is far from that of the description.
     UsageError
         If there are no samples, or the description has no gravity.
     """
@@ -153,7 +159,7 @@ def find_mounting(
     strength = float(np.linalg.norm(model.gravity))
     if not batches or strength == 0.0:
         raise UsageError(
-            f"finding how {model.name} stands takes samples and a description with gravity; got"
+            f"the base tilt of {model.name} needs samples and a description with gravity; got"
             f" {len(batches)} batches, {strength:g} m/s^2"
         )
     drive = DriveSet(tuple(term for term in drive.terms if not term.needs_load))
@@ -167,15 +173,15 @@ def find_mounting(
             _turned(model, axes, tilt), base, batches, block_seconds=block_seconds
         )
 
-    def shares(tilt: Array, weights: Array) -> Array:
-        told = information(tilt)
+    def block_costs(tilt: Array, weights: Array) -> Array:
+        seen = information(tilt)
         chi = fit_consistent_bodies(
-            prior, base.regrouping, factor=told.stacked(weights), bounds=bounds
+            prior, base.regrouping, factor=seen.stacked(weights), bounds=bounds
         ).chi
-        return _shares(told, base, weights, chi)
+        return _block_costs(seen, base, weights, chi)
 
     def cost(tilt: Array, weights: Array) -> float:
-        return float(shares(tilt, weights).sum())
+        return float(block_costs(tilt, weights).sum())
 
     tilt = np.zeros(2)
     with one_blas_thread():
@@ -197,21 +203,21 @@ def find_mounting(
                 },
             )
             tilt = np.asarray(found.x)
-            told = information(tilt)
-            fit, rms = _settled(told, prior, bounds)
+            seen = information(tilt)
+            fit, rms = _settled(seen, prior, bounds)
         if np.max(np.abs(tilt)) > 0.99 * FARTHEST:
             raise IdentifiabilityError(
-                f"gravity in the root frame of {model.name} lies more than"
-                f" {np.rad2deg(FARTHEST):.0f} deg from where the description has it; describe how"
-                " the robot stands"
+                f"gravity in the root frame of {model.name} is more than"
+                f" {np.rad2deg(FARTHEST):.0f} deg from that of the description",
+                cure=Cure("correct gravity in the description"),
             )
-        here = _shares(told, base, fit.weights, fit.standard)
-        slopes, hessian = _differences(lambda other: shares(other, fit.weights), tilt, here)
+        here = _block_costs(seen, base, fit.weights, fit.standard)
+        slopes, hessian = _differences(lambda other: block_costs(other, fit.weights), tilt, here)
         if np.linalg.eigvalsh(hessian)[0] <= 0.0:
             raise IdentifiabilityError(
-                f"the recordings of {model.name} do not tell how it stands: the torque error has no"
-                " distinct least value over the tilt; move joints whose axes are not parallel to"
-                " gravity through their range"
+                f"the recordings of {model.name} do not determine the base tilt: the torque error"
+                " has no distinct minimum",
+                cure=Cure("move joints whose axes are not parallel to gravity through their range"),
             )
         inverse = np.linalg.inv(hessian)
         covariance = inverse @ (slopes.T @ slopes) @ inverse
@@ -233,19 +239,17 @@ def _settled(
     return fit, np.sqrt(information.residual_energy(fit.beta) / information.n_samples)
 
 
-def _shares(
+def _block_costs(
     information: SquareRootInformation, base: BaseParameters, weights: Array, chi: Array
 ) -> Array:
-    """Return each block's share in the cost, shape (n_blocks,)."""
+    """Return each block's part of the cost, shape (n_blocks,)."""
     residual = np.append(-(base.regrouping @ chi), 1.0)
     errors = [information.block_stacked(b, weights) @ residual for b in range(information.n_blocks)]
     return np.array([0.5 * float(error @ error) for error in errors])
 
 
 def _differences(shares: Callable[[Array], Array], tilt: Array, here: Array) -> tuple[Array, Array]:
-    """Return the slopes of the blocks' shares (n_blocks, 2) and the Hessian (2, 2) of their sum, by
-    central differences.
-    """
+    """Return slopes (n_blocks, 2) and the Hessian (2, 2) of the sum, by central differences."""
     h = DIFFERENCE
     one, two = np.array([h, 0.0]), np.array([0.0, h])
     ahead, behind = (

@@ -23,11 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PayloadRows:
-    """Hold weighted rows `[W | P | tau]` (m, p + 11) of arm, payload and torque, reduced.
+    """Hold triangular factors of weighted rows `[W | P | tau]` of arm, payload and torque.
 
-    Of each time block, all joints together, and of each joint, all blocks together.
-
-    Of the bare arm P is zero.
+    `blocks` have all joints of a time block, `joints` all blocks of a joint; P is zero for the bare
+    arm.
     """
 
     blocks: list[Array]
@@ -45,10 +44,9 @@ class PayloadRows:
         x: Array,
         block_seconds: float | None,
     ) -> PayloadRows:
-        """Reduce samples; `x` is arm and payload as known so far, whose load friction that depends
-        on load is taken to feel.
+        """Reduce samples; `x` is the current arm and payload, for load-dependent friction.
 
-        The columns of parameters that the result dropped are zero: zero they stay.
+        Columns of parameters that the result dropped are zero.
         """
         p, weights = result.n_base, result.weights
         link_columns = np.arange(10 * link, 10 * link + 10)
@@ -89,7 +87,7 @@ class PayloadRows:
 
 
 def _whole(information: SquareRootInformation) -> list[Array]:
-    """Return the factor of each joint with a column for every base parameter and the torque last."""
+    """Return the factor of each joint with a column for every base parameter and the torque."""
     whole = []
     for support, factor in zip(information.support, information.joint_factors, strict=True):
         wide = np.zeros((len(factor), information.base.n_base + 1))
@@ -99,9 +97,7 @@ def _whole(information: SquareRootInformation) -> list[Array]:
 
 
 def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:
-    """Return a factor of the bare arm with ten zero columns for the payload, columns of parameters
-    that are not `kept` zero too.
-    """
+    """Return a factor of the bare arm with ten zero columns of the payload, others if `kept`."""
     return np.concatenate(
         [factor[:, :-1] * kept, np.zeros((len(factor), 10)), factor[:, -1:]], axis=1
     )

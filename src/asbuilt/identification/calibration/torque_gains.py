@@ -1,6 +1,4 @@
-"""Torque per logged unit of every drive - newton metres per ampere - from recordings without and
-with a payload that is known.
-"""
+"""Torque gains of the drives, such as torque per current, by a known payload."""
 
 from __future__ import annotations
 
@@ -22,6 +20,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import Recording
+from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import payload_frame
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.triangular import GrowingFactor, triangular_factor
@@ -32,26 +31,36 @@ if TYPE_CHECKING:
 
 ITERATIONS = 60
 CONVERGENCE = 1e-9
-FAINT = 0.15
-"""Share of a joint's torque under load below which the payload hardly shows."""
-UNTOLD = 0.25
-"""Standard error of a gain, as a fraction of it, beyond which the recordings do not tell it."""
+SMALL_SHARE = 0.15
+"""Share of the payload in a joint's torque below which its gain depends on other joints."""
+LARGEST_ERROR = 0.25
+"""Standard error of a gain, as a fraction of it, above which it is undetermined."""
 RANK_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueGains:
-    """Hold the torque (n,) that one logged unit of each joint stands for [N m per unit], with
-    standard errors from one time block to another.
+    """Hold the torque gain of each joint, the torque of one logged unit [N m per unit].
 
-    `in_use` (n,) are the gains that the torques had been multiplied by when these were found, ones
-    where they were left as logged; `factors` says by how much they were off. `known` says what of
-    the payload was taken as known; `payload` (10,) is the payload in the axes of `frame`, known and
-    found parts together, in the order of `LinkInertia`. `determined` (n,) is False where these
-    recordings do not tell the gain, and the gain NaN where they leave it wholly open;
-    `payload_share` (n,) is how much of the torque under load the payload makes up, RMS: where it is
-    small the gain hangs on parameters shared with other joints, and errors of the friction model
-    move it.
+    Parameters
+    ----------
+    joint_names
+        Names of the n joints.
+    gains, std_errors
+        Gains (n,), NaN without any information, and their standard errors from time blocks.
+    in_use
+        Gains (n,) that the torques had been multiplied by before; ones for torques as logged.
+    determined
+        Whether these recordings determine each gain, shape (n,).
+    payload_share
+        RMS share of the payload in the torque under load (n,). If it is small, the gain depends on
+        parameters shared with other joints and on the friction model.
+    known
+        Properties of the payload that were given.
+    frame, payload
+        Parameters (10,) of the payload in the axes of this frame, in the order of `LinkInertia`.
+    sources
+        The recordings.
     """
 
     joint_names: tuple[str, ...]
@@ -67,10 +76,7 @@ class TorqueGains:
 
     @property
     def factors(self) -> Array:
-        """By how much the torques in use are to be multiplied, (n,).
-
-        Ones where the gains in use are right.
-        """
+        """Factors (n,) of the torques in use, 1 for correct gains."""
         return self.gains / self.in_use
 
     @property
@@ -80,37 +86,33 @@ class TorqueGains:
 
     @property
     def to_use(self) -> Array:
-        """Gains (n,) that stand in place of those in use.
-
-        The ones found, and where these recordings do not tell one, the one in use.
-        """
+        """Gains (n,) to use: the estimated ones, or those in use if undetermined."""
         return np.where(self.determined, self.gains, self.in_use)
 
     def sentences(self) -> tuple[str, ...]:
-        """Say what holds of the gains."""
+        """Return notes on the gains."""
         said = [
-            f"known of the payload: {', '.join(self.known)}; found beside the gains:"
-            f" {self._found()}"
+            f"given for the payload: {', '.join(self.known)}; estimated payload: {self._found()}"
         ]
-        untold = self._named(~self.determined)
-        if untold:
+        undetermined = self._named(~self.determined)
+        if undetermined:
             said.append(
-                f"not told by these recordings: {untold}; the payload hardly loads these joints, or"
-                " what it loads them with was left open. They keep the gain in use"
+                f"undetermined, so the gain in use stays: {undetermined}; the payload has little"
+                " effect on these joints, or its centre or inertia is unknown"
             )
         turned = self.determined & (self.factors < 0)
         if turned.any():
             said.append(
                 "the torque in use has the opposite sign at"
-                f" {'every joint' if turned.all() else self._named(turned)}; the gains below turn"
-                " it, so leave sign and --flip-torque as they are"
+                f" {'every joint' if turned.all() else self._named(turned)}; these gains reverse"
+                " it, so keep all other sign settings"
             )
-        faint = self._named(self.payload_share < FAINT)
-        if faint:
+        small = self._named(self.payload_share < SMALL_SHARE)
+        if small:
             said.append(
-                f"the payload makes up less than {100 * FAINT:.0f} % of the torque of {faint}:"
-                " these gains hang on parameters shared with other joints, and on the friction"
-                " model more than their standard errors say"
+                f"the payload is below {100 * SMALL_SHARE:.0f} % of the torque of {small}; these"
+                " gains depend on other joints and on the friction model beyond their standard"
+                " errors"
             )
         return tuple(said)
 
@@ -126,9 +128,7 @@ class TorqueGains:
 
 
 def gains_in_use(recordings: Sequence[Recording]) -> Array:
-    """Return the gains (n,) that all of these recordings were multiplied by when read, ones where
-    they were left as logged; raises UsageError where they differ.
-    """
+    """Return the gains (n,) in use in all recordings; raises `UsageError` if they differ."""
     each = [
         np.ones(recording.n_joints) if recording.gains is None else np.array(recording.gains)
         for recording in recordings
@@ -137,9 +137,9 @@ def gains_in_use(recordings: Sequence[Recording]) -> Array:
         if not np.array_equal(gains, each[0]):
             listed = ", ".join(f"{gain:g}" for gain in each[0])
             raise UsageError(
-                f"{recording.source} was multiplied by gains"
-                f" {', '.join(f'{gain:g}' for gain in gains)}, {recordings[0].source} by {listed};"
-                " give the same to all, by --gain or in their sheets"
+                f"{recording.source} has gains {', '.join(f'{gain:g}' for gain in gains)},"
+                f" {recordings[0].source} has {listed}; expected the same gains",
+                cure=Cure("give the same gains for all recordings, or in their sheets"),
             )
     return each[0]
 
@@ -156,50 +156,55 @@ def identify_gains(
     frame: str | None = None,
     in_use: ArrayLike | None = None,
 ) -> TorqueGains:
-    """Find gains g with `g_k i_k = Y_k beta` without and `g_k i_k = Y_k beta + P_k phi` with a
-    payload, i being the torque as logged.
+    """Estimate torque gains from recordings without and with a known payload.
 
-    Where the samples' torques were multiplied by gains already, these are `in_use` (see
-    `gains_in_use`): what is found stands in their place, not beside them.
+    `g_k i_k = Y_k beta` without and `g_k i_k = Y_k beta + P_k phi` with the payload, i being the
+    logged torque. beta, g and the unknown part of phi minimise the error of `i_k = (Y_k beta + P_k
+    phi) / g_k` in the logged unit; with columns `-i_k` instead, noise of i would bias the gains
+    toward zero. The known part of phi sets the scale. A gain is determined if its joint carries the
+    payload or shares parameters with joints that do: an axis through the payload's centre needs
+    `com`, an axis that gravity never loads needs `inertia_about_com`.
 
-    beta, g and what is not known of phi are found together, with `i_k = (Y_k beta + P_k phi) / g_k`
-    least wrong in the logged unit, where the noise is; solved for columns `-i_k` instead, noise in
-    i pulls every gain toward zero. The scale of everything comes from what is known of phi: the
-    mass must be, and alone it is enough where the payload's centre and inertia are told by their
-    own torques. A gain is told as far as its joint carries the payload, or is tied by shared
-    parameters to joints that do: an axis through the payload's centre needs `com`, an axis that
-    gravity never loads needs `inertia_about_com`.
+    Source: Gautier and Briot, J. Dynamic Systems, Measurement and Control 136, 2014.
 
-    Source: Gautier and Briot, J. Dynamic Systems, Measurement and Control 136, 2014: gains and
-    parameters together from a known payload.
+    Parameters
+    ----------
+    model
+        The robot as designed.
+    unloaded, loaded
+        Samples without and with the payload.
+    mass, com, inertia_about_com
+        Known mass [kg], centre (3,) [m] and inertia (3, 3) [kg m^2] of the payload in `frame`.
+    drive
+        Drive terms, by default those usual for motor currents.
+    frame
+        Frame that carries the payload, by default the flange.
+    in_use
+        Gains that the samples were multiplied by (`gains_in_use`), which the new ones replace.
 
     Raises
     ------
     UsageError
         If the mass is not positive, the inertia is given without the centre of mass, recordings of
-        either kind are missing, or gains in use are no gains.
+        either kind are missing, or gains in use are invalid.
     IdentifiabilityError
-        If the recordings leave the scale open.
+        If the recordings do not determine the scale.
     """
     if not mass > 0:
-        raise UsageError(
-            f"the mass of the payload must be known and positive to find gains, got {mass:g} kg"
-        )
+        raise UsageError(f"the payload mass is {mass:g} kg; expected the known, positive mass")
     if inertia_about_com is not None and com is None:
-        raise UsageError("inertia_about_com of the payload is given without com; give com too")
+        raise UsageError("inertia_about_com of the payload needs com, which is missing")
     without, under = (
         list(each) if isinstance(each, Sequence) else [each] for each in (unloaded, loaded)
     )
     terms = drive if drive is not None else usual_drive(model, "current")
     if not without or not under:
         raise UsageError(
-            f"gains of {model.name} take recordings without and with the payload, got"
+            f"gains of {model.name} need recordings without and with the payload, got"
             f" {len(without)} and {len(under)}; pass at least one of each"
         )
     if terms.needs_load:
-        raise UsageError(
-            f"gains are found with friction that does not depend on load, got drive terms {terms}"
-        )
+        raise UsageError(f"drive terms {terms} depend on load; expected terms that do not")
     used = (
         np.ones(model.n_joints)
         if in_use is None
@@ -207,8 +212,8 @@ def identify_gains(
     )
     if used.shape not in ((1,), (model.n_joints,)) or not np.all(np.isfinite(used) & (used != 0.0)):
         raise UsageError(
-            f"gains in use are one number or {model.n_joints}, one per joint, none of them 0, got"
-            f" {used.tolist()}"
+            f"gains in use are {used.tolist()}; expected one number or {model.n_joints}, one per"
+            " joint, none of them 0"
         )
     used = np.broadcast_to(used, (model.n_joints,)).copy()
     name, link, placement = payload_frame(model, frame)
@@ -224,7 +229,7 @@ def identify_gains(
     with one_blas_thread():
         gains, payload = problem.solve(np.where(known, given, 0.0), known)
         scatter = problem.jackknife(gains, np.where(known, given, 0.0), known)
-    told = np.isfinite(scatter) & (scatter < UNTOLD * np.abs(gains))
+    determined = np.isfinite(scatter) & (scatter < LARGEST_ERROR * np.abs(gains))
     open_ended = ~(scatter < np.abs(gains))
     share = problem.payload_share(gains, payload)
     gains, scatter, share = (np.where(open_ended, np.nan, each) for each in (gains, scatter, share))
@@ -238,7 +243,7 @@ def identify_gains(
         gains=used * gains,
         std_errors=np.abs(used) * scatter,
         in_use=used,
-        determined=told,
+        determined=determined,
         payload_share=share,
         known=tuple(labels),
         frame=name,
@@ -248,7 +253,7 @@ def identify_gains(
 
 
 class _Problem:
-    """The rows `[W_k | P_k | i_k]` of every joint, reduced to triangles block by block."""
+    """Hold the triangular factors of `[W_k | P_k | i_k]` of every joint by time block."""
 
     def __init__(
         self,
@@ -288,8 +293,8 @@ class _Problem:
         if len(loads) < 2:
             raise IdentifiabilityError(
                 f"no samples of {model.name} {'with' if False in loads else 'without'} the payload"
-                " are left to find gains from: every contiguous segment is shorter than the filter"
-                " needs; record longer, or raise the cutoff"
+                " are left: every contiguous segment is shorter than the filter needs",
+                cure=Cure("record longer, or raise the cutoff"),
             )
 
     def solve(
@@ -299,9 +304,7 @@ class _Problem:
         start: Array | None = None,
         skip: int | None = None,
     ) -> tuple[Array, Array]:
-        """Return gains (n,) and payload (10,), by Gauss-Newton on 1 / gain and the parameters,
-        weights renewed as the errors settle.
-        """
+        """Return gains (n,) and payload (10,) by reweighted Gauss-Newton on 1 / gain."""
         kept = [block for b, block in enumerate(self.blocks) if b != skip]
         rows = [triangular_factor(np.vstack([block[k] for block in kept])) for k in range(self._n)]
         p = self._p
@@ -334,15 +337,13 @@ class _Problem:
                 break
         if not np.all(np.isfinite(inverse)):
             raise IdentifiabilityError(
-                "the recordings leave the gains open; carry a heavier payload, and move the joints"
-                " that carry it"
+                "the recordings do not determine the gains",
+                cure=Cure("carry a heavier payload, and move the joints that carry it"),
             )
         return 1.0 / inverse, theta[p:]
 
     def _signs(self, rows: Sequence[Array], theta: Array, free: NDArray[np.bool_]) -> Array:
-        """Return the sign of each gain (n,), from the fit linear in the gains, `-i_k g_k + Y_k beta
-        + P_k phi = 0`, whose sizes noise pulls toward zero.
-        """
+        """Return the sign (n,) of each gain by a fit of `-i_k g_k + Y_k beta + P_k phi = 0`."""
         matrix, target = [], []
         for k, r in enumerate(rows):
             own = np.zeros((len(r), self._n))
@@ -355,7 +356,7 @@ class _Problem:
         )
 
     def payload_share(self, gains: Array, payload: Array) -> Array:
-        """Return the RMS torque of the payload over the RMS torque of the loaded recordings, (n,)."""
+        """Return the RMS torque of the payload over that of the loaded recordings, (n,)."""
         shares = []
         for k in range(self._n):
             under = [block[k] for block in self.blocks if np.any(block[k][:, self._p : -1])] or [

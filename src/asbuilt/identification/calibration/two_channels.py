@@ -1,7 +1,4 @@
-"""Joint torque sensors and motors recorded together.
-
-Links seen by both, rotors and gears by the motors alone.
-"""
+"""Joint torque sensors and motor torques recorded together: links, gears and rotors."""
 
 from __future__ import annotations
 
@@ -36,12 +33,20 @@ MOTOR_SIDE = DriveSet.parse("armature,viscous,coulomb,offset")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoChannelEstimate:
-    """Hold what sensors and motors say together of a robot with n joints.
+    """Hold the parameters of links, link-side drives and motor side of n joints.
 
-    P base parameters of links and link-side drives, then those of the motor side.
-
-    `names`, `units`, `values`, `std_errors` are theirs, `of_motor_side` says which are of the motor
-    side; `rms_sensor` and `rms_motor` (n,) the torque errors of the two channels.
+    Parameters
+    ----------
+    robot, joint_names
+        The robot.
+    names, units, values, std_errors
+        Base parameters of links and link-side drives, then those of the motor side.
+    of_motor_side
+        Which parameters are of the motor side.
+    rms_sensor, rms_motor
+        Torque errors of the two channels (n,).
+    estimate, uncertainty, information
+        The fit behind.
     """
 
     robot: str
@@ -58,9 +63,9 @@ class TwoChannelEstimate:
     information: SquareRootInformation
 
     def value(self, name: str) -> float:
-        """Return the value of one parameter by name; raises ResultError where there is none."""
+        """Return the value of one parameter; raises `ResultError` for an unknown name."""
         if name not in self.names:
-            raise ResultError(f"there is no parameter {name!r}; there are {', '.join(self.names)}")
+            raise ResultError(f"unknown parameter {name!r}; available: {', '.join(self.names)}")
         return float(self.values[self.names.index(name)])
 
 
@@ -72,21 +77,29 @@ def identify_two_channels(
     link_side: DriveSet = LINK_SIDE,
     motor_side: DriveSet | None = None,
 ) -> TwoChannelEstimate:
-    """Identify links, link-side friction and motor side from torques on both sides of the gears,
-    each joint and channel with a weight of its own.
+    """Identify links, link-side friction and motor side from torques on both sides of the gears.
 
     `tau_sensor = Y beta + link side`, `tau_motor = tau_sensor + motor side`: bearings and links act
-    on both, `armature`, gear friction and motor offset on the motor's torque alone. Their
-    difference tells the motor side apart whatever its terms, so it adds every parameter that acts,
-    named with an m (`Iam1`, `Fvm1`; those of motors that several joints turn, `Iam`, become
-    `Iamm`). `motor_side` is by default armature, viscous and Coulomb friction and offset, and those
-    of motors that several joints turn where the robot has such. Samples come in pairs at the same
-    instants.
+    on both, armature, gear friction and motor offset on the motor's torque alone. The difference
+    determines every parameter of the motor side that acts, named with an m (`Iam1`, `Fvm1`; `Iam`
+    of coupled motors becomes `Iamm`). Each joint and channel has its own weight.
+
+    Parameters
+    ----------
+    model
+        The robot as designed.
+    sensor, motor
+        Samples of joint torque sensors and of motor torques, in pairs at the same instants.
+    link_side
+        Drive terms on the link side.
+    motor_side
+        Drive terms on the motor side; by default armature, viscous and Coulomb friction and offset,
+        and those of motors that several joints share.
 
     Raises
     ------
     UsageError
-        If the two channels are not of the same instants, or a term needs what there is not.
+        If the instants of the channels differ, or a term depends on load or is not linear.
     """
     sensors, motors = (
         list(each) if isinstance(each, Sequence) else [each] for each in (sensor, motor)
@@ -117,11 +130,11 @@ def identify_two_channels(
         side.check_joints(model.n_joints)
         if not side.is_linear:
             raise UsageError(
-                "two channels are identified with nonlinear parameters that are stated, such as"
+                "two channels need nonlinear parameters that are stated, such as"
                 f" stribeck:velocity=0.05, got {side}"
             )
     if link_side.needs_load or ahead.needs_load:
-        raise UsageError("two channels are identified with friction that does not depend on load")
+        raise UsageError("two channels need drive terms that do not depend on load")
     acting = _acting(model, ahead)
     both = _both_sides(model, find_base_parameters(model, link_side), ahead, acting)
     information = _joined(model, both, link_side, ahead, acting, sensors, motors)
@@ -146,10 +159,7 @@ def identify_two_channels(
 
 
 def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
-    """Return which drive parameters of the motor side act at all, counted joint by joint.
-
-    A motor of its joint alone has no terms of coupled motors.
-    """
+    """Return which drive parameters of the motor side act; single motors have no coupled terms."""
     coupled = np.any(model.motor_shares != 0.0, axis=1)
     acts = [
         term.is_at(k) and (bool(coupled[k]) or not term.of_motor)
@@ -163,9 +173,7 @@ def _acting(model: RobotModel, motor_side: DriveSet) -> Indices:
 def _both_sides(
     model: RobotModel, base: BaseParameters, motor_side: DriveSet, acting: Indices
 ) -> BaseParameters:
-    """Return the base parameters with those of the motor side that act behind them, each
-    independent of all others.
-    """
+    """Return the base parameters followed by the independent ones of the motor side."""
     every = [
         f"{symbol}m{number}"
         for number in range(1, model.n_joints + 1)
