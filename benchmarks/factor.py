@@ -19,7 +19,7 @@ from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.bodies.consistency import consistency_margin
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.identify import design_values
+from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.information.square_root_information import accumulate
 from peer import best, pinocchio_model
 

@@ -23,7 +23,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 from drive_terms import CASES as TERM_CASES
 from drive_terms import SHARED, UR10E_SHEET, Case
 
@@ -235,7 +235,7 @@ def rows(model: RobotModel, data: Path, case: Case, scratch: Path) -> Iterator[R
             method=way.method, drive=way.drive, holdout=case.holdout, mounting=mounting
         )
         try:
-            study = run_study(model, logs, validation=judges, options=chosen)
+            study = identify(model, logs, validation=judges, options=chosen)
         except AsbuiltError as problem:
             yield Row(str(way), problem=str(problem))
             continue
@@ -247,12 +247,12 @@ def rows(model: RobotModel, data: Path, case: Case, scratch: Path) -> Iterator[R
             )
             cad_shown = True
         if not any(each.mounting for each in ways) and any(
-            warning.code == "mounting_askew" for warning in result.warnings
+            warning.code == "base_tilt" for warning in result.findings
         ):
             ways += [way._replace(mounting=True) for way in WAYS]
         suspected = [
-            SPRINGS.search(warning.message)
-            for warning in result.warnings
+            SPRINGS.search(warning.text)
+            for warning in result.findings
             if warning.code == "spring_suspected"
         ]
         if (

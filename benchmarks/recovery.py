@@ -17,7 +17,7 @@ from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda", "scara")
 SEEDS = range(5)
@@ -60,7 +60,7 @@ def recovered(name: str, preset: str, seed: int) -> Recovery:
         robot.record(random_fourier(model, 100 * seed + k, n_harmonics=5 + k), rng=100 * seed + k)
         for k in range(RECORDINGS)
     ]
-    study = run_study(
+    study = identify(
         model,
         [each.recording for each in learned],
         options=StudyOptions(drive=robot.drive, checked=False),

@@ -18,7 +18,7 @@ for finding in asbuilt.check_recording(model, training).findings:
 options = asbuilt.StudyOptions(
     drive=asbuilt.DriveSet.parse("armature,viscous,coulomb,offset"), method="auto"
 )
-study = asbuilt.run_study(model, [training], validation=[test], options=options)
+study = asbuilt.identify(model, [training], validation=[test], options=options)
 result = study.result
 print(
     f"{result.rank} of {result.n_base} parameters by {result.method}, physically consistent:"

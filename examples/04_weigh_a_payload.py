@@ -5,7 +5,7 @@ import numpy as np
 import asbuilt
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.calibration.payload import identify_payload, payload_frame
+from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
 
 model = asbuilt.load_robot("franka-panda")
 drive = asbuilt.DriveSet.parse("viscous,coulomb,offset")
@@ -24,7 +24,7 @@ def recorded(robot: InstalledRobot, seed: int) -> asbuilt.Samples:
 
 
 result = asbuilt.identify(model, recorded(bare, 1), drive=drive)
-payload = identify_payload(result, recorded(loaded, 2))
+payload = identify_payload_samples(result, recorded(loaded, 2))
 for name, value, error in zip(payload.names, payload.values, payload.std_errors, strict=True):
     print(
         f"{name:6} {value:9.4f} +- {error:.4f} "

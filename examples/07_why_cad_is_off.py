@@ -19,7 +19,7 @@ recording = robot.record(
     random_fourier(model, rng=4, duration=30.0, n_harmonics=10), rate=200.0, rng=4
 ).recording
 
-study = asbuilt.run_study(model, [recording], options=asbuilt.StudyOptions(holdout="blocks:3s:3"))
+study = asbuilt.identify(model, [recording], options=asbuilt.StudyOptions(holdout="blocks:3s:3"))
 print(study.comparison.verdict())
 for sentence in attribute(study.result).sentences:
     print(" ", sentence)

@@ -14,7 +14,7 @@ from asbuilt import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 from asbuilt.writers.models.export import export_result
 
 model = load_robot("ur10e")
@@ -28,7 +28,7 @@ options = StudyOptions(
     drive=DriveSet.parse("armature,viscous,coulomb,offset"),
     holdout="blocks:2s:3",
 )
-result = run_study(model, [recording], options=options).result
+result = identify(model, [recording], options=options).result
 print(
     f"torque error held out: CAD {100 * result.cad.relative_error:.1f} %, as built"
     f" {100 * result.validation[0].relative_error:.1f} %\n"

@@ -20,9 +20,9 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.result.metrics import torque_metrics
+from asbuilt.findings import Finding
 from asbuilt.identification.result.result import (
     IdentificationResult,
-    IdentificationWarning,
     IdentifiedParameter,
 )
 
@@ -173,7 +173,7 @@ def example_identification(
         validation=(torque_metrics(test, columns @ beta, held_out.source, model.joint_names),),
         cad=torque_metrics(test, columns @ np.nan_to_num(cad), held_out.source, model.joint_names),
         physically_consistent=False, consistency_margin=-0.01,
-        warnings=(IdentificationWarning("weak_joint", f"joint {model.joint_names[1]} hardly moves; lengthen the motion"),),
+        findings=(Finding("weak_joint", "warning", f"joint {model.joint_names[1]} hardly moves; lengthen the motion"),),
         provenance=train.provenance,
     )  # fmt: skip
     return Example(model, truth, train, held_out, result)

@@ -30,7 +30,7 @@ STAGES = (
     "workflow",
     "writers",
 )
-LEAVES = ("arrays", "errors", "findings", "registry", "tables")
+LEAVES = ("arrays", "codec", "errors", "findings", "registry", "tables")
 FULL = 12
 """Modules that one folder may hold, drive terms excepted."""
 HEAVY = (

@@ -106,7 +106,7 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     pl.read_csv(folder / "timed.csv").drop("t").write_csv(folder / "log.csv")
     samples, other = (asbuilt.prepare_samples(each) for each in recordings)
     options = asbuilt.StudyOptions(drive=asbuilt.DriveSet.parse("viscous,coulomb,offset"))
-    studies = [asbuilt.run_study(model, [each], options=options) for each in recordings]
+    studies = [asbuilt.identify(model, [each], options=options) for each in recordings]
     return {
         "folder": folder,
         "model": model,

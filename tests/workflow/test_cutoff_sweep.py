@@ -16,7 +16,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
@@ -73,7 +73,7 @@ def test_a_statistic_that_is_not_known_is_a_dash(sweep: CutoffSweep) -> None:
 
 
 def test_study_uses_and_states_the_chosen_cutoff(recording: Recording) -> None:
-    study = run_study(
+    study = identify(
         load_robot("ur10e"),
         [recording],
         options=StudyOptions(drive=DRIVE, sweep_cutoff=True, holdout="last:0.3"),

@@ -19,7 +19,8 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, MissingExtraError
-from asbuilt.excitation.design.design import Design, design_motion
+from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.multistart import SearchProgress
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.motions.motion import Motion
@@ -32,7 +33,7 @@ from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.tables import share, significant, stacked
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.workflow.study import Study, StudyOptions, run_study
+from asbuilt.workflow.study import Study, StudyOptions, identify
 from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.export import Export, export_result
 from asbuilt.writers.recording_files import simulate_document, write_simulation
@@ -89,14 +90,15 @@ def run_demo(
     report("design a motion", 0.0)
     design = design_motion(
         model,
-        drive,
-        DesignOptions(size=5, duration=20.0, seed=SEED, time_limit=search_seconds),
+        DesignOptions(
+            size=5, duration=20.0, drive=str(drive), seed=SEED, time_limit=search_seconds
+        ),
         progress=searched,
     )
     report("record the robot", 0.0)
     training = _recorded(model, design.motion, SEED, "designed motion")
     test = _recorded(model, random_fourier(model, SEED, n_harmonics=4), SEED + 1, "another motion")
-    study = run_study(
+    study = identify(
         model,
         [training.recording],
         validation=[test.recording],
@@ -255,7 +257,7 @@ def demo_document(story: Demo) -> dict[str, Any]:
     return {
         "excite": excite_document(story.design, {}),
         "simulate": simulate_document(story.training, {}),
-        "identify": identify_document(story.study.result),
+        "identify": identify_document(story.study),
         "compare": (
             story.study.comparison.as_document() | {"attribution": story.causes.as_document()}
         ),

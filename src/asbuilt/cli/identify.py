@@ -12,10 +12,8 @@ import typer
 from asbuilt.cli.answers import answer, listed_files, progress_bar
 from asbuilt.cli.options import (
     AsJson,
-    Carrier,
-    Drive,
     Filtering,
-    Holdout,
+    Full,
     Judges,
     Logs,
     Out,
@@ -28,113 +26,57 @@ from asbuilt.cli.options import (
     read_result,
     refuse_idle,
 )
-from asbuilt.cli.spread import one_of
 from asbuilt.errors import UsageError
+from asbuilt.workflow.options import (
+    BLOCKS,
+    ControllerOptions,
+    PayloadOptions,
+    StudyOptions,
+    ValidationOptions,
+)
 
 
 def identify(
     robot: Robot,
     log: Logs,
     *,
+    options: StudyOptions,
     validate: Judges = None,
-    holdout: Holdout = None,
-    drive: Drive = None,
-    method: Annotated[
-        str,
-        typer.Option(
-            "--method",
-            metavar="NAME",
-            help="estimator; auto chooses one, an unknown name lists all",
-        ),
-    ] = "auto",
-    undetermined: Annotated[
-        str,
-        typer.Option(
-            "--undetermined",
-            "--prior",
-            metavar="HOW",
-            help="what no motion excites: cad (keep at CAD, named) or refuse",
-        ),
-    ] = "cad",
     payload: Annotated[
         list[Path] | None,
         typer.Option(
             "--payload", metavar="LOG", help="a recording under load: what does the flange carry?"
         ),
     ] = None,
-    mounting: Annotated[
-        str,
-        typer.Option(
-            "--mounting",
-            metavar="HOW",
-            help=(
-                "gravity points as in the description (cad), or its direction is found too"
-                " (estimate)"
-            ),
-        ),
-    ] = "cad",
-    errors: Annotated[
-        str,
-        typer.Option(
-            "--errors",
-            metavar="KIND",
-            help=(
-                "standard errors: blocks (from time blocks, by formula), bootstrap (time blocks"
-                " drawn again and again) or textbook (residuals taken as independent: too small"
-                " where they are not)"
-            ),
-        ),
-    ] = "blocks",
-    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a robot from recordings.
-
-    Base parameters with errors, what they predict, and how CAD compares.
-    """
-    from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.identification.drives.drive_choice import is_auto
-    from asbuilt.identification.errors.error_basis import ERROR_KINDS
-    from asbuilt.identification.estimators.methods import methods
-    from asbuilt.workflow.payload_study import run_payload_study
-    from asbuilt.workflow.study import StudyOptions, run_study
+    """Identify a robot from recordings, and validate the result."""
+    from asbuilt.workflow.payload_study import identify_payload
+    from asbuilt.workflow.study import identify as identify_robot
     from asbuilt.writers.reports.study_files import study_document, study_text, write_study
 
     distinct_logs(log, validate, payload)
     model, swept = described_robot(robot), filtering.cutoff == "auto"
-    options = StudyOptions(
-        drive=None if drive is None else drive if is_auto(drive) else DriveSet.parse(drive),
-        method=methods.find(method).name,
-        chain=replace(filtering, cutoff=None if swept else filtering.cutoff).chain(),
-        sweep_cutoff=swept,
-        errors=one_of("--errors", errors, ERROR_KINDS),
-        holdout=holdout,
-        undetermined=one_of(
-            "--undetermined", undetermined, {"cad": "toward_prior", "refuse": "refuse"}
-        ),
-        mounting=one_of("--mounting", mounting, {"cad": "as_described", "estimate": "estimate"}),
-        checked=not unchecked,
-    )
+    chain = replace(filtering, cutoff=None if swept else filtering.cutoff).chain()
+    options = replace(options, chain=chain, sweep_cutoff=swept)
     with progress_bar() as report:
         report("read", 0.0)
         recordings, others, loaded = (
             reading.open(model, logs) for logs in (log, validate, payload)
         )
-        study = run_study(model, recordings, validation=others, options=options, progress=report)
-        carried = (
-            run_payload_study(
-                study.result,
-                loaded,
-                chain=options.chain,
-                holdout=options.holdout,
-                checked=options.checked,
-            )
-            if loaded
-            else None
+        study = identify_robot(
+            model, recordings, validation=others, options=options, progress=report
         )
+        carried = None
+        if loaded:
+            under_load = PayloadOptions(
+                chain=chain, holdout=options.holdout, checked=options.checked
+            )
+            carried = identify_payload(study.result, loaded, options=under_load)
         files, notes = (
             write_study(out, study, payload=carried, command=sys.argv[1:])
             if out is not None
@@ -143,7 +85,7 @@ def identify(
     answer(
         as_json,
         lambda: study_document(study, files, notes, carried),
-        lambda: study_text(study, carried) + listed_files(files, notes),
+        lambda: study_text(study, carried, full=full) + listed_files(files, notes),
     )
 
 
@@ -152,9 +94,7 @@ def validate(
         str,
         typer.Argument(
             metavar="RESULT|ROBOT",
-            help=(
-                "a result.json that `asbuilt identify --out` wrote, or a robot, judged as described"
-            ),
+            help="a result.json that `asbuilt identify --out` wrote, or a robot as described",
         ),
     ],
     log: Logs,
@@ -163,14 +103,13 @@ def validate(
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Predict other recordings with an identified model, and with CAD beside it."""
-    from asbuilt.experiment.logs.long_recordings import prepare_logged
-    from asbuilt.experiment.quality.checks import refuse_spoilt
+    """Predict recordings with an identified model, and with CAD beside it."""
     from asbuilt.validation.comparison.comparison import compare
-    from asbuilt.validation.prediction import validate as predict
-    from asbuilt.validation.prediction import validate_description
+    from asbuilt.workflow.validation import validate as validate_result
+    from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.reports.study_files import write_validations
     from asbuilt.writers.tables.tabular import (
         described_document,
@@ -179,40 +118,35 @@ def validate(
     )
 
     distinct_logs(log)
+    options = ValidationOptions(
+        chain=filtering.chain() if any(filtering.given.values()) else None, checked=not unchecked
+    )
     if Path(result).suffix.lower() != ".json":
         if out is not None:
             raise UsageError(
-                "validate --out writes the predictions of a result; of a robot as described there"
-                " is only the table"
+                "--out writes the predictions of a result; for a robot as described there is only"
+                " the table"
             )
         model = described_robot(result)
-        recordings = reading.open(model, log)
-        if not unchecked:
-            refuse_spoilt(model, recordings)
-        errors = [
-            validate_description(model, prepare_logged(recording, filtering.chain()))
-            for recording in recordings
-        ]
+        errors = validate_robot(model, reading.open(model, log), options=options)
         answer(
             as_json,
             lambda: described_document(model, errors),
-            lambda: described_torque_table(model, errors).as_text(),
+            lambda: described_torque_table(model, errors).as_text(full),
         )
         return
     identified = read_result(Path(result))
-    recordings, chain = reading.open(identified.model, log), filtering.chain()
-    if not unchecked:
-        refuse_spoilt(identified.model, recordings)
-    validations = [
-        predict(identified, prepare_logged(recording, chain)) for recording in recordings
-    ]
+    validations = validate_result(identified, reading.open(identified.model, log), options=options)
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
     answer(
         as_json,
         lambda: validate_document(identified, validations, files=files),
         lambda: (
-            comparison.torque_table().as_text() + "\n" + comparison.verdict() + listed_files(files)
+            comparison.torque_table().as_text(full)
+            + "\n"
+            + comparison.verdict()
+            + listed_files(files)
         ),
     )
 
@@ -231,7 +165,7 @@ def compare(
         typer.Option(
             "--cad-tolerance",
             metavar="5%",
-            help="how well CAD knows masses, centres and inertias: one fraction or three",
+            help="tolerance of CAD masses, centres and inertias: one fraction or three",
         ),
     ] = None,
     other: Annotated[
@@ -255,7 +189,7 @@ def compare(
         typer.Option(
             "--holdout",
             metavar="RULE",
-            help="what of --controller to judge by (default: blocks:5s:3)",
+            help="what of --controller to validate on (default: blocks:5s:3)",
         ),
     ] = None,
     unchecked: Unchecked = False,
@@ -267,13 +201,12 @@ def compare(
 
     What differs, what that costs in torque, which causes explain it; or two results of one robot.
     """
-    from asbuilt.experiment.quality.checks import refuse_spoilt
     from asbuilt.identification.result.determination import determination
     from asbuilt.validation.attribution.attribution import attribute
     from asbuilt.validation.comparison.cad_tolerance import CadTolerance
     from asbuilt.validation.comparison.comparison import compare as compare_with
     from asbuilt.validation.comparison.drift import compare_results
-    from asbuilt.workflow.controller_model import compare_with_controller
+    from asbuilt.workflow.controller_model import compare_controller
     from asbuilt.writers.reports.compare_files import (
         CadVerdict,
         with_files,
@@ -307,9 +240,11 @@ def compare(
         return
     if controller is not None:
         recording = reading.read(identified.model, [controller])[0]
-        if not unchecked:
-            refuse_spoilt(identified.model, [recording])
-        beside = compare_with_controller(identified, recording, holdout=holdout or "blocks:5s:3")
+        beside = compare_controller(
+            identified,
+            recording,
+            options=ControllerOptions(holdout=holdout or BLOCKS, checked=not unchecked),
+        )
         files = write_drift(out, beside) if out is not None else {}
         answer(
             as_json,
@@ -339,6 +274,7 @@ def payload(
     result: Result,
     log: Logs,
     *,
+    options: PayloadOptions,
     unloaded: Annotated[
         list[Path] | None,
         typer.Option(
@@ -346,50 +282,47 @@ def payload(
         ),
     ] = None,
     validate: Judges = None,
-    holdout: Holdout = None,
-    frame: Carrier = None,
-    arm: Annotated[
-        str,
-        typer.Option(
-            "--arm", metavar="HOW", help="refined (with the payload, held by the result) or frozen"
-        ),
-    ] = "refined",
     gain_uncertainty: Annotated[
         str | None,
         typer.Option(
             "--gain-uncertainty",
             metavar="7%|P1,P2,...",
             help=(
-                "how well torque per ampere is known, for all joints or each (default: 7% for"
+                "relative error of the torque per ampere, for all joints or each (default: 7% for"
                 " currents, 5% for motor torques, 0 for sensors)"
             ),
         ),
     ] = None,
-    unchecked: Unchecked = False,
     reading: Reading,
     filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
-    """Find what the flange carries: mass, centre and inertia, from recordings under load."""
+    """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
     from asbuilt.identification.calibration.gain_uncertainty import parse_gain_uncertainty
-    from asbuilt.workflow.payload_study import run_payload_study
+    from asbuilt.workflow.payload_study import identify_payload
     from asbuilt.writers.tables.payload_tables import payload_document, payload_text
     from asbuilt.writers.tables.tabular import write_json
 
     distinct_logs(log, unloaded, validate)
     identified = read_result(result)
-    read = [reading.open(identified.model, logs) for logs in (log, unloaded, validate)]
-    found = run_payload_study(
-        identified,
-        *read,
-        chain=filtering.chain(),
-        holdout=holdout,
-        frame=frame,
-        arm=one_of("--arm", arm, ("refined", "frozen")),
-        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
-        checked=not unchecked,
+    loaded, bare, others = (
+        reading.open(identified.model, logs) for logs in (log, unloaded, validate)
     )
+    options = replace(
+        options,
+        chain=filtering.chain(),
+        gain_uncertainty=parse_gain_uncertainty(gain_uncertainty),
+    )
+    with progress_bar() as report:
+        found = identify_payload(
+            identified,
+            loaded,
+            unloaded=bare,
+            validation=others,
+            options=options,
+            progress=report,
+        )
     files = (
         {"payload": write_json(out / "payload.json", payload_document(found))}
         if out is not None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asbuilt.cli.spread import given_options, one_of
-from asbuilt.errors import ResultError, UsageError
+from asbuilt.errors import UsageError
 
 if TYPE_CHECKING:
     from asbuilt.description.model import RobotModel

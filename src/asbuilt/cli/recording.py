@@ -101,28 +101,23 @@ def gains(
     Gains of a sheet or of --gain scale the torques as usual; what is printed stands in their place.
     """
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE, refuse_spoilt
-    from asbuilt.experiment.signal.signal_chain import prepare_samples
-    from asbuilt.identification.calibration.torque_gains import gains_in_use, identify_gains
+    from asbuilt.workflow.calibration import find_gains
+    from asbuilt.workflow.options import GainOptions
     from asbuilt.writers.tables.drive_tables import gains_document, gains_text
 
     distinct_logs(log, loaded)
     model = described_robot(robot)
     currents = replace(reading, torque_source=reading.torque_source or "current")
-    bare, under = (currents.read(model, logs) for logs in (log, loaded))
-    if not unchecked:
-        refuse_spoilt(model, [*bare, *under], but=(*TOO_LITTLE, *UNKNOWN_TORQUE))
-    chain = filtering.chain().resolved(*bare, *under)
-    found = identify_gains(
-        model,
-        [prepare_samples(recording, chain) for recording in bare],
-        [prepare_samples(recording, chain) for recording in under],
-        mass=mass,
+    options = GainOptions(
         com=number_list("--com", com, 3) or None,
-        drive=None if drive is None else DriveSet.parse(drive),
         frame=frame,
-        in_use=gains_in_use([*bare, *under]),
+        drive=None if drive is None else DriveSet.parse(drive),
+        chain=filtering.chain(),
+        checked=not unchecked,
     )
+    bare, under = (currents.open(model, logs) for logs in (log, loaded))
+    with progress_bar() as report:
+        found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
     answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
 
 
@@ -176,25 +171,23 @@ def channels(
     gears.
     """
     from asbuilt.dynamics.drives.selection import DriveSet
-    from asbuilt.experiment.quality.checks import refuse_spoilt
-    from asbuilt.experiment.signal.signal_chain import prepare_samples
-    from asbuilt.identification.calibration.two_channels import LINK_SIDE, identify_two_channels
+    from asbuilt.workflow.calibration import identify_channels
+    from asbuilt.workflow.options import ChannelOptions
     from asbuilt.writers.tables.drive_tables import channels_document, channels_text
 
     model = described_robot(robot)
-    sensors = replace(reading, torque_source=reading.torque_source or "sensor").read(model, log)
+    sensors = replace(reading, torque_source=reading.torque_source or "sensor").open(model, log)
     motors = replace(
         reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet
-    ).read(model, motor)
-    if not unchecked:
-        refuse_spoilt(model, [*sensors, *motors])
-    chain = filtering.chain().resolved(*sensors)
-    found = identify_two_channels(
-        model,
-        *([prepare_samples(each, chain) for each in logs] for logs in (sensors, motors)),
-        link_side=LINK_SIDE if drive is None else DriveSet.parse(drive),
+    ).open(model, motor)
+    options = ChannelOptions(
+        link_side=None if drive is None else DriveSet.parse(drive),
         motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),
+        chain=filtering.chain(),
+        checked=not unchecked,
     )
+    with progress_bar() as report:
+        found = identify_channels(model, sensors, motors, options=options, progress=report)
     answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
 
 

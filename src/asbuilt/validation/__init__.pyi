@@ -6,8 +6,8 @@ from .comparison.comparison import compare as compare
 from .comparison.drift import Drift as Drift
 from .comparison.drift import compare_results as compare_results
 from .prediction import Validation as Validation
-from .prediction import validate as validate
 from .prediction import validate_description as validate_description
+from .prediction import validate_samples as validate_samples
 from .recovery import Recovery as Recovery
 from .recovery import compare_with_truth as compare_with_truth
 from .residuals import ResidualAnalysis as ResidualAnalysis

@@ -1,23 +1,26 @@
-"""Hold an identified model against a recording.
-
-Measured torque, the prediction as built and the prediction by design.
-"""
+"""Validation of an identified model: torque of a recording as measured, as built and by CAD."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
-from asbuilt.identification.identify import design_values as described_values
-from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
-from asbuilt.identification.result.torque_prediction import Prediction, carrying, predict_torque
+from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.torque_prediction import (
+    Prediction,
+    beside_measured,
+    model_torque,
+)
 from asbuilt.validation.residuals import (
     ResidualAnalysis,
     VelocityCurve,
@@ -29,13 +32,17 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
     from asbuilt.identification.result.result import IdentificationResult
 
+SAME_GEOMETRY = 1e-6
+"""Largest difference of joint frames [rad or m] of two descriptions of one robot."""
 
-@dataclass(frozen=True, slots=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Validation:
-    """Hold torques of a recording, all (N, n) at the times `t` (N,) of the filtered grid, N m or N.
+    """Hold the torques of a recording, all (N, n) at the times `t` (N,) of the filtered grid.
 
     `velocity` is the joint velocity there, `drive` the torque of the identified drive terms that
-    follow velocity (friction, offset).
+    follow velocity (friction, offset). `metrics_as_built` and `metrics_cad` measure the two
+    predictions. Torques are in N m or N, as `units` says joint by joint.
     """
 
     source: str
@@ -51,15 +58,18 @@ class Validation:
     metrics_cad: TorqueMetrics
 
     def __post_init__(self) -> None:
-        for values in (
-            self.t,
-            self.velocity,
-            self.measured,
-            self.predicted,
-            self.predicted_cad,
-            self.drive,
-        ):
+        for values in (self.t, self.velocity, self.measured, self.predicted):
             values.setflags(write=False)
+        for values in (self.predicted_cad, self.drive):
+            values.setflags(write=False)
+
+    def __repr__(self) -> str:
+        rms = ", ".join(f"{value:.3g}" for value in self.metrics_as_built.rms)
+        return (
+            f"<Validation on {self.source}: {len(self.t)} samples, relative torque error"
+            f" {100 * self.metrics_as_built.relative_error:.2g} % as built,"
+            f" {100 * self.metrics_cad.relative_error:.2g} % by CAD; RMS as built {rms}>"
+        )
 
     @property
     def error(self) -> Array:
@@ -68,82 +78,85 @@ class Validation:
 
     @property
     def friction(self) -> Array:
-        """Measured torque minus the rigid-body part of the prediction as built, (N, n).
-
-        What the drives took.
-        """
+        """Measured torque minus the rigid-body part of the prediction as built, (N, n)."""
         return self.error + self.drive
+
+    @cached_property
+    def _residuals(self) -> ResidualAnalysis:
+        return analyse_residual(self.t, self.error, self.joint_names)
 
     def residuals(self) -> ResidualAnalysis:
         """Analyse the error of the prediction as built."""
-        return analyse_residual(self.t, self.error, self.joint_names)
+        return self._residuals
 
     def friction_curves(self) -> tuple[VelocityCurve, ...]:
-        """Return the torque the drives took against velocity, one curve per joint."""
+        """Return the torque of the drives against velocity, one curve per joint."""
         return tuple(
             velocity_curve(qd, torque)
             for qd, torque in zip(self.velocity.T, self.friction.T, strict=True)
         )
 
 
-def validate(
+def validate_samples(
     result: IdentificationResult, samples: Samples, *, cad: RobotModel | None = None
 ) -> Validation:
-    """Predict a recording from the values as built and by design, the torque and both predictions
-    through the same filter.
+    """Predict a recording from the values as built and by design, through its filter.
 
-    `cad` replaces the description that the result carries, such as the manufacturer's; it must have
-    the same joints and geometry. Design values on which it is silent add nothing. Raises
-    ResultError where joints do not fit.
+    Parameters
+    ----------
+    result
+        The identified robot.
+    samples
+        Prepared samples of a recording.
+    cad
+        Another description of the robot with the same geometry, in place of the result's own.
+        Unknown design values count as zero.
+
+    Raises
+    ------
+    ResultError
+        If joints or geometry do not fit.
     """
-    if tuple(samples.joint_names) != tuple(result.joint_names):
-        raise ResultError(
-            f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)}; the"
-            f" result of {result.robot} needs {', '.join(result.joint_names)} in this order"
-        )
-    design = np.nan_to_num(
-        result.cad_values if cad is None else design_values(result, cad), nan=0.0
-    )
-    as_built, by_design = (
-        predict_torque(result.model, result.base, beta, samples)
-        for beta in (result.estimates, design)
+    design = result.cad_values if cad is None else cad_values(result, cad)
+    return predict_both(result.model, result.base, result.estimates, design, samples)
+
+
+def predict_both(
+    model: RobotModel, base: BaseParameters, estimates: Array, design: Array, samples: Samples
+) -> Validation:
+    """Predict a recording from base parameters (p,) as built and by design, NaN counting as zero."""
+    rigid, torque = model_torque(model, base, estimates, samples)
+    as_built = beside_measured(samples, torque)
+    by_design = beside_measured(
+        samples, model_torque(model, base, np.nan_to_num(design, nan=0.0), samples)[1]
     )
     return Validation(
         source=samples.source,
-        joint_names=tuple(result.joint_names),
-        units=torque_units(result.model),
+        joint_names=model.joint_names,
+        units=torque_units(model),
         t=as_built.t,
         velocity=samples.filtered(samples.qd),
         measured=as_built.measured,
         predicted=as_built.predicted,
         predicted_cad=by_design.predicted,
-        drive=_drive_torque(result, samples),
-        metrics_as_built=_metrics(result, result.estimates, samples, as_built),
-        metrics_cad=_metrics(result, design, samples, by_design),
+        drive=samples.filtered(_drive_torque(model, base, estimates, samples, rigid)),
+        metrics_as_built=as_built.metrics(),
+        metrics_cad=by_design.metrics(),
     )
-
-
-def _metrics(
-    result: IdentificationResult, beta: Array, samples: Samples, prediction: Prediction
-) -> TorqueMetrics:
-    """Return the metrics of a prediction on its filtered grid, with the error against the torque as
-    recorded beside them.
-    """
-    recorded = predict_torque(
-        result.model, result.base, beta, replace(samples, tau=samples.tau_raw, parallel=None)
-    )
-    metrics = torque_metrics(
-        prediction.measured, prediction.predicted, samples.source, result.joint_names
-    )
-    return replace(metrics, rms_recorded=np.sqrt(np.mean(recorded.error**2, axis=0)))
 
 
 def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:
-    """Predict a recording with a robot as described, drives included, through the filter of the
-    samples, and return how far off that is.
+    """Predict a recording with a robot as described, drives included, through its filter.
 
-    Raises ResultError where joints do not fit.
+    Raises
+    ------
+    ResultError
+        If joints do not fit.
     """
+    return _described(model, samples).metrics()
+
+
+def _described(model: RobotModel, samples: Samples) -> Prediction:
     if tuple(samples.joint_names) != model.joint_names:
         raise ResultError(
             f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)};"
@@ -153,25 +166,21 @@ def validate_description(model: RobotModel, samples: Samples) -> TorqueMetrics:
     state = (samples.q, samples.qd, samples.qdd)
     load = inverse_dynamics(model, *state)
     torque = load + drive_torque(drive, values, *state, load=load, shares=model.motor_shares)
-    metrics = torque_metrics(
-        samples.filtered_torque, samples.filtered(torque), samples.source, model.joint_names
-    )
-    recorded = replace(samples, tau=samples.tau_raw, parallel=None).filtered_torque
-    return replace(metrics, rms_recorded=np.sqrt(np.mean((recorded - torque) ** 2, axis=0)))
+    return beside_measured(samples, torque)
 
 
 def torque_units(model: RobotModel) -> tuple[str, ...]:
-    """Return the unit of each joint's torque: N m where it turns, N where it slides."""
+    """Return the unit of each joint's torque: N m if revolute, N if prismatic."""
     return tuple("N m" if joint.is_revolute else "N" for joint in model.joints)
 
 
-def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
-    """Return the base parameters that another description of the same robot gives, shape (p,).
+def cad_values(result: IdentificationResult, cad: RobotModel) -> Array:
+    """Return the base parameters by another description of the same robot, shape (p,), NaN unknown.
 
-    NaN where it is silent.
-
-    Raises ResultError where the two differ in joints or geometry, since base parameters then mean
-    different things.
+    Raises
+    ------
+    ResultError
+        If the two differ in joints or geometry, since base parameters then mean different things.
     """
     if cad.n_joints != result.model.n_joints:
         raise ResultError(
@@ -187,38 +196,31 @@ def design_values(result: IdentificationResult, cad: RobotModel) -> Array:
         "after_rotation",
         "after_translation",
     ):
-        one, two = (
-            np.asarray(getattr(ours, what), dtype=np.float64),
-            np.asarray(getattr(theirs, what), dtype=np.float64),
-        )
+        one, two = (np.asarray(getattr(each, what), dtype=np.float64) for each in (ours, theirs))
         off = np.abs(one - two).reshape(len(one), -1).max(axis=1)
         worst = int(np.argmax(off))
-        if off[worst] > 1e-6:
+        if off[worst] > SAME_GEOMETRY:
             raise ResultError(
                 f"{cad.name} and {result.robot} differ in geometry: {what.replace('_', ' ')} of"
                 f" joint {result.joint_names[worst]!r} by {off[worst]:.3g}; compare descriptions"
-                " with the same joint frames, or identify with the other one"
+                " with the same joint frames, or identify with the other one",
+                joint=result.joint_names[worst],
+                value=float(off[worst]),
             )
-    return described_values(cad, result.base)
+    return design_values(cad, result.base)
 
 
-def _drive_torque(result: IdentificationResult, samples: Samples) -> Array:
-    """Return the filtered torque of the identified drive terms other than armature, (N, n).
+def _drive_torque(
+    model: RobotModel, base: BaseParameters, estimates: Array, samples: Samples, rigid: Array
+) -> Array:
+    """Return the torque (N, n) of the identified drive terms other than armature and springs.
 
-    A term regrouped with others adds nothing.
+    A parameter that is regrouped with others counts as zero.
     """
-    drive = result.base.drive
-    own = drive.without("armature", "motor_armature", "spring", "balancer")
-    identified = {parameter.name: parameter.estimate for parameter in result.parameters}
-    values = [
-        identified.get(name, 0.0) for k in range(result.model.n_joints) for name in own.names(k + 1)
-    ]
+    own = base.drive.without("armature", "motor_armature", "spring", "balancer")
+    identified = dict(zip(base.names, estimates.tolist(), strict=True))
+    values = [identified.get(name, 0.0) for k in range(model.n_joints) for name in own.names(k + 1)]
     state = (samples.q, samples.qd, samples.qdd)
-    load = (
-        inverse_dynamics(carrying(result.model, result.base, result.estimates), *state)
-        if own.needs_load
-        else None
-    )
-    return samples.filtered(
-        drive_torque(own, values, *state, load=load, shares=result.model.motor_shares)
+    return drive_torque(
+        own, values, *state, load=rigid if own.needs_load else None, shares=model.motor_shares
     )

@@ -1,28 +1,30 @@
-"""The maker's own model, as far as a controller gives it away.
-
-Measured torque less the external torque it makes of it.
-"""
+"""Comparison with the model of a controller that logs external torques."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from asbuilt.errors import RecordingError
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.experiment.logs.long_recordings import RecordingStream
+from asbuilt.experiment.logs.readers import read_recording
+from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.quality.checks import refuse_spoilt
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
-from asbuilt.identification.identify import identify
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
+from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.validation.prediction import torque_units, validate
-
-if TYPE_CHECKING:
-    from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.prediction import torque_units, validate_samples
+from asbuilt.workflow.options import ControllerOptions
+from asbuilt.workflow.prepare import prepare
+from asbuilt.workflow.study import Study
 
 EXTERNAL = "tau_ext"
 
@@ -108,47 +110,88 @@ class ControllerComparison:
         }
 
 
-def compare_with_controller(
-    result: IdentificationResult,
-    recording: Recording,
+def compare_controller(
+    result: IdentificationResult | Study,
+    recording: RecordingLike,
     *,
-    holdout: str = "blocks:5s:3",
-    chain: SignalChain | None = None,
+    options: ControllerOptions | None = None,
 ) -> ControllerComparison:
-    """Compare a result with the model of the controller that logged `recording`.
+    """Compare a result with the model of the controller that logged a recording.
 
-    `tau - tau_ext` is what that model predicts.
+    That model predicts `tau - tau_ext`. Its parameters are identified from this prediction on what
+    `options.holdout` leaves, and all models are validated on what it holds out, which is also new
+    to the result if it was identified with the same rule.
 
-    Parameters are identified from the controller's prediction on what `holdout` leaves and all
-    models are judged on what it holds out, which is also new to the result where it was identified
-    with the same rule. Raises RecordingError where no external torque was logged.
+    Parameters
+    ----------
+    result
+        The identified robot, or its study.
+    recording
+        A recording with the external torque `tau_ext` of each joint, as for `identify`.
+    options
+        How to compare; None: the defaults.
+
+    Returns
+    -------
+    ControllerComparison
+        Torque errors of CAD, controller and robot as built, and their parameters.
+
+    Raises
+    ------
+    RecordingError
+        If the recording has no external torque, or a check finds an error in it.
     """
-    external = recording.extra.get(EXTERNAL)
-    if external is None or external.shape != recording.tau.shape:
-        logged = f"; beside torque it has {', '.join(recording.extra)}" if recording.extra else ""
+    options = options or ControllerOptions()
+    result = result.result if isinstance(result, Study) else result
+    logged = _whole(result, recording)
+    external = logged.extra.get(EXTERNAL)
+    if external is None or external.shape != logged.tau.shape:
+        present = f"; beside torque it has {', '.join(logged.extra)}" if logged.extra else ""
         raise RecordingError(
-            f"{recording.source} has no external torque of each joint ({EXTERNAL}){logged}; the"
-            f" controller's model shows in tau - {EXTERNAL}"
+            f"{logged.source} has no external torque of each joint ({EXTERNAL}){present}; the"
+            f" controller's model is tau - {EXTERNAL}"
         )
-    settled = (chain or SignalChain()).resolved(recording)
+    if options.checked:
+        refuse_spoilt(result.model, [logged])
     predicted = replace(
-        recording,
-        tau=recording.tau - external,
-        source=f"{recording.source}, predicted by the controller",
+        logged,
+        tau=logged.tau - external,
+        source=f"{logged.source}, predicted by the controller",
     )
-    _, measured = hold_out(prepare_samples(recording, settled), holdout)
-    learning, modelled = hold_out(prepare_samples(predicted, settled), holdout)
-    identified = identify(result.model, learning, base=result.base)
-    validation = validate(result, measured)
-    shown = modelled.filtered_torque
+    prepared = prepare(
+        result.model,
+        [logged, predicted],
+        chain=options.chain,
+        holdout=options.holdout,
+        checked=False,
+    )
+    measured, modelled = prepared.held_out
+    identified = identify_samples(result.model, prepared.training[1], base=result.base)
+    validation = validate_samples(result, measured)
     return ControllerComparison(
         robot=result.robot,
-        controller=torque_metrics(validation.measured, shown, measured.source, result.joint_names),
+        controller=torque_metrics(
+            validation.measured, modelled.filtered_torque, measured.source, result.joint_names
+        ),
         cad=validation.metrics_cad,
         as_built=validation.metrics_as_built,
-        rebuilt=validate(identified, modelled).metrics_as_built,
+        rebuilt=validate_samples(identified, modelled).metrics_as_built,
         identified=identified,
         difference=compare_results(
             identified, result, labels=("controller", "as built"), of_models=True
         ),
     )
+
+
+def _whole(result: IdentificationResult, recording: RecordingLike) -> Recording:
+    """Return a recording read as a whole, since streams leave out external torques."""
+    if isinstance(recording, str | Path):
+        return read_recording(recording, model=result.model)
+    (item,) = as_recordings(result.model, recording)
+    if isinstance(item, RecordingStream):
+        return read_recording(item.path, model=result.model, options=item.options)
+    if isinstance(item, Samples):
+        raise UsageError(
+            f"{item.source} is filtered already; give the recording, which has {EXTERNAL}"
+        )
+    return item

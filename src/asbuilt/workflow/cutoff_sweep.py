@@ -17,12 +17,14 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import AsbuiltError, RecordingError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out, parse_rule
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
-from asbuilt.identification.identify import identify
+from asbuilt.experiment.signal.hold_out import parse_rule
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.identify import identify_samples
 from asbuilt.tables import MISSING, Column, Table, significant
-from asbuilt.validation.prediction import Validation, validate
+from asbuilt.validation.prediction import Validation, validate_samples
 from asbuilt.validation.residuals import whiteness_in_band
+from asbuilt.workflow.prepare import divided
 
 Array = NDArray[np.float64]
 
@@ -154,7 +156,7 @@ def sweep_cutoffs(
     the model is worth and must not choose it. Raises RecordingError where no cutoff leaves enough
     samples, UsageError where the rule cannot be read.
     """
-    start = (chain or SignalChain()).resolved(*recordings)
+    start = resolve_chain(chain or SignalChain(), *recordings)
     assert start.cutoff is not None
     rates = [recording.rate for recording in recordings]
     tried = sorted(map(float, cutoffs or _worth_trying(start.cutoff, HIGHEST_SHARE * min(rates))))
@@ -168,9 +170,9 @@ def sweep_cutoffs(
             progress("cutoff", k / len(tried))
         at = replace(start, cutoff=cutoff, parallel_cutoff=None)
         try:
-            parts = [hold_out(prepare_samples(recording, at), rule) for recording in recordings]
-            result = identify(model, [train for train, _ in parts], base=base)
-            judged = [validate(result, held) for _, held in parts]
+            training, held_out = divided(recordings, at, rule)
+            result = identify_samples(model, training, base=base)
+            judged = [validate_samples(result, held) for held in held_out]
         except AsbuiltError as problem:
             last = problem
             continue

@@ -1,69 +1,89 @@
-"""From recordings under load to the payload: filter, hold out, identify, judge."""
+"""Identification of a payload as a whole: prepare, identify, validate."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
 
-from numpy.typing import ArrayLike
-
-from asbuilt.errors import UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, prepare_logged
-from asbuilt.experiment.quality.checks import refuse_spoilt
-from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.calibration.payload import Arm, Payload, identify_payload, payload_frame
+from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.identification.calibration.payload import (
+    Payload,
+    identify_payload_samples,
+    payload_frame,
+)
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.generalisation.payload_order import refuse_exchanged
+from asbuilt.validation.generalisation.payload_order import refuse_swapped
+from asbuilt.workflow.options import PayloadOptions
+from asbuilt.workflow.prepare import Progress, prepare
+from asbuilt.workflow.study import Study
 
 
-def run_payload_study(
-    result: IdentificationResult,
-    loaded: Sequence[Recording | RecordingStream],
-    unloaded: Sequence[Recording | RecordingStream] = (),
-    validation: Sequence[Recording | RecordingStream] = (),
+def identify_payload(
+    result: IdentificationResult | Study,
+    recordings: RecordingLike | Sequence[RecordingLike],
     *,
-    chain: SignalChain | None = None,
-    holdout: str | None = None,
-    frame: str | None = None,
-    arm: Arm = "refined",
-    gain_uncertainty: ArrayLike | None = None,
-    checked: bool = True,
+    unloaded: RecordingLike | Sequence[RecordingLike] = (),
+    validation: RecordingLike | Sequence[RecordingLike] = (),
+    options: PayloadOptions | None = None,
+    progress: Progress | None = None,
 ) -> Payload:
-    """Identify what the flange carries and judge it on what was held out of the loaded recordings,
-    on other ones, or else on the data used.
+    """Identify what the flange carries, and validate it.
 
-    All recordings go through one signal chain, whose open choices are made for the loaded ones.
-    `gain_uncertainty` and errors as of `identify_payload`. Raises RecordingError where a check
-    finds that a recording is spoilt or its torques do not belong to their joints, unless `checked`
-    is False.
+    Validation is on what was held out, then on other recordings, or else on the training data. All
+    recordings go through one signal chain, chosen from the loaded ones.
+
+    Parameters
+    ----------
+    result
+        The identified arm, or its study.
+    recordings
+        Recordings under load, one or several, as for `identify`.
+    unloaded
+        Recordings of the bare arm, which hold its parameters.
+    validation
+        Recordings under load to validate on.
+    options
+        How to identify; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    Payload
+        Mass, centre of mass and inertia with standard errors, and predictions.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording, or torques that belong to other joints.
+    IdentifiabilityError
+        If the recordings do not determine a mass.
     """
-    if not loaded:
-        raise UsageError(f"no recording under load is given for {result.robot}")
-    if checked:
-        refuse_spoilt(result.model, (*loaded, *unloaded, *validation))
-    resolved = (chain or SignalChain()).resolved(*(head_of(recording) for recording in loaded))
-    learning = [prepare_logged(recording, resolved) for recording in loaded]
-    if checked:
-        refuse_exchanged(result, learning, *payload_frame(result.model, frame)[1:])
-    judging = [prepare_logged(recording, resolved) for recording in validation]
-    if holdout is not None:
-        parts = [hold_out(samples, holdout) for samples in learning]
-        learning = [train for train, _ in parts]
-        judging = [
-            replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts
-        ] + judging
-    judging = judging or [
-        replace(samples, source=f"{samples.source}, the data used") for samples in learning
-    ]
-    bare = [prepare_logged(recording, resolved) for recording in unloaded]
-    return identify_payload(
+    options = options or PayloadOptions()
+    result = result.result if isinstance(result, Study) else result
+    model = result.model
+    prepared = prepare(
+        model,
+        as_recordings(model, recordings),
+        others=(as_recordings(model, unloaded), as_recordings(model, validation)),
+        chain=options.chain,
+        holdout=options.holdout,
+        checked=options.checked,
+        progress=progress,
+    )
+    if options.checked:
+        refuse_swapped(result, prepared.training, *payload_frame(model, options.frame)[1:])
+    bare, others = prepared.others
+    return identify_payload_samples(
         result,
-        learning,
+        prepared.training,
         unloaded=bare,
-        frame=frame,
-        arm=arm,
-        validation=judging,
-        gain_uncertainty=gain_uncertainty,
+        frame=options.frame,
+        arm=options.arm,
+        validation=(*prepared.held_out, *others)
+        or [
+            replace(samples, source=f"{samples.source}, the data used")
+            for samples in prepared.training
+        ],
+        gain_uncertainty=options.gain_uncertainty,
     )

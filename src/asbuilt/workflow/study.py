@@ -1,240 +1,331 @@
-"""The whole of an identification.
-
-Check, prepare, hold out, identify, predict what was held out, compare with CAD.
-"""
+"""Identification as a whole: prepare, identify, validate, compare with CAD."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
 
+from asbuilt.codec import plain, restored
+from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.logs.long_recordings import RecordingStream
-from asbuilt.experiment.quality.checks import RecordingCheck, check_recording
+from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
+from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.hold_out import hold_out, parse_rule
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain, prepare_samples
-from asbuilt.identification.calibration.mounting import find_mounting
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
-from asbuilt.identification.errors.error_basis import ErrorKind
-from asbuilt.identification.identify import identify
-from asbuilt.identification.information.cause_data import gather_cause_data
-from asbuilt.identification.result.result import IdentificationResult, IdentificationWarning
+from asbuilt.identification.identify import Fit, fit_samples
+from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
+from asbuilt.identification.result.determination import Determination, determination
+from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
+from asbuilt.identification.result.result import IdentificationResult, stored_document
+from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.validation.attribution.attribution import Attribution, attribute
-from asbuilt.validation.comparison.comparison import Comparison, compare
-from asbuilt.validation.generalisation.generalisation import with_findings, with_repeats
-from asbuilt.validation.generalisation.hidden_causes import with_hidden_causes
-from asbuilt.validation.prediction import Validation, validate
-from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-
-Progress = Callable[[str, float], None]
-
-GAINS_TAKEN = (
-    "Torques come from currents, whose gains were taken as exact: where the torque per ampere of a"
-    " joint is 3 % off, so is what its torque tells, beyond the standard errors. asbuilt gains"
-    " finds it from a payload of known mass."
+from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
+from asbuilt.validation.generalisation.generalisation import (
+    repetition_findings,
+    validation_findings,
 )
+from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
+from asbuilt.validation.prediction import Validation, predict_both
+from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import Prepared, Progress, prepare
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StudyOptions:
-    """Say how to identify.
-
-    | field | meaning |
-    |---|---|
-    | `drive` | drive terms; None: those that the torque source calls for; "auto" (or "auto,spring:joints=2"): chosen on held-out blocks |
-    | `method` | the estimator, a key of `methods`; the command line takes "auto" where none is named |
-    | `chain` | the signal chain; what it leaves open is chosen from the recordings |
-    | `holdout` | a rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out |
-    | `undetermined` | directions that no motion excites stay at CAD and are named, or the study refuses |
-    | `mounting` | gravity points as described, or its direction is found along with the bodies |
-    | `block_seconds` | length of the time blocks that errors are judged by [s]; None: 5 s, less in short recordings |
-    | `sweep_cutoff` | choose the cutoff of the low-pass by held-out error |
-    | `errors` | standard errors from time blocks by formula, by drawing the blocks, or from the textbook |
-    | `checked` | refuse recordings in which `check_recording` finds errors |
-    | `threads` | threads of the kernels; None: all cores where that pays |
-
-    Raises
-    ------
-    UsageError
-        If the rule cannot be read.
-    """
-
-    drive: DriveSet | str | None = None
-    method: str = "wls"
-    chain: SignalChain = field(default_factory=SignalChain)
-    holdout: str | None = None
-    undetermined: Literal["toward_prior", "refuse"] = "toward_prior"
-    mounting: Literal["as_described", "estimate"] = "as_described"
-    block_seconds: float | None = None
-    sweep_cutoff: bool = False
-    errors: ErrorKind = "blocks"
-    checked: bool = True
-    threads: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.holdout is not None:
-            parse_rule(self.holdout)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Study:
-    """Hold a result with all that it was judged by.
+    """Hold a result with all that is said of it.
 
-    Checks of the recordings, predictions of held-out data, comparison with CAD, and why CAD is off,
-    where that was asked.
+    | attribute | what |
+    |---|---|
+    | `result` | the identified robot |
+    | `findings` | what is wrong, or worth knowing, errors first |
+    | `checks` | the checks of the recordings |
+    | `training` | predictions of the training data |
+    | `validations` | predictions of what was held out, then of the other recordings |
+    | `cutoffs` | how the cutoff was chosen, if it was swept |
+    | `attribution` | which causes explain the error of CAD; None if the recordings are too short |
 
-    `training` predicts the data used; `validations` what was held out, then the other recordings,
-    in the order given. `cutoffs` says how the cutoff was chosen, where it was swept.
+    A study that is read from a file has the result and the findings alone.
     """
 
     result: IdentificationResult
-    checks: tuple[RecordingCheck, ...]
-    training: tuple[Validation, ...]
-    validations: tuple[Validation, ...]
-    comparison: Comparison
+    findings: tuple[Finding, ...]
+    checks: tuple[RecordingCheck, ...] = ()
+    training: tuple[Validation, ...] = ()
+    validations: tuple[Validation, ...] = ()
     cutoffs: CutoffSweep | None = None
     attribution: Attribution | None = None
 
+    def __repr__(self) -> str:
+        codes = ", ".join(finding.code for finding in self.findings) or "none"
+        return f"<Study: {self.result!r}; findings: {codes}>"
 
-def run_study(
-    model: RobotModel,
-    recordings: Sequence[Recording | RecordingStream | Samples],
+    def _repr_html_(self) -> str:
+        return self.summary.as_html()
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Result and findings as text, HTML or CSV."""
+        return summarise(self.result, findings=self.findings)
+
+    @cached_property
+    def comparison(self) -> Comparison:
+        """CAD beside as built."""
+        return compare(self.result, validation=(self.validations or self.training) or None)
+
+    @cached_property
+    def determination(self) -> Determination:
+        """What the recordings determine, and which further motion would help."""
+        return determination(self.result)
+
+    def to_json(self) -> str:
+        """Return result and findings as JSON that `from_json` reads back to the last bit."""
+        said = [{"code": each.code, "message": each.text} for each in self.findings]
+        return self.result.to_json(warnings=said, study={"findings": plain(self.findings)})
+
+    @classmethod
+    def from_json(cls, text: str) -> Study:
+        """Read a stored study, or a stored result as one.
+
+        Raises
+        ------
+        ResultError
+            If the text is not a stored result, or is damaged.
+        """
+        result, whole = IdentificationResult.from_json(text), stored_document(text)
+        if "study" not in whole:
+            return cls(result, result.findings)
+        try:
+            found = tuple(restored(Finding, item) for item in whole["study"]["findings"])
+        except (KeyError, TypeError, ValueError) as problem:
+            raise ResultError(
+                f"the findings of the stored result are damaged: {type(problem).__name__}"
+                f" {problem}",
+                cure=Cure("identify again"),
+            ) from problem
+        return cls(result, found)
+
+
+def identify(
+    robot: RobotModel | str | Path,
+    recordings: RecordingLike | Sequence[RecordingLike],
     *,
-    validation: Sequence[Recording | RecordingStream | Samples] = (),
+    validation: RecordingLike | Sequence[RecordingLike] = (),
     options: StudyOptions | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Identify a robot from recordings (or samples already prepared) and judge the result on what
-    was held out.
+    """Identify a robot from recordings and validate the result.
 
-    Recordings go through one signal chain, whose open choices follow the motion in all of them, so
-    that none is cut short; of a stream the first stretch is checked and chosen by. Raises
-    RecordingError where a check finds an error.
+    Parameters
+    ----------
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    recordings
+        One recording or several: paths, data frames, dictionaries of arrays, `Recording`,
+        `RecordingStream`, or `Samples` already prepared.
+    validation
+        Recordings to validate on, beside what `options.holdout` holds out.
+    options
+        How to identify; None: the defaults.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Returns
+    -------
+    Study
+        The result, its predictions and findings.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording, or filters leave nothing of it.
+    IdentifiabilityError
+        If the recordings are too short.
+    UsageError
+        If no recording is given or an option is wrong.
+
+    Examples
+    --------
+    >>> from asbuilt import load_robot, simulate_recording, identify, StudyOptions
+    >>> from asbuilt.excitation.motions.random_motion import random_fourier
+    >>> model = load_robot("two-link")
+    >>> log = simulate_recording(model, random_fourier(model, rng=1, duration=10.0), rng=1).recording
+    >>> study = identify(model, log, options=StudyOptions(holdout="last:0.3", method="wls"))
+    >>> study.result.rank == study.result.n_base
+    True
     """
     options = options or StudyOptions()
     report = progress or (lambda what, fraction: None)
-    if not recordings:
-        raise UsageError(f"no recording is given to identify {model.name} from")
-    report("check", 0.0)
-    heads = [_head(item) for item in (*recordings, *validation)]
-    checks = (
-        tuple(check_recording(model, head) for head in heads if head is not None)
-        if options.checked
-        else ()
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    sweeps: list[CutoffSweep] = []
+
+    def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
+        sweeps.append(_swept(model, heads, chain, options, report))
+        return replace(chain, cutoff=sweeps[0].chosen, parallel_cutoff=None)
+
+    prepared = prepare(
+        model,
+        as_recordings(model, recordings),
+        validation=as_recordings(model, validation),
+        chain=options.chain,
+        holdout=options.holdout,
+        checked=options.checked,
+        tolerated=(),
+        settle=settle if options.sweep_cutoff else None,
+        progress=report,
     )
-    for check in checks:
-        check.raise_errors()
-    report("filter", 0.0)
-    logged = [head for head in heads if head is not None]
-    chain = options.chain.resolved(*logged) if logged else options.chain
-    cutoffs = (
-        _swept(
-            model,
-            [head for head in heads[: len(recordings)] if head is not None],
-            chain,
-            options,
-            report,
-        )
-        if options.sweep_cutoff
-        else None
-    )
-    if cutoffs is not None:
-        chain = replace(chain, cutoff=cutoffs.chosen, parallel_cutoff=None)
-    learning = [_prepared(item, chain) for item in recordings]
-    judging = [_prepared(item, chain) for item in validation]
-    if options.holdout is not None:
-        parts = [hold_out(samples, options.holdout) for samples in learning]
-        learning = [train for train, _ in parts]
-        judging = [
-            replace(held, source=f"{held.source}, held out {options.holdout}") for _, held in parts
-        ] + judging
     report("identify", 0.0)
-    chosen = settle_drive(model, learning, options.drive)
-    stands = (
-        find_mounting(model, learning, drive=chosen.drive, block_seconds=options.block_seconds)
+    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+
+
+def _concluded(
+    model: RobotModel,
+    prepared: Prepared,
+    options: StudyOptions,
+    cutoffs: CutoffSweep | None,
+    report: Progress,
+) -> Study:
+    """Identify from prepared samples and say what is to be said."""
+    training, held = prepared.training, (*prepared.held_out, *prepared.validation)
+    choice = settle_drive(model, training, options.drive)
+    mounting = (
+        find_mounting(model, training, drive=choice.drive, block_seconds=options.block_seconds)
         if options.mounting == "estimate"
         else None
     )
-    model = model if stands is None else stands.model
-    result = identify(
+    model = model if mounting is None else mounting.model
+    fit = fit_samples(
         model,
-        learning,
-        base=find_base_parameters(model, chosen.drive),
+        training,
+        base=find_base_parameters(model, choice.drive),
         method=options.method,
         undetermined=options.undetermined,
         errors=options.errors,
         block_seconds=options.block_seconds,
         threads=options.threads,
-        fitted_nonlinear=chosen.fitted,
+        fitted_nonlinear=choice.fitted,
     )
-    if stands is not None:
-        result = replace(result, notes=(*result.notes, stands.sentence))
-    if any(samples.torque_source == "current" for samples in learning):
-        result = replace(result, notes=(*result.notes, GAINS_TAKEN))
-    if cutoffs is not None:
-        result = replace(result, notes=(*result.notes, f"Cutoff: {cutoffs.why}"))
+    fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
     report("predict", 0.0)
-    training = tuple(validate(result, samples) for samples in learning)
-    validations = tuple(validate(result, samples) for samples in judging)
-    result = with_repeats(
-        with_findings(_with_drive_choice(result, chosen), checks, validations), learning, judging
+    trained, validations = (
+        tuple(
+            predict_both(model, fit.base, fit.estimate.beta, fit.design, samples)
+            for samples in group
+        )
+        for group in (training, held)
     )
-    result = _with_evidence(result, learning, judging, options.block_seconds)
-    attribution = None
-    if result.cause_data is not None and options.mounting == "as_described":
-        attribution = attribute(result)
-    tilt = None if attribution is None else attribution.tilt
-    result = with_hidden_causes(
-        result,
-        learning,
-        chosen.drive,
-        tilt=tilt,
-        stands=stands,
-        block_seconds=options.block_seconds,
+    cause_data, too_short = _cause_data(fit, prepared, options.block_seconds)
+    train, train_cad = _together(fit, trained)
+    result = fit.concluded(
+        train,
+        validations[0].metrics_cad if validations else train_cad,
+        validation=[each.metrics_as_built for each in validations],
+        cause_data=cause_data,
+        chain=prepared.chain,
+        holdout=prepared.holdout,
+        digests=prepared.digests,
+        notes=_notes(mounting, cutoffs),
     )
-    report("predict", 1.0)
-    return Study(
-        result,
-        checks,
-        training,
-        validations,
-        compare(result, validation=validations or training),
-        cutoffs,
-        attribution,
-    )
-
-
-def _with_evidence(
-    result: IdentificationResult,
-    learning: Sequence[Samples],
-    judging: Sequence[Samples],
-    block_seconds: float | None,
-) -> IdentificationResult:
-    """Return the result with the cause data, or with a warning that there is too little of
-    it.
-    """
-    try:
-        return replace(
+    report("compare", 0.0)
+    attribution = None if cause_data is None else attribute(result)
+    findings = (
+        *result.findings,
+        *_drive_findings(choice),
+        *_check_findings(prepared.checks),
+        *validation_findings(result.train, validations),
+        *repetition_findings(training, held),
+        *too_short,
+        *hidden_cause_findings(
             result,
-            cause_data=gather_cause_data(
-                result.model, result.base, learning, judging[:1], block_seconds=block_seconds
+            training,
+            choice.drive,
+            tilt=None if attribution is None else attribution.tilt,
+            mounting=mounting,
+            block_seconds=options.block_seconds,
+        ),
+        *_gain_findings(training),
+    )
+    report("compare", 1.0)
+    return Study(
+        result, ranked(findings), prepared.checks, trained, validations, cutoffs, attribution
+    )
+
+
+def _together(fit: Fit, predictions: Sequence[Validation]) -> tuple[TorqueMetrics, TorqueMetrics]:
+    """Return the metrics of several predictions together, as built and by CAD."""
+    as_built, by_cad = (TorqueTally(fit.model.joint_names) for _ in range(2))
+    for each in predictions:
+        as_built.add(each.measured, each.predicted)
+        by_cad.add(each.measured, each.predicted_cad)
+    source = ", ".join(fit.information.sources)
+    return as_built.metrics(source), by_cad.metrics(source)
+
+
+def _cause_data(
+    fit: Fit, prepared: Prepared, block_seconds: float | None
+) -> tuple[CauseData | None, tuple[Finding, ...]]:
+    """Return what causes are weighed by, or a finding that the recordings are too short for it."""
+    held = (*prepared.held_out, *prepared.validation)
+    try:
+        return gather_cause_data(
+            fit.model, fit.base, prepared.training, held[:1], block_seconds=block_seconds
+        ), ()
+    except IdentifiabilityError as problem:
+        return None, (
+            Finding(
+                "causes_undetermined",
+                "warning",
+                f"Causes of CAD errors, and their cost in torque, are undetermined: {problem}",
+                Cure("record longer"),
             ),
         )
-    except IdentifiabilityError as problem:
-        message = (
-            f"Why CAD is off, and what differences cost in torque, is not told: {problem}. Record"
-            " longer."
-        )
-        return replace(
-            result, warnings=(*result.warnings, IdentificationWarning("causes_untold", message))
-        )
+
+
+def _notes(mounting: Mounting | None, cutoffs: CutoffSweep | None) -> tuple[str, ...]:
+    return (
+        *(() if mounting is None else (mounting.sentence,)),
+        *(() if cutoffs is None else (f"Cutoff: {cutoffs.why}",)),
+    )
+
+
+def _drive_findings(choice: DriveChoice) -> tuple[Finding, ...]:
+    said = (
+        Finding("drive_terms", "info", f"{sentence[0].upper()}{sentence[1:]}")
+        for sentence in choice.sentences
+    )
+    return (*said, *choice.findings)
+
+
+def _check_findings(checks: Sequence[RecordingCheck]) -> tuple[Finding, ...]:
+    return tuple(
+        replace(finding, message=f"{recording_name(check.source)}: {finding.message}")
+        for check in checks
+        for finding in check.warnings
+    )
+
+
+def _gain_findings(training: Sequence[Samples]) -> tuple[Finding, ...]:
+    if all(samples.torque_source != "current" for samples in training):
+        return ()
+    return (
+        Finding(
+            "gains_assumed",
+            "info",
+            "Torques come from currents, whose gains count as exact: if the torque per ampere of a"
+            " joint is 3 % off, so are its parameters, beyond the standard errors",
+            Cure("identify the gains with a payload of known mass", call="find_gains"),
+        ),
+    )
 
 
 def _swept(
@@ -255,38 +346,4 @@ def _swept(
     )
     return sweep_cutoffs(
         model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report
-    )
-
-
-def _head(item: Recording | RecordingStream | Samples) -> Recording | None:
-    return (
-        item.head
-        if isinstance(item, RecordingStream)
-        else item
-        if isinstance(item, Recording)
-        else None
-    )
-
-
-def _prepared(item: Recording | RecordingStream | Samples, chain: SignalChain) -> Samples:
-    if isinstance(item, RecordingStream):
-        return item.prepared(chain)
-    return item if isinstance(item, Samples) else prepare_samples(item, chain)
-
-
-def _with_drive_choice(result: IdentificationResult, chosen: DriveChoice) -> IdentificationResult:
-    """Return the result with how its drive terms were chosen, among its warnings where terms were
-    added or do not pay.
-    """
-    spoken = [
-        IdentificationWarning("drive_terms", f"{sentence[0].upper()}{sentence[1:]}.")
-        for sentence in chosen.sentences
-    ]
-    spoken += [
-        IdentificationWarning("nonlinear_parameters", warning) for warning in chosen.warnings
-    ]
-    return replace(
-        result,
-        warnings=(*result.warnings, *spoken),
-        provenance=(*result.provenance, *chosen.sentences),
     )

@@ -21,12 +21,14 @@ from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import design_values, identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
 )
+from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.result.summary import summarise
 
 MODEL, DRIVE = load_robot("two-link"), DriveSet.parse("viscous,coulomb,offset")
 BASE = find_base_parameters(MODEL, DRIVE)
@@ -207,7 +209,7 @@ def test_a_block_that_alone_tells_a_direction_is_reported(samples: Samples) -> N
         block_seconds=1.0,
     )
     estimate = fit_least_squares(information, weights="joint", prior=design_values(MODEL, BASE))
-    with pytest.raises(IdentifiabilityError, match="single blocks carry what others do not"):
+    with pytest.raises(IdentifiabilityError, match="single blocks have information that others lack"):
         redraw(information, estimate)
 
 
@@ -216,7 +218,7 @@ def test_identify_takes_its_errors_from_the_draws_whatever_the_method(
     samples: Samples, method: str
 ) -> None:
     blocks, drawn = (
-        identify(MODEL, samples, base=BASE, method=method, errors=errors, block_seconds=2.0)
+        identify_samples(MODEL, samples, base=BASE, method=method, errors=errors, block_seconds=2.0)
         for errors in ("blocks", "bootstrap")
     )
     np.testing.assert_array_equal(blocks.estimates, drawn.estimates)
@@ -227,13 +229,13 @@ def test_identify_takes_its_errors_from_the_draws_whatever_the_method(
     assert drawn.errors.n_draws >= 180
     assert ("the choice of " + drawn.method in drawn.errors.held_fixed) == (method == "auto")
     assert f"scatter of {drawn.errors.n_draws} fits to 20 time blocks of 2 s" in str(
-        drawn.summary()
+        summarise(drawn)
     )
 
 
 def test_errors_that_do_not_exist_are_named(samples: Samples) -> None:
     with pytest.raises(UsageError, match="blocks, bootstrap, textbook"):
-        identify(MODEL, samples, base=BASE, errors="jackknife")  # type: ignore[arg-type]
+        identify_samples(MODEL, samples, base=BASE, errors="jackknife")  # type: ignore[arg-type]
 
 
 def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
@@ -259,11 +261,11 @@ def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
         ("entropic", ["bootstrap_of_regularised_fit"]),
         ("ridge", ["bootstrap_of_regularised_fit"]),
     ):
-        result = identify(
+        result = identify_samples(
             MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0
         )
         assert [
-            warning.code for warning in result.warnings if warning.code.startswith("bootstrap")
+            warning.code for warning in result.findings if warning.code.startswith("bootstrap")
         ] == codes
 
 
@@ -282,7 +284,7 @@ def test_textbook_errors_are_those_of_the_textbook_and_labelled(
     )
     noisy = replace(clean, tau=clean.tau + noise)
     result, blocks = (
-        identify(MODEL, noisy, base=BASE, errors=errors, block_seconds=2.0)
+        identify_samples(MODEL, noisy, base=BASE, errors=errors, block_seconds=2.0)
         for errors in ("textbook", "blocks")
     )
     np.testing.assert_array_equal(result.covariance, result.textbook_covariance)
@@ -293,5 +295,5 @@ def test_textbook_errors_are_those_of_the_textbook_and_labelled(
     assert (result.errors.kind, result.errors.asked) == ("textbook", "textbook")
     assert result.errors.growth == pytest.approx(np.median(blocks.std_errors / result.std_errors))
     assert "TOO SMALL" in result.errors_sentence
-    assert any(warning.code == "textbook_errors" for warning in result.warnings) == small
+    assert any(warning.code == "textbook_errors" for warning in result.findings) == small
     assert (result.errors.growth > 2.0) == small

@@ -22,12 +22,12 @@ from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear
 from asbuilt.identification.errors.error_basis import ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import nonlinear_errors
 from asbuilt.identification.estimators.least_squares import estimate_wls
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import rounded
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 
 NONLINEAR = {
     "power": ("coulomb,power:exponent=0.6,offset", [1.0, 2.0, 0.3], "coulomb,power,offset"),
@@ -64,7 +64,7 @@ def samples_of(
 def fitted(
     robot: str, samples: Samples, term: str, method: str = "wls", errors: ErrorKind = "blocks"
 ) -> IdentificationResult:
-    return identify(
+    return identify_samples(
         bundled_robot(robot),
         samples,
         drive=DriveSet.parse(NONLINEAR[term][2]),
@@ -127,7 +127,7 @@ def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, m
     for seed in range(20):
         samples = samples_of(robot, "power", noise=0.4, seed=seed)
         result = fitted(robot, samples, "power", method)
-        stated = identify(result.model, samples, base=result.base, method=method)
+        stated = identify_samples(result.model, samples, base=result.base, method=method)
         for found, kept in ((result, sigmas), (stated, alone)):
             values = {parameter.name: parameter for parameter in found.parameters}
             kept.append(
@@ -144,7 +144,7 @@ def test_intervals_hold_the_truth_although_the_exponent_was_fitted(robot: str, m
 def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
     model, samples = bundled_robot("scara"), samples_of("scara", "power")
     found = [
-        run_study(model, [samples], options=StudyOptions(drive=drive, method="consistent")).result
+        identify(model, [samples], options=StudyOptions(drive=drive, method="consistent")).result
         for drive in (
             DriveSet.parse(NONLINEAR["power"][2]),
             settle_drive(model, [samples], DriveSet.parse(NONLINEAR["power"][2])).drive,
@@ -166,7 +166,7 @@ def test_a_study_counts_them_and_so_does_what_is_compared() -> None:
 def test_a_nonlinear_parameter_without_effect_is_not_told() -> None:
     model, samples = bundled_robot("two-link"), samples_of("two-link", "power")
     choice = settle_drive(model, [samples], DriveSet.parse(NONLINEAR["power"][2]))
-    result = identify(model, samples, drive=choice.drive)
+    result = identify_samples(model, samples, drive=choice.drive)
     still = replace(samples, qd=np.zeros_like(samples.qd))
     information = accumulate(model, result.base, still)
     estimate = estimate_wls(
@@ -175,4 +175,4 @@ def test_a_nonlinear_parameter_without_effect_is_not_told() -> None:
     found = nonlinear_errors(model, result.base, estimate, [still], choice.fitted)
     assert np.all(np.isnan(found.std_errors))
     assert not found.covariance.any()
-    assert "not told" in found.sentence(model.joint_names)
+    assert "undetermined" in found.sentence(model.joint_names)

@@ -9,20 +9,21 @@ from scipy.stats import ttest_rel
 from three_links import DRIVE, recording
 
 from asbuilt.identification.estimators.auto import _better
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.rows import Rows
+from asbuilt.identification.result.summary import summarise
 
 
 def chosen(robot, samples):
     model, base, _ = robot
-    result = identify(model, samples, drive=DRIVE, base=base, method="auto")
+    result = identify_samples(model, samples, drive=DRIVE, base=base, method="auto")
     assert result.notes[0].startswith("Chosen automatically: ")
-    assert result.notes[0] in result.summary().as_text()
+    assert result.notes[0] in summarise(result).as_text()
     return result
 
 
 def codes(result):
-    return {warning.code for warning in result.warnings}
+    return {warning.code for warning in result.findings}
 
 
 def test_good_recording_of_possible_bodies_is_left_to_weighted_least_squares(robot):
@@ -58,7 +59,7 @@ def test_values_that_no_bodies_have_stay_where_these_predict_worse(robot):
     assert not result.physically_consistent
     assert "wls kept" in result.notes[0]
     assert "consistent_fit_rejected" in codes(result)
-    real = identify(model, samples, drive=DRIVE, base=base, method="consistent")
+    real = identify_samples(model, samples, drive=DRIVE, base=base, method="consistent")
     assert real.train.rms.max() > 2 * result.train.rms.max()
 
 

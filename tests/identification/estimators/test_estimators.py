@@ -12,8 +12,9 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.summary import summarise
 
 every_method = pytest.mark.parametrize("method", list(methods))
 
@@ -30,13 +31,13 @@ def noisy(robot):
 def found(robot, noisy):
     """What every estimator finds from the noisy recordings."""
     model, base, _ = robot
-    return {name: identify(model, noisy, drive=DRIVE, base=base, method=name) for name in methods}
+    return {name: identify_samples(model, noisy, drive=DRIVE, base=base, method=name) for name in methods}
 
 
 @every_method
 def test_without_noise_it_finds_the_truth(robot, method):
     model, base, beta = robot
-    result = identify(model, recording(model, base, beta), drive=DRIVE, base=base, method=method)
+    result = identify_samples(model, recording(model, base, beta), drive=DRIVE, base=base, method=method)
     assert result.train.relative_error < 1e-5
     np.testing.assert_allclose(result.estimates, beta, rtol=0, atol=2e-4 * np.abs(beta).max())
 
@@ -58,7 +59,7 @@ def test_torques_in_other_units_scale_the_estimate(robot, noisy, found, method):
     batches = [
         replace(samples, tau=10 * samples.tau, tau_raw=np.empty((0, 0))) for samples in noisy
     ]
-    result = identify(tenfold, batches, drive=DRIVE, method=method)
+    result = identify_samples(tenfold, batches, drive=DRIVE, method=method)
     size = np.abs(found[method].estimates).max()
     np.testing.assert_allclose(
         result.estimates / 10, found[method].estimates, rtol=0, atol=1e-3 * size
@@ -69,7 +70,7 @@ def test_torques_in_other_units_scale_the_estimate(robot, noisy, found, method):
 @every_method
 def test_order_of_recordings_does_not_matter(robot, noisy, found, method):
     model, base, _ = robot
-    result = identify(model, noisy[::-1], drive=DRIVE, base=base, method=method)
+    result = identify_samples(model, noisy[::-1], drive=DRIVE, base=base, method=method)
     size = np.abs(found[method].estimates).max()
     np.testing.assert_allclose(result.estimates, found[method].estimates, rtol=0, atol=1e-5 * size)
     np.testing.assert_allclose(
@@ -80,7 +81,7 @@ def test_order_of_recordings_does_not_matter(robot, noisy, found, method):
 @every_method
 def test_same_data_give_the_same_bits(robot, noisy, found, method):
     model, base, _ = robot
-    again = identify(model, noisy, drive=DRIVE, base=base, method=method)
+    again = identify_samples(model, noisy, drive=DRIVE, base=base, method=method)
     assert again.to_json() == found[method].to_json()
 
 
@@ -89,21 +90,21 @@ def test_result_survives_storage_and_says_its_method(found, method):
     result = found[method]
     assert IdentificationResult.from_json(result.to_json()).to_json() == result.to_json()
     assert method in (result.method, "auto")
-    assert methods[result.method].title in result.summary().as_text().splitlines()[0]
+    assert methods[result.method].title in summarise(result).as_text().splitlines()[0]
     for note in result.notes:
-        assert note in result.summary().as_text()
+        assert note in summarise(result).as_text()
 
 
 @every_method
 def test_joint_that_stands_still_is_named_or_refused(robot, method):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=0.1, still=(2,), seed=4)
-    result = identify(model, samples, drive=DRIVE, base=base, method=method)
+    result = identify_samples(model, samples, drive=DRIVE, base=base, method=method)
     assert result.rank < result.n_base
     assert any("Fv3" in text for text in result.undetermined)
     assert np.all(np.isfinite(result.estimates))
     with pytest.raises(IdentifiabilityError, match="Fv3"):
-        identify(model, samples, drive=DRIVE, base=base, method=method, undetermined="refuse")
+        identify_samples(model, samples, drive=DRIVE, base=base, method=method, undetermined="refuse")
 
 
 @every_method
@@ -111,7 +112,7 @@ def test_too_few_samples_are_refused(robot, method):
     model, base, beta = robot
     few = recording(model, base, beta, seconds=0.1, parallel=False)
     with pytest.raises(IdentifiabilityError, match="too few"):
-        identify(model, few, drive=DRIVE, base=base, method=method)
+        identify_samples(model, few, drive=DRIVE, base=base, method=method)
 
 
 @every_method
@@ -130,7 +131,7 @@ def test_rest_without_gravity_tells_nothing_and_is_said_so(method, errors):
         rate=50.0,
         joint_names=model.joint_names,
     )
-    result = identify(model, samples, base=base, method=method, errors=errors)
+    result = identify_samples(model, samples, base=base, method=method, errors=errors)
     assert result.rank == 0
     assert len(result.undetermined) == base.n_base
     assert np.all(np.isfinite(result.estimates))

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from three_links import DRIVE, full_rows, recording
 
 from asbuilt.identification.estimators.methods import methods
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
@@ -73,9 +73,9 @@ def test_collisions_move_robust_fits_much_less(robot, clean, struck):
     model, base, _beta = robot
     errors = {}
     for method in ("wls", "huber", "bisquare", "auto"):
-        result = identify(model, struck, drive=DRIVE, base=base, method=method)
+        result = identify_samples(model, struck, drive=DRIVE, base=base, method=method)
         errors[method] = np.linalg.norm(clean.filtered_torque - result.predict(clean).predicted)
-        truth_torque = identify(model, clean, drive=DRIVE, base=base)
+        truth_torque = identify_samples(model, clean, drive=DRIVE, base=base)
         errors[method] -= np.linalg.norm(
             clean.filtered_torque - truth_torque.predict(clean).predicted
         )
@@ -130,8 +130,8 @@ def test_weights_that_did_not_settle_are_said_to_be_the_methods(robot, struck, m
     model, base, _ = robot
     monkeypatch.setattr("asbuilt.identification.estimators.robust.MOST_ITERATIONS", 1)
     said = {
-        warning.code: warning.message
-        for warning in identify(model, struck, base=base, method="huber").warnings
+        warning.code: warning.text
+        for warning in identify_samples(model, struck, base=base, method="huber").warnings
     }
     assert (
         said["not_converged"]

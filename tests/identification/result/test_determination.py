@@ -7,7 +7,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.identification.identify import identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.determination import determination
 from asbuilt.identification.result.result import IdentificationResult
 
@@ -30,7 +30,7 @@ def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) 
 def identified(robot: str, **motion: object) -> IdentificationResult:
     model = load_robot(robot)
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
-    return identify(model, samples(robot, **motion), base=base)  # type: ignore[arg-type]
+    return identify_samples(model, samples(robot, **motion), base=base)  # type: ignore[arg-type]
 
 
 def test_every_parameter_is_in_one_class_by_its_error() -> None:
@@ -64,7 +64,7 @@ def test_what_is_hardly_known_is_poorly_determined_or_makes_next_to_no_torque() 
     """
     model, taken = load_robot("ur10e"), samples("ur10e", duration=10.0)
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
-    result = identify(model, taken, base=base, method="entropic")
+    result = identify_samples(model, taken, base=base, method="entropic")
     told = determination(result, motions=False)
     W = observation_matrix(
         model, taken.q, taken.qd, taken.qdd, drive=base.drive, columns=base.columns
@@ -106,9 +106,9 @@ def test_advised_motion_really_helps() -> None:
     model = load_robot("scara")
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     poor = samples("scara", still=(0,))
-    before = identify(model, poor, base=base)
+    before = identify_samples(model, poor, base=base)
     rich = samples("scara", duration=30.0)
-    after = identify(model, [poor, rich], base=base)
+    after = identify_samples(model, [poor, rich], base=base)
     helped = {name for tip in determination(before).advice for name in tip.names}
     assert helped
     for name in helped:

@@ -18,15 +18,18 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError, ResultError
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Finding
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.identify import conclude, design_values, identify
+from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.square_root_information import accumulate
+from asbuilt.identification.result.conclusion import conclude
+from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import (
     IdentificationResult,
-    IdentificationWarning,
     IdentifiedParameter,
 )
+from asbuilt.identification.result.summary import summarise
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 GOLDEN = Path(__file__).parent / "summary.txt"
@@ -112,13 +115,11 @@ def invented(arm, **changes):
         "physically_consistent": True,
         "consistency_margin": 8.4e-4,
         "warnings": (
-            IdentificationWarning(
-                "not_excited",
+            Finding("not_excited", "warning",
                 f"Not excited by this recording, kept at CAD: {base.names[-1]}. Move these joints"
                 " more.",
             ),
-            IdentificationWarning(
-                "poorly_determined",
+            Finding("poorly_determined", "warning",
                 f"Poorly determined: {base.names[-2]}. Lengthen or enrich the motion.",
             ),
         ),
@@ -128,10 +129,10 @@ def invented(arm, **changes):
 
 
 def test_summary_reads_as_agreed(arm):
-    text = invented(arm).summary().as_text()
+    text = summarise(invented(arm)).as_text()
     assert text == GOLDEN.read_text()
     assert all(line == line.rstrip() for line in text.splitlines())
-    assert str(invented(arm).summary()) == text
+    assert str(summarise(invented(arm))) == text
 
 
 def test_bad_news_is_shouted(arm):
@@ -142,7 +143,7 @@ def test_bad_news_is_shouted(arm):
         physically_consistent=False,
         consistency_margin=-0.099,
     )
-    text = result.summary().as_text()
+    text = summarise(result).as_text()
     for words in (
         "1 DIRECTION NOT EXCITED",
         "1 PARAMETER POORLY DETERMINED",
@@ -158,19 +159,19 @@ def test_bad_news_is_shouted(arm):
             replace(p, determined=True, poorly_determined=False) for p in result.parameters
         ),
         undetermined=(),
-        warnings=(),
+        findings=(),
         physically_consistent=None,
         consistency_margin=None,
     )
     assert good == calm.parameters[0]
-    heading = dict(calm.summary().heading)
+    heading = dict(summarise(calm).heading)
     assert heading["status"] == "OK"
     assert heading["consistency"] == "not decided"
 
 
 def test_html_is_well_formed_and_escaped_and_csv_has_numbers_in_full(arm):
-    result = invented(arm, warnings=(IdentificationWarning("x", "a < b & c"),))
-    page = result.summary().as_html()
+    result = invented(arm, findings=(Finding("x", "warning", "a < b & c"),))
+    page = summarise(result).as_html()
     opened = []
 
     class Nesting(HTMLParser):
@@ -183,14 +184,14 @@ def test_html_is_well_formed_and_escaped_and_csv_has_numbers_in_full(arm):
     Nesting().feed(page)
     assert opened == []
     assert "a &lt; b &amp; c" in page
-    rows = result.summary().as_csv().splitlines()
+    rows = summarise(result).as_csv().splitlines()
     assert len(rows) == result.n_base + 1
     assert repr(result.parameters[0].estimate) in rows[1]
 
 
 def test_json_round_trip_to_the_last_bit(arm):
     model, base = arm
-    for result in (invented(arm), identify(model, recorded(model, base, still=(1,)), drive=DRIVE)):
+    for result in (invented(arm), identify_samples(model, recorded(model, base, still=(1,)), drive=DRIVE)):
         text = result.to_json()
         again = IdentificationResult.from_json(text)
         assert again.to_json() == text
@@ -202,7 +203,7 @@ def test_json_round_trip_to_the_last_bit(arm):
                 assert one == other, item.name
         assert np.array_equal(again.base.regrouping, result.base.regrouping)
         assert np.array_equal(again.estimates, result.estimates)
-        assert again.summary().as_text() == result.summary().as_text()
+        assert summarise(again).as_text() == summarise(result).as_text()
 
 
 def test_json_has_the_fields_that_others_rely_on(arm):
@@ -263,7 +264,7 @@ def test_prediction_is_the_observation_matrix_times_the_estimates(arm):
     model, base = arm
     parallel = design_parallel_filter(6.0, 100.0, 4)
     samples = recorded(model, base, parallel=parallel, segments=((0, 600), (650, 1200)))
-    result = identify(model, samples, drive=DRIVE)
+    result = identify_samples(model, samples, drive=DRIVE)
     prediction = result.predict(samples)
     w = observation_matrix(
         model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns
@@ -285,7 +286,7 @@ def test_prediction_is_the_observation_matrix_times_the_estimates(arm):
 
 def test_prediction_of_another_robots_samples_is_refused(arm):
     model, base = arm
-    result = identify(model, recorded(model, base), drive=DRIVE)
+    result = identify_samples(model, recorded(model, base), drive=DRIVE)
     iiwa = load_robot("kuka-iiwa7-r800")
     with pytest.raises(ResultError, match="has"):
         result.predict(recorded(iiwa, find_base_parameters(iiwa, DRIVE), n_samples=20))
@@ -296,7 +297,7 @@ def test_identify_recovers_the_truth_within_its_errors(arm):
     chi = parameter_values(model, DRIVE)
     chi[10 * model.n_joints :] = np.resize([0.8, 1.5, -0.2], 3 * model.n_joints)
     truth = base.values(chi)
-    result = identify(
+    result = identify_samples(
         model, [recorded(model, base, seed=s) for s in range(3)], drive=DRIVE, method="wls"
     )
     assert np.all(np.abs(result.estimates - truth) < 4.5 * result.std_errors)
@@ -312,19 +313,19 @@ def test_identify_recovers_the_truth_within_its_errors(arm):
 def test_what_is_not_excited_is_kept_at_cad_and_said(arm):
     model, base = arm
     samples = recorded(model, base, still=(1,))
-    result = identify(model, samples, drive=DRIVE)
+    result = identify_samples(model, samples, drive=DRIVE)
     assert result.rank < result.n_base == result.rank + len(result.undetermined)
-    assert "not_excited" in [warning.code for warning in result.warnings]
+    assert "not_excited" in [warning.code for warning in result.findings]
     assert "Fv2" in result.undetermined
     assert np.isinf(result.condition_number)
     with pytest.raises(IdentifiabilityError, match="Fv2"):
-        identify(model, samples, drive=DRIVE, undetermined="refuse")
+        identify_samples(model, samples, drive=DRIVE, undetermined="refuse")
 
 
 def test_a_conclusion_from_the_information_alone_says_the_same_but_the_largest_error(arm):
     model, base = arm
     samples = recorded(model, base)
-    whole = identify(model, samples, drive=DRIVE)
+    whole = identify_samples(model, samples, drive=DRIVE)
     information = accumulate(model, base, samples)
     estimate = fit_least_squares(information, weights="joint", prior=design_values(model, base))
     alone = conclude(model, information, estimate, rate=100.0)
@@ -348,10 +349,10 @@ def test_links_without_mass_properties_have_no_cad_value(arm):
 
 def test_a_result_says_how_its_errors_were_judged(arm):
     model, base = arm
-    result = identify(model, recorded(model, base), base=base)
+    result = identify_samples(model, recorded(model, base), base=base)
     assert result.errors.kind == "blocks"
     assert result.errors.n_blocks >= 8
-    assert "Standard errors (blocks): by formula from" in str(result.summary())
+    assert "Standard errors (blocks): by formula from" in str(summarise(result))
     whole = json.loads(result.to_json())
     assert whole["errors"]["kind"] == "blocks"
     assert IdentificationResult.from_json(result.to_json()).errors == result.errors
@@ -365,4 +366,4 @@ def test_a_result_of_a_version_that_did_not_say_how_is_read(arm):
     old = IdentificationResult.from_json(json.dumps(whole))
     assert old.errors.kind == "unstated"
     assert not old.dropped.any()
-    assert str(old.summary()) == str(invented(arm).summary())
+    assert str(summarise(old)) == str(summarise(invented(arm)))

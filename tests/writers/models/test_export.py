@@ -21,7 +21,7 @@ from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
-from asbuilt.workflow.study import StudyOptions, run_study
+from asbuilt.workflow.study import StudyOptions, identify
 from asbuilt.writers.models.export import export_result
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.models.urdf import urdf_text
@@ -319,7 +319,7 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
         rate=100.0,
         flip_torque=True,
     )
-    study = run_study(model, log, options=StudyOptions(holdout="blocks:5s:3"))
+    study = identify(model, log, options=StudyOptions(holdout="blocks:5s:3"))
     with pytest.raises(InertiaError, match=r"standard errors below zero") as refused:
         export_result(study.result, toml=tmp_path / "robot.toml")
     assert "mass is" not in str(refused.value)
@@ -333,7 +333,7 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
         [shared / "data" / "kuka_lwr4" / "measurements_1.npz"],
         model=load_robot(shared / "models" / "kuka_lwr4.urdf"),
     )
-    other = run_study(
+    other = identify(
         load_robot(shared / "models" / "kuka_lwr4.urdf"),
         short,
         options=StudyOptions(holdout="blocks:5s:3"),

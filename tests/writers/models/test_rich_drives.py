@@ -26,7 +26,7 @@ from asbuilt.errors import DescriptionError, InertiaError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.simulation import InstalledRobot
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.validation.prediction import design_values
+from asbuilt.validation.prediction import cad_values
 from asbuilt.writers.models.export import export_result
 from asbuilt.writers.models.mjcf import exported_mjcf
 from asbuilt.writers.models.robot_toml import robot_toml
@@ -104,7 +104,7 @@ def test_robot_file_gives_the_torques_of_the_result(name: str, tmp_path: Path) -
     )
     expected = torques_of(result, motion.q, motion.qd, motion.qdd)
     np.testing.assert_allclose(simulated.tau, expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(design_values(result, written), result.estimates, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(cad_values(result, written), result.estimates, rtol=0, atol=1e-9)
     assert [joint.drive.gear_ratio for joint in written.joints] == [
         joint.drive.gear_ratio for joint in result.model.joints
     ]
@@ -271,11 +271,11 @@ def test_values_with_other_shapes_are_not_taken_for_the_same() -> None:
         model, as_if_identified(model, 1, drives=False), drive="stribeck:velocity=0.2"
     )
     assert parameter_names(model, result.base.drive)[-1] == "Fs2"
-    assert design_values(result, stated)[-1] == 1.0
+    assert cad_values(result, stated)[-1] == 1.0
     other = replace(
         result, base=find_base_parameters(model, DriveSet.parse("stribeck:velocity=0.3"))
     )
-    assert np.isnan(design_values(other, stated)[-1])
+    assert np.isnan(cad_values(other, stated)[-1])
 
 
 def test_commands_take_the_exported_robot(

@@ -20,7 +20,7 @@ from matplotlib.patches import Rectangle
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.validation.comparison.drift import Drift, compare_results
-from asbuilt.workflow.controller_model import ControllerComparison, compare_with_controller
+from asbuilt.workflow.controller_model import ControllerComparison, compare_controller
 from asbuilt.writers.figures.drift_figure import drift_figure
 from asbuilt.writers.reports.compare_files import write_drift
 from asbuilt.writers.reports.drift_report import drift_html
@@ -47,7 +47,7 @@ def controller() -> ControllerComparison:
     qd = np.gradient(recording.q, recording.t, axis=0, edge_order=2)
     qdd = np.gradient(qd, recording.t, axis=0, edge_order=2)
     external = recording.tau - inverse_dynamics(load_robot(ARM), recording.q, qd, qdd)
-    return compare_with_controller(
+    return compare_controller(
         identified(ARM, "pf"),
         replace(recording, extra={"tau_ext": external}),
         holdout="blocks:2s:3",

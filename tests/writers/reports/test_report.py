@@ -13,7 +13,7 @@ import pytest
 from chromium import chromium
 
 from asbuilt.validation.comparison.comparison import compare
-from asbuilt.validation.prediction import validate
+from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.reports.report import report_html, write_report
 from asbuilt.writers.reports.report_verdict import verdict
 
@@ -26,8 +26,8 @@ VOID = {"meta", "link", "br", "img", "input", "hr", "line", "circle"}
 @pytest.fixture(scope="module")
 def page(example: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     held_out, fitted = (
-        validate(example.result, example.held_out),
-        validate(example.result, example.train),
+        validate_samples(example.result, example.held_out),
+        validate_samples(example.result, example.train),
     )
     command = ["asbuilt", "identify", "robot <b>.toml", "train.csv", "--holdout", "last:0.3"]
     return write_report(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.dynamics.parameters import parameter_values
-from asbuilt.validation.prediction import validate
+from asbuilt.validation.prediction import validate_samples
 from asbuilt.writers.tables.tabular import (
     base_document,
     identify_document,
@@ -99,7 +99,7 @@ def test_parameters_csv_reads_back_to_the_bit(example: Any, tmp_path: Path) -> N
 
 
 def test_validation_tables(example: Any) -> None:
-    validation = validate(example.result, example.held_out)
+    validation = validate_samples(example.result, example.held_out)
     document = json.loads(json_text(validate_document(example.result, [validation])))
     assert document["validation"][0]["rms"] == validation.metrics_as_built.rms.tolist()
     predicted = prediction_table(validation)

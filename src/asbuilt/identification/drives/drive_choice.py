@@ -20,6 +20,7 @@ from asbuilt.dynamics.drives.selection import DriveSet, available_terms
 from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import UsageError
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.drives.drive_candidates import (
     CandidateColumns,
     Choice,
@@ -109,7 +110,7 @@ class Addition:
 class DriveChoice:
     """The drive terms chosen, with nonlinear parameters stated.
 
-    `sentences` say why, `warnings` what speaks against them.
+    `sentences` say why, `findings` what is wrong with them.
 
     `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing
     was chosen among; `additions` are the terms that were looked at beside the defaults and seemed
@@ -118,7 +119,7 @@ class DriveChoice:
 
     drive: DriveSet
     sentences: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     gain: Gain | None = None
     additions: tuple[Addition, ...] = ()
     fitted: tuple[NonlinearPlace, ...] = ()
@@ -461,11 +462,11 @@ def _fitted_nonlinear(
         if term.stands_for is not None and term.stands_for not in plain.keys:
             plain = plain.with_term(available_terms()[term.stands_for])
     found = fit_nonlinear(model, drive, samples)
-    warnings = found.warnings(model.joint_names)
+    findings = found.findings(model.joint_names)
     both = [_judged(model, samples, each) for each in (plain, found.drive)]
     if both[0] is None or both[1] is None:
         return DriveChoice(
-            found.drive, found.sentences(model.joint_names), warnings, fitted=found.places
+            found.drive, found.sentences(model.joint_names), findings, fitted=found.places
         )
     gain = Gain.between(both[0], both[1])
     change = (
@@ -473,14 +474,17 @@ def _fitted_nonlinear(
     )
     if gain.fraction < 0:
         listed = ", ".join(term.key for term in nonlinear)
-        warnings = (
-            *warnings,
-            f"Fitted {listed} do not pay: {change}. Leave them out, or state their parameters.",
+        finding = Finding(
+            "nonlinear_parameters",
+            "warning",
+            f"Fitted {listed} do not lower the torque error: {change}",
+            Cure("leave them out, or state their parameters"),
         )
+        findings = (*findings, finding)
     return DriveChoice(
         found.drive,
         (*found.sentences(model.joint_names), change),
-        warnings,
+        findings,
         gain,
         fitted=found.places,
     )

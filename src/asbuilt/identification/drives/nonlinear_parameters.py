@@ -19,6 +19,7 @@ from asbuilt.dynamics.drives.term import DriveTerm, NonlinearParameter
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
 from asbuilt.identification.information.rows import SampleBlock, sample_blocks
 
@@ -103,13 +104,13 @@ class NonlinearFit:
             )
         return tuple(said)
 
-    def warnings(self, joint_names: Sequence[str]) -> tuple[str, ...]:
-        """Say where a term is not what its name says, a sentence per nonlinear parameter."""
+    def findings(self, joint_names: Sequence[str]) -> tuple[Finding, ...]:
+        """Return a finding for each nonlinear parameter that lies at an end of its range."""
         said = []
         for found in self.nonlinear:
+            unit = f" {found.parameter.unit}" if found.parameter.unit else ""
             bounded = [
-                f"{name} ({low:.3g} to"
-                f" {high:.3g}{f' {found.parameter.unit}' if found.parameter.unit else ''})"
+                f"{name} ({low:.3g} to {high:.3g}{unit})"
                 for name, low, high, there in zip(
                     joint_names, found.lowest, found.highest, found.at_bound, strict=True
                 )
@@ -117,10 +118,14 @@ class NonlinearFit:
             ]
             if bounded:
                 said.append(
-                    f"The {found.parameter.name} that fits {found.term} best lies at an end of its"
-                    f" credible range at {', '.join(bounded)}: the friction there is of another"
-                    " kind. It keeps its default; leave the term out there (:joints=...) or state"
-                    " the value."
+                    Finding(
+                        "nonlinear_parameters",
+                        "warning",
+                        f"The best {found.parameter.name} of {found.term} lies at an end of its"
+                        f" credible range at {', '.join(bounded)}, so the friction there is of"
+                        " another kind; the default is kept",
+                        Cure("leave the term out at these joints, or state the value"),
+                    )
                 )
         return tuple(said)
 

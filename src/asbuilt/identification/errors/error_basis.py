@@ -1,34 +1,39 @@
-"""How standard errors were judged, in words and for programs.
-
-A number without that is half a number.
-"""
+"""How standard errors were estimated, as data and as text."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
+
+from asbuilt.findings import joined
 
 ErrorKind = Literal["blocks", "bootstrap", "textbook"]
 ERROR_KINDS: tuple[ErrorKind, ...] = ("blocks", "bootstrap", "textbook")
 UNSTATED = "unstated"
-"""Kind of the errors in results that do not say."""
+"""Kind of errors in results without this information."""
 TELLING_GROWTH = 1.1
-"""Errors judged from block to block, in textbook errors, from which the textbook's are called too
-small.
-"""
+"""Ratio of block to textbook errors above which textbook errors are reported as too small."""
 
 
 @dataclass(frozen=True, slots=True)
 class ErrorBasis:
-    """Say how standard errors were judged.
+    """Hold how standard errors were estimated.
 
-    `kind` is `"blocks"` (by formula, from one time block to another), `"bootstrap"` (from fits to
-    time blocks drawn with replacement), `"textbook"` (residuals taken as independent) or
-    `"unstated"`; `asked` is what was asked for, other than `kind` where there were too few blocks.
-    `n_blocks` time blocks of about `block_seconds` [s] were at hand, `n_draws` fits made, holding
-    fixed what `held_fixed` names. `growth` is the median over parameters of the error from blocks
-    in textbook errors; None where there are too few blocks to say.
+    Parameters
+    ----------
+    kind
+        `"blocks"` (formula from time blocks), `"bootstrap"` (fits to time blocks drawn with
+        replacement), `"textbook"` (residuals taken as independent) or `"unstated"`.
+    asked
+        Requested kind, which needs enough time blocks.
+    n_blocks, block_seconds
+        Number and median length [s] of the time blocks.
+    n_draws
+        Number of bootstrap fits.
+    held_fixed
+        Choices that the bootstrap fits share.
+    growth
+        Median over parameters of block error over textbook error; None with too few blocks.
     """
 
     kind: str = UNSTATED
@@ -40,7 +45,7 @@ class ErrorBasis:
     growth: float | None = None
 
     def sentence(self, effective_samples: float, n_samples: int) -> str:
-        """Say it in a sentence or two, with the number of samples that are worth independent ones."""
+        """Return a note with the number of effectively independent samples."""
         worth = f"effective samples {round(effective_samples)} of {n_samples}"
         blocks = f"{self.n_blocks} time blocks" + (
             f" of {self.block_seconds:.3g} s" if self.block_seconds else ""
@@ -51,12 +56,7 @@ class ErrorBasis:
                 f" correlation within them ({worth})."
             )
         if self.kind == "bootstrap":
-            listed = (
-                ", ".join(self.held_fixed[:-1])
-                + (" and " if len(self.held_fixed) > 1 else "")
-                + "".join(self.held_fixed[-1:])
-            )
-            held = f", with {listed} held fixed" if self.held_fixed else ""
+            held = f", with {joined(self.held_fixed)} held fixed" if self.held_fixed else ""
             return (
                 f"Standard errors (bootstrap): scatter of {self.n_draws} fits to {blocks} drawn"
                 f" with replacement{held} ({worth})."
@@ -69,28 +69,11 @@ class ErrorBasis:
 
     def _too_small(self) -> str:
         if self.growth is None:
-            few = (
-                f"; {self.n_blocks} time blocks are too few to do better"
-                if self.asked != "textbook"
-                else ""
-            )
-            return f"which they hardly are, so TOO SMALL{few}"
+            few = f"; {self.n_blocks} time blocks are too few to correct this"
+            return f"so TOO SMALL{few if self.asked != 'textbook' else ''}"
         if self.growth < TELLING_GROWTH:
             return (
-                f"and here they nearly are (errors from time blocks are {self.growth:.2g} times as"
-                " large); TOO SMALL where residuals are correlated"
+                f"which is nearly true here (errors from time blocks are {self.growth:.2g} times as"
+                " large); TOO SMALL if residuals are correlated"
             )
-        return (
-            "which they are not: TOO SMALL, errors from time blocks (--errors blocks) are"
-            f" {self.growth:.2g} times as large"
-        )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers, texts and lists, ready for JSON."""
-        return asdict(self) | {"held_fixed": list(self.held_fixed)}
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> ErrorBasis:
-        """Read what `as_dict` wrote; what is missing takes its default."""
-        known = {field.name: stored[field.name] for field in fields(cls) if field.name in stored}
-        return cls(**(known | {"held_fixed": tuple(known.get("held_fixed", ()))}))
+        return f"so TOO SMALL: errors from time blocks are {self.growth:.2g} times as large"

@@ -1,16 +1,15 @@
-"""All that a recording says of what CAD may have left out, in one triangular matrix per joint, so
-that causes can be weighed later without the data.
-"""
+"""Data of a recording for effects that CAD lacks, as one triangular factor per joint."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
+from asbuilt.codec import stored
 from asbuilt.description.model import PLAIN_TERMS, RobotModel
 from asbuilt.description.rotation import axes_across
 from asbuilt.dynamics.base.base_parameters import BaseParameters
@@ -32,31 +31,36 @@ if TYPE_CHECKING:
 
 
 RICHER_TERMS = ("load_friction", "quadratic", "stribeck")
-"""Friction beyond the plain one whose columns need no fitted nonlinear parameter, or do with the usual one."""
+"""Further friction terms that are linear, or linear with their default nonlinear parameter."""
 TILTS = ("tilt 1", "tilt 2")
 HELD_BACK = 3
-"""Where no recording is held out, every so many blocks of the data used judge what the others say."""
+"""Without held-out recordings every so many blocks of the data used are held out."""
+TRIANGLES = stored(
+    encode=lambda factors: [packed_triangle(factor) for factor in factors],
+    decode=lambda texts: tuple(unpacked_triangle(text) for text in texts),
+)
+"""Factors are stored as upper triangles, row by row, as base64 of little-endian doubles."""
 
 
 @dataclass(frozen=True, eq=False)
 class CauseData:
-    """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of the data fitted and of
-    the data judged by.
+    """Hold the triangular factors of `[A_k | tau_k]` of every joint k, of fitted and held-out data.
 
-    The columns A are named: the base parameters of the links, every plain and some richer drive
-    terms, and the two tilts of the mounting, rad about `tilt_axes` (2, 3) of the root frame: the
-    torque of the bodies by design under gravity `g x axis`. Joint k has the columns `support[k]`;
-    `fitted[k]` and `judged[k]` have shape (p_k + 1, p_k + 1). What a change x of the columns'
-    parameters does to the torque is `A x`, so payload, gains, friction and other values by design
-    are all linear in what is held here.
+    The named columns A are the base parameters of the links, plain and some further drive terms,
+    and two angles [rad] of base tilt about `tilt_axes` (2, 3) of the root frame: the torque of the
+    links by design under gravity `g x axis`. Joint k has the columns `support[k]`; `fitted[k]` and
+    `judged[k]` (held out) have shape (p_k + 1, p_k + 1). A change x of the parameters changes the
+    torque by `A x`, so payload, gains, friction and other CAD values are linear here.
     """
 
-    drive: DriveSet
-    joint_names: tuple[str, ...]
-    names: tuple[str, ...]
+    drive: DriveSet = field(
+        metadata=stored(encode=lambda drive: list(drive.specifications), decode=DriveSet.parse)
+    )
+    joint_names: tuple[str, ...] = field(metadata=stored(key="joints"))
+    names: tuple[str, ...] = field(metadata=stored(key="columns"))
     support: tuple[Indices, ...]
-    fitted: tuple[Array, ...]
-    judged: tuple[Array, ...]
+    fitted: tuple[Array, ...] = field(metadata=TRIANGLES)
+    judged: tuple[Array, ...] = field(metadata=TRIANGLES)
     n_fitted: int
     n_judged: int
     judged_by: str
@@ -79,19 +83,17 @@ class CauseData:
         return len(self.joint_names)
 
     def places(self, names: Iterable[str]) -> Indices:
-        """Return the column of each name; raises `ResultError` for one that is not among them."""
+        """Return the column of each name; raises `ResultError` for an unknown one."""
         index = {name: j for j, name in enumerate(self.names)}
         missing = [name for name in names if name not in index]
         if missing:
             raise ResultError(
-                f"the cause data has no column {missing[0]!r}; identify again with this version"
+                f"the cause data have no column {missing[0]!r}; identify again with this version"
             )
         return np.array([index[name] for name in names], dtype=np.int64)
 
     def whole(self, factors: tuple[Array, ...]) -> tuple[Array, ...]:
-        """Return factors with a column for every name and the torque last, zero where a joint has
-        none: shape (p_k + 1, p + 1).
-        """
+        """Return factors (p_k + 1, p + 1) with a column for every name and the torque last."""
         every = []
         for support, factor in zip(self.support, factors, strict=True):
             wide = np.zeros((len(factor), len(self.names) + 1))
@@ -100,63 +102,12 @@ class CauseData:
         return tuple(every)
 
     def error_of(self, names: Iterable[str], values: Array) -> Array:
-        """Return the RMS error (n,) on the data judged by of the torque that named parameters of
-        these values predict, all others zero.
-        """
+        """Return the RMS torque error (n,) on held-out data of named parameters, others zero."""
         places = self.places(names)
         errors = [factor[:, -1] - factor[:, places] @ values for factor in self.whole(self.judged)]
         return np.asarray(
             [float(np.linalg.norm(error)) for error in errors] / np.sqrt(self.n_judged)
         )
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return texts, numbers and lists, ready for JSON.
-
-        Factors are upper triangles, row by row, as base64 of little-endian doubles.
-        """
-        return {
-            "drive": list(self.drive.specifications),
-            "joints": list(self.joint_names),
-            "columns": list(self.names),
-            "support": [support.tolist() for support in self.support],
-            "fitted": [packed_triangle(factor) for factor in self.fitted],
-            "judged": [packed_triangle(factor) for factor in self.judged],
-            "n_fitted": self.n_fitted,
-            "n_judged": self.n_judged,
-            "judged_by": self.judged_by,
-            "tilt_axes": self.tilt_axes.tolist(),
-        }
-
-    @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> CauseData:
-        """Rebuild from `as_dict`; raises `ResultError` where that is damaged."""
-        try:
-            support = tuple(np.array(places, dtype=np.int64) for places in fields["support"])
-            sizes = [len(places) + 1 for places in support]
-            return cls(
-                drive=DriveSet.parse(fields["drive"]),
-                joint_names=tuple(fields["joints"]),
-                names=tuple(fields["columns"]),
-                support=support,
-                fitted=tuple(
-                    unpacked_triangle(text, size)
-                    for text, size in zip(fields["fitted"], sizes, strict=True)
-                ),
-                judged=tuple(
-                    unpacked_triangle(text, size)
-                    for text, size in zip(fields["judged"], sizes, strict=True)
-                ),
-                n_fitted=int(fields["n_fitted"]),
-                n_judged=int(fields["n_judged"]),
-                judged_by=str(fields["judged_by"]),
-                tilt_axes=np.array(fields["tilt_axes"], dtype=np.float64),
-            )
-        except (KeyError, TypeError, ValueError) as problem:
-            if isinstance(problem, ResultError):
-                raise
-            raise ResultError(
-                f"the cause data is damaged ({type(problem).__name__} {problem}); identify again"
-            ) from problem
 
 
 def gather_cause_data(
@@ -167,11 +118,23 @@ def gather_cause_data(
     *,
     block_seconds: float | None = None,
 ) -> CauseData:
-    """Go through the samples once more and reduce them to the cause data.
+    """Reduce samples to cause data in one pass.
 
-    `base` are the base parameters of the result, whose drive terms are all among the columns.
-    Without samples to judge by, every third time block of the others is put aside for it. Raises
-    `IdentifiabilityError` where that leaves no samples to fit, or none to judge by.
+    Parameters
+    ----------
+    model, base
+        The robot as designed and the base parameters of a result.
+    fitted
+        Samples of the fit.
+    judged
+        Held-out samples; by default every third time block of the others is held out.
+    block_seconds
+        Length of a time block [s].
+
+    Raises
+    ------
+    IdentifiabilityError
+        If no samples are left to fit, or none to hold out.
     """
     drive = base.drive
     known = available_terms()
@@ -195,18 +158,16 @@ def gather_cause_data(
     two = _Reduction(plan), _Reduction(plan)
     sources: dict[str, None] = {}
     with one_blas_thread():
-        for stretch in sample_blocks(model, judged, block_seconds):
-            sources[stretch.samples.source] = None
-            two[1].add(stretch, tilted)
-        for number, stretch in enumerate(sample_blocks(model, fitted, block_seconds)):
-            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(
-                stretch, tilted
-            )
+        for part in sample_blocks(model, judged, block_seconds):
+            sources[part.samples.source] = None
+            two[1].add(part, tilted)
+        for number, part in enumerate(sample_blocks(model, fitted, block_seconds)):
+            two[1 if not sources and number % HELD_BACK == HELD_BACK - 1 else 0].add(part, tilted)
         factors = [reduction.factors() for reduction in two]
     if not two[0].n_samples or not two[1].n_samples:
         raise IdentifiabilityError(
-            f"too few samples of {model.name} to weigh causes: {two[0].n_samples} to fit,"
-            f" {two[1].n_samples} to judge by"
+            f"too few samples of {model.name} to compare causes: {two[0].n_samples} to fit,"
+            f" {two[1].n_samples} held out"
         )
     tilts = np.arange(len(names), len(names) + len(TILTS))
     return CauseData(
@@ -233,10 +194,10 @@ class _Reduction:
         ]
         self.n_samples = 0
 
-    def add(self, stretch: SampleBlock, tilted: list[RobotModel]) -> None:
-        self.n_samples += stretch.n_outputs
-        q = stretch.samples.q
-        for chunk in stretch.chunks(
+    def add(self, part: SampleBlock, tilted: list[RobotModel]) -> None:
+        self.n_samples += part.n_outputs
+        q = part.samples.q
+        for chunk in part.chunks(
             self._plan, beside=lambda span: [gravity_torque(model, q[span]) for model in tilted]
         ):
             for growing, rows in zip(self._growing, chunk, strict=True):

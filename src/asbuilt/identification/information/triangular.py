@@ -14,47 +14,39 @@ ROWS_AT_ONCE = 1024
 
 
 def triangular_factor(rows: Array) -> Array:
-    """Return the upper triangular R (p, p) with `R^T R = rows^T rows` and a non-negative diagonal,
-    of rows (m, p), by Householder QR.
-    """
+    """Return the upper triangular R (p, p), diagonal >= 0, with `R^T R = rows^T rows`."""
     growing = GrowingFactor(rows.shape[1], len(rows))
     growing.append(np.ascontiguousarray(rows.T))
     return growing.factor()
 
 
 def packed_triangle(matrix: Array) -> str:
-    """Return the upper triangle of a matrix (p, p), row by row, as base64 of little-endian doubles."""
+    """Return the upper triangle of a matrix by rows, as base64 of little-endian doubles."""
     return base64.b64encode(matrix[np.triu_indices(len(matrix))].astype("<f8").tobytes()).decode(
         "ascii"
     )
 
 
-def unpacked_triangle(text: str, p: int) -> Array:
+def unpacked_triangle(text: str) -> Array:
     """Return the upper triangular matrix (p, p) of `packed_triangle`.
 
-    Raises ValueError where the text holds another number of entries.
+    Raises ValueError if the text does not hold p (p + 1) / 2 numbers.
     """
+    entries = np.frombuffer(base64.b64decode(text), dtype="<f8")
+    p = int(np.sqrt(2 * len(entries)))
     triangle = np.zeros((p, p))
-    triangle[np.triu_indices(p)] = np.frombuffer(base64.b64decode(text), dtype="<f8")
+    triangle[np.triu_indices(p)] = entries
     return triangle
 
 
-def packed_symmetric(matrix: Array) -> str:
-    """Return the upper triangle of a symmetric matrix (p, p) as `packed_triangle` does."""
-    return packed_triangle(matrix)
-
-
 def unpacked_symmetric(text: str) -> Array:
-    """Return the symmetric matrix (p, p) of a packed triangle, whose length says how large it is."""
+    """Return the symmetric matrix (p, p) whose upper triangle was packed."""
     upper = unpacked_triangle(text)
     return upper + np.triu(upper, 1).T
 
 
 class GrowingFactor:
-    """Reduce ever more rows with p columns to their triangular factor: R of [R.
-
-    New rows], `capacity` rows at a time.
-    """
+    """Reduce a growing number of rows with p columns to their factor, `capacity` at a time."""
 
     def __init__(self, p: int, capacity: int = ROWS_AT_ONCE) -> None:
         self._p = p

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,24 +10,29 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.codec import plain, stored
 from asbuilt.errors import ResultError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueMetrics:
-    """Measure a prediction against a recording of n joints.
+    r"""Measure a prediction by its error `e = measured - predicted` at each of n joints.
 
-    `e = measured - predicted`, N m for a joint that turns, N for one that slides.
+    Units are N m for a revolute joint and N for a prismatic one. All are taken in the band that the
+    samples' filter passes, except `rms_recorded`. What is unknown is NaN.
 
-    `rms` (n,) = sqrt(mean(e^2)); `max_abs` (n,) = max |e|; `r_squared` (n,) = 1 - sum e^2 / sum
-    (tau - mean tau)^2, NaN where the torque is constant; `relative_error_per_joint` (n,) = |e_k| /
-    |tau_k| and `relative_error` = |e| / |tau|, the norms over all samples and joints. All are taken
-    in the band that the samples' filter passes; `rms_recorded` (n,) is against the torque as
-    logged, which no filter flatters; NaN where unknown.
+    | attribute | shape | definition |
+    |---|---|---|
+    | `rms` | (n,) | sqrt(mean(e^2)) |
+    | `max_abs` | (n,) | max \|e\| |
+    | `r_squared` | (n,) | 1 - sum e^2 / sum (tau - mean tau)^2, NaN for a constant torque |
+    | `relative_error` | () | \|e\| / \|tau\|, norms over all samples and joints |
+    | `relative_error_per_joint` | (n,) | the same joint by joint |
+    | `rms_recorded` | (n,) | RMS error against the torque as logged, unfiltered |
     """
 
     source: str
-    joint_names: tuple[str, ...]
+    joint_names: tuple[str, ...] = field(metadata=stored(key="joints"))
     n_samples: int
     rms: Array
     max_abs: Array
@@ -51,49 +56,12 @@ class TorqueMetrics:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers and lists, None for what is undefined, ready for JSON."""
-        return {
-            "source": self.source,
-            "joints": list(self.joint_names),
-            "n_samples": self.n_samples,
-            "rms": _plain(self.rms),
-            "max_abs": _plain(self.max_abs),
-            "r_squared": _plain(self.r_squared),
-            "relative_error": _plain([self.relative_error])[0],
-            "relative_error_per_joint": _plain(self.relative_error_per_joint),
-            "rms_recorded": _plain(self.rms_recorded),
-        }
-
-    @classmethod
-    def from_dict(cls, fields: Mapping[str, Any]) -> TorqueMetrics:
-        """Rebuild from `as_dict`.
-
-        Raises `ResultError` where a field is missing or of the wrong length.
-        """
-        try:
-            return cls(
-                source=str(fields["source"]),
-                joint_names=tuple(str(name) for name in fields["joints"]),
-                n_samples=int(fields["n_samples"]),
-                rms=_numbers(fields["rms"]),
-                max_abs=_numbers(fields["max_abs"]),
-                r_squared=_numbers(fields["r_squared"]),
-                relative_error=float(_numbers([fields["relative_error"]])[0]),
-                relative_error_per_joint=_numbers(fields["relative_error_per_joint"]),
-                rms_recorded=_numbers(fields["rms_recorded"]),
-            )
-        except (KeyError, TypeError, ValueError) as problem:
-            if isinstance(problem, ResultError):
-                raise
-            raise ResultError(
-                f"torque metrics cannot be read: {type(problem).__name__} {problem}; expected the"
-                " fields of `as_dict`"
-            ) from problem
+        document: dict[str, Any] = plain(self)
+        return document
 
 
 class TorqueTally:
-    """Gather torque errors batch by batch, so that a recording larger than memory has metrics too
-    (pairwise moments: Chan et al., 1983).
-    """
+    """Gather torque errors batch by batch, with pairwise moments (Chan et al., 1983)."""
 
     def __init__(self, joint_names: Iterable[str]) -> None:
         self.joint_names = tuple(joint_names)
@@ -172,11 +140,3 @@ def torque_metrics(
         tuple(joint_names) if joint_names is not None else tuple(f"joint {k + 1}" for k in range(n))
     )
     return TorqueTally(names).add(measured, predicted).metrics(source)
-
-
-def _plain(values: ArrayLike) -> list[float | None]:
-    return [float(x) if np.isfinite(x) else None for x in np.asarray(values, dtype=np.float64)]
-
-
-def _numbers(values: Iterable[float | None]) -> Array:
-    return np.array([np.nan if x is None else x for x in values], dtype=np.float64)

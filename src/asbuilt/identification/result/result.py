@@ -1,61 +1,59 @@
-"""The outcome of an identification.
-
-Every number with its uncertainty, its verdict and where it came from.
-"""
+"""The result of an identification: estimates with errors and verdicts, and how they were made."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
+from asbuilt.codec import decoded, plain, stored
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import AsbuiltError, ResultError
+from asbuilt.dynamics.torque_model import TorqueModel
+from asbuilt.errors import AsbuiltError, ResultError, UsageError
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.free_values import FreeValues
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.identification.result.summary import Summary, summarise
-from asbuilt.identification.result.torque_prediction import Prediction, predict_torque
+from asbuilt.identification.result.torque_prediction import (
+    Prediction,
+    all_parameters,
+    predict_torque,
+)
+from asbuilt.tables import Column, Shown, Table, rounded
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
-
 FORMAT = "asbuilt identification result"
 FORMAT_VERSION = 1
-
-
-@dataclass(frozen=True, slots=True)
-class IdentificationWarning:
-    """Something the user must know.
-
-    A stable `code` for programs, a `message` with values and a way out for people.
-    """
-
-    code: str
-    message: str
+REBUILT = ("model", "base")
+"""Fields that are stored as the robot and its drive terms."""
+BY_POSITION = ("spring", "balancer")
+AGAIN = Cure("identify again")
 
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedParameter:
-    """One base parameter: its value by design (`cad`, NaN where the description is silent) and as
-    built, with standard errors.
+    """Hold one base parameter by design (`cad`, NaN if unknown) and as built, with its errors.
 
-    `std_error` is judged as the result's `errors` say, `textbook_std_error` takes residuals as
-    white. `determined` is False where this recording does not tell the parameter and `estimate`
-    leans on CAD; both errors then cover only the part that the recording tells. `poorly_determined`
-    is True where the error is large beside the value and matters to the torque. `dropped` is True
-    where the parameter was set to zero as needless (method `essential`): that is a choice, not a
-    measurement, and both errors are NaN.
+    `std_error` follows the result's `errors`, `textbook_std_error` takes residuals as white.
+    `determined` is False if this recording does not determine the parameter, so that `estimate` is
+    regularised toward CAD; both errors then cover only the part that is determined.
+    `poorly_determined` is True if the error is large beside the value and matters to the torque.
+    `dropped` is True if the estimator set the parameter to zero (method `essential`); both errors
+    are then NaN.
     """
 
     id: int
@@ -80,36 +78,40 @@ class IdentifiedParameter:
 
     @property
     def difference_in_sigmas(self) -> float:
-        """As built minus CAD, in standard errors; NaN where CAD is silent."""
+        """As built minus CAD, in standard errors; NaN if CAD has no value."""
         return (self.estimate - self.cad) / self.std_error if self.std_error > 0 else np.nan
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class IdentificationResult:
-    """Hold what an identification found, of a robot with n joints and p base parameters (drive
-    terms included).
+    """Hold the result of an identification of a robot with n joints and p base parameters.
+
+    Base parameters include those of drive terms. A result is made once and never changed.
 
     | attribute | what |
     |---|---|
     | `model`, `base` | the robot as designed and its base parameters |
     | `method` | `"ols"`, `"wls"`, ... |
-    | `sources` | the recordings it was identified from |
+    | `sources` | the recordings identified from |
     | `n_samples`, `rate`, `duration` | samples used (each gives n torques), Hz and s, after filtering and decimation |
     | `parameters` | p of `IdentifiedParameter` |
-    | `errors` | how the standard errors were judged |
-    | `covariance` | (p, p), judged that way; rows and columns of dropped parameters are zero |
+    | `errors` | how standard errors were estimated |
+    | `covariance` | (p, p) accordingly; rows and columns of dropped parameters are zero |
     | `textbook_covariance` | (p, p), residuals taken as white |
     | `sigma` | (n,) standard deviation of the torque residual of each joint |
-    | `effective_samples` | how many independent samples the recording is worth |
+    | `effective_samples` | number of independent samples with the same information |
     | `rank`, `singular_values` | rank of this recording and the (p,) singular values of the weighted, column-scaled stack, largest first |
     | `condition_number`, `scaled_condition_number` | of the weighted stack, and with columns scaled to unit length |
-    | `undetermined` | the combinations of parameters that this recording does not excite, readable |
-    | `train`, `validation`, `cad` | torque metrics: on the data used, on other data, and of the CAD values |
-    | `physically_consistent`, `consistency_margin` | whether any real bodies and passive drives have these base parameters, and how far inside the bodies are; None if unknown |
-    | `warnings`, `provenance` | what to know, and how the samples were made |
-    | `notes` | what the estimator decided, in sentences |
-    | `cause_data` | what the recordings say of what CAD may have left out, for `attribute`; None where it was not gathered |
-    | `free` | the parameters by weighted least squares alone, by which two results are compared; None where `method` is that |
+    | `undetermined` | combinations of parameters that this recording does not excite |
+    | `train`, `validation`, `cad` | torque metrics: on the training data, on validation data, and of the CAD values on the latter (else on the former) |
+    | `physically_consistent`, `consistency_margin` | whether physically consistent links and passive drives have these parameters, and by what margin; None if unknown |
+    | `findings` | what the estimation concludes; a `Study` has more |
+    | `provenance` | how the samples were made |
+    | `notes` | what the estimator decided |
+    | `chain`, `holdout` | the signal chain, and the rule by which part of the recordings was held out |
+    | `digests` | fingerprints of the recordings identified from |
+    | `cause_data` | what `attribute` works from; None if it was not gathered |
+    | `free` | the parameters by weighted least squares alone, for comparing results; None if `method` is that |
     """
 
     model: RobotModel
@@ -126,17 +128,20 @@ class IdentificationResult:
     effective_samples: float
     rank: int
     singular_values: Array
-    condition_number: float
-    scaled_condition_number: float
+    condition_number: float = field(metadata=stored(missing=np.inf))
+    scaled_condition_number: float = field(metadata=stored(missing=np.inf))
     undetermined: tuple[str, ...]
     train: TorqueMetrics
     validation: tuple[TorqueMetrics, ...]
     cad: TorqueMetrics
     physically_consistent: bool | None
     consistency_margin: float | None
-    warnings: tuple[IdentificationWarning, ...]
+    findings: tuple[Finding, ...]
     provenance: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    chain: SignalChain | None = None
+    holdout: str | None = None
+    digests: tuple[str, ...] = ()
     cause_data: CauseData | None = None
     errors: ErrorBasis = field(default_factory=ErrorBasis)
     free: FreeValues | None = None
@@ -158,16 +163,33 @@ class IdentificationResult:
                 )
             values.setflags(write=False)
             object.__setattr__(self, name, values)
-        if len(self.parameters) != p:
-            raise ResultError(
-                f"a result for {p} base parameters needs as many parameters, got"
-                f" {len(self.parameters)}"
-            )
-        if self.free is not None and len(self.free.estimates) != p:
-            raise ResultError(
-                f"a result for {p} base parameters needs as many free values, got"
-                f" {len(self.free.estimates)}"
-            )
+        for name, count in (
+            ("parameters", len(self.parameters)),
+            ("free values", p if self.free is None else len(self.free.estimates)),
+        ):
+            if count != p:
+                raise ResultError(
+                    f"a result for {p} base parameters needs as many {name}, got {count}"
+                )
+
+    def __repr__(self) -> str:
+        held_out = [f"{100 * metrics.relative_error:.2g} %" for metrics in self.validation]
+        return (
+            f"<IdentificationResult of {self.robot}: {self.method}, {self.n_base} base parameters"
+            f" (rank {self.rank}) from {self.n_samples} samples; relative torque error"
+            f" {100 * self.train.relative_error:.2g} %"
+            + (f", held out {', '.join(held_out)}>" if held_out else ">")
+        )
+
+    def _repr_html_(self) -> str:
+        heads = ("id", "parameter", "unit", "CAD", "as built", "std err")
+        rows = tuple(
+            (p.id, p.expression, p.unit, p.cad, Shown(p.estimate, built), Shown(p.std_error, error))
+            for p in self.parameters
+            for built, error in (rounded(p.estimate, p.std_error),)
+        )
+        table = Table(tuple(map(Column, heads)), rows)
+        return f"<p>{escape(repr(self).strip('<>'))}</p>{table.as_html('parameters')}"
 
     @property
     def robot(self) -> str:
@@ -186,10 +208,7 @@ class IdentificationResult:
 
     @property
     def n_base(self) -> int:
-        """Number of base parameters, drive terms included.
-
-        The rank that the robot's structure allows.
-        """
+        """Number of base parameters, drive terms included: the rank of the robot's structure."""
         return self.base.n_base
 
     @property
@@ -199,207 +218,185 @@ class IdentificationResult:
 
     @property
     def weights(self) -> Array:
-        """One over the standard deviation of the torque residual of each joint, (n,).
-
-        Large but finite where there is none.
-        """
+        """One over the standard deviation of each joint's torque residual, (n,); always finite."""
         return np.asarray(1.0 / np.maximum(self.sigma, np.finfo(np.float64).tiny))
 
     @property
     def cad_values(self) -> Array:
-        """Base parameters by design, shape (p,); NaN where the description is silent."""
+        """Base parameters by design, shape (p,); NaN if the description has no value."""
         return np.array([parameter.cad for parameter in self.parameters])
 
     @property
     def std_errors(self) -> Array:
-        """Standard errors, judged as `errors` says, shape (p,); NaN for dropped parameters."""
+        """Standard errors, estimated as `errors` says, shape (p,); NaN for dropped parameters."""
         return np.array([parameter.std_error for parameter in self.parameters])
 
     @property
     def dropped(self) -> NDArray[np.bool_]:
-        """Which parameters were set to zero as needless, shape (p,)."""
+        """Which parameters the estimator set to zero, shape (p,)."""
         return np.array([parameter.dropped for parameter in self.parameters])
 
     @property
     def errors_sentence(self) -> str:
-        """How the standard errors were judged, in a sentence."""
+        """How the standard errors were estimated, in a sentence."""
         return self.errors.sentence(self.effective_samples, self.n_samples)
 
-    def predict(self, samples: Samples) -> Prediction:
-        """Predict the torque of another recording from the values as built, on its filtered grid,
-        beside what was measured there.
+    @cached_property
+    def torque_model(self) -> TorqueModel:
+        """The robot as built as a function of the state, drives included."""
+        chi, links = all_parameters(self.base, self.estimates), 10 * self.model.n_joints
+        return TorqueModel(self.model, self.base.drive, chi[links:], parameters=chi[:links])
+
+    def torque(self, q: ArrayLike, qd: ArrayLike, qdd: ArrayLike) -> Array:
+        """Return the joint torque as built, rigid bodies and drives.
+
+        Parameters
+        ----------
+        q, qd, qdd
+            Joint positions, velocities and accelerations [rad or m, s], shape (n,) or (N, n).
+
+        Returns
+        -------
+        Array
+            Torques [N m or N], shape of `q`.
         """
+        return self.torque_model(q, qd, qdd)
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """Return the torque that holds the robot as built at rest, friction aside, shape of `q`."""
+        return self.torque_model.gravity(q)
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Return the mass matrix of the links as built, shape (n, n) or (N, n, n).
+
+        Armatures of drives are not part of it.
+        """
+        return self.torque_model.mass_matrix(q)
+
+    def friction(self, qd: ArrayLike, q: ArrayLike | None = None) -> Array:
+        """Return the torque of the drives as built at constant velocity, shape of `qd`.
+
+        Parameters
+        ----------
+        qd
+            Joint velocities [rad/s or m/s], shape (n,) or (N, n).
+        q
+            Joint positions [rad or m]; needed if drive terms depend on load or position.
+
+        Raises
+        ------
+        UsageError
+            If positions are needed and not given.
+        """
+        drive, rest = self.base.drive, np.zeros(np.shape(qd))
+        if q is None and (drive.needs_load or set(BY_POSITION) & set(drive.keys)):
+            raise UsageError(f"the drive terms {drive} depend on load or position; give q too")
+        return self.torque_model.friction(rest if q is None else q, qd, rest)
+
+    def predict(self, samples: Samples) -> Prediction:
+        """Predict the torque of a recording as built, beside the torque measured."""
         return predict_torque(self.model, self.base, self.estimates, samples)
 
     def predict_cad(self, samples: Samples) -> Prediction:
-        """Predict the torque of a recording from the values by design.
-
-        Terms on which the description is silent add nothing.
-        """
+        """Predict the torque of a recording by design; unknown CAD values count as zero."""
         return predict_torque(
             self.model, self.base, np.nan_to_num(self.cad_values, nan=0.0), samples
         )
 
-    def summary(self) -> Summary:
-        """Return the result as text, HTML or CSV."""
-        return summarise(self)
-
     def as_dict(self) -> dict[str, Any]:
-        """Return what programs rely on, without the robot and the covariances.
+        """Return what programs rely on, without the robot and the matrices.
 
         Plain numbers, texts and lists, None for what is undefined.
         """
+        left_out = ("covariance", "textbook_covariance", "singular_values", "cause_data", "free")
+        document = self._document()
+        return {name: value for name, value in document.items() if name not in left_out}
+
+    def _document(self) -> dict[str, Any]:
+        """Return everything but the robot and its base parameters."""
+        own = {
+            item.name: plain(getattr(self, item.name))
+            for item in fields(self)
+            if item.name not in REBUILT
+        }
         return {
             "robot": self.robot,
-            "method": self.method,
             "drive": list(self.base.drive.specifications),
-            "sources": list(self.sources),
-            "n_samples": self.n_samples,
-            "rate": self.rate,
-            "duration": self.duration,
-            "effective_samples": self.effective_samples,
-            "errors": self.errors.as_dict(),
             "n_standard": self.n_standard,
             "n_base": self.n_base,
-            "rank": self.rank,
-            "condition_number": _finite(self.condition_number),
-            "scaled_condition_number": _finite(self.scaled_condition_number),
             "joints": list(self.joint_names),
-            "sigma": self.sigma.tolist(),
-            "parameters": [
-                {name: _finite(value) for name, value in asdict(parameter).items()}
-                for parameter in self.parameters
-            ],
-            "undetermined": list(self.undetermined),
-            "train": self.train.as_dict(),
-            "validation": [metrics.as_dict() for metrics in self.validation],
-            "cad": self.cad.as_dict(),
-            "physically_consistent": self.physically_consistent,
-            "consistency_margin": _finite(self.consistency_margin),
-            "warnings": [asdict(warning) for warning in self.warnings],
-            "provenance": list(self.provenance),
-            "notes": list(self.notes),
+            "warnings": [{"code": each.code, "message": each.text} for each in self.findings],
+            **own,
         }
 
-    def to_json(self) -> str:
-        """Return the whole result, robot and covariances included, as JSON that `from_json` reads
-        back to the last bit.
+    def to_json(self, **further: Any) -> str:
+        """Return the whole result as JSON that `from_json` reads back to the last bit.
+
+        Parameters
+        ----------
+        further
+            Plain data to store in the same document.
         """
-        whole = {"format": FORMAT, "version": FORMAT_VERSION} | self.as_dict()
-        whole |= {
-            name: getattr(self, name).tolist()
-            for name in ("singular_values", "covariance", "textbook_covariance")
-        }
-        whole |= {"cause_data": None if self.cause_data is None else self.cause_data.as_dict()}
-        whole |= {"free": None if self.free is None else self.free.as_dict()}
-        return (
-            json.dumps(whole | {"model": model_document(self.model)}, allow_nan=False, indent=1)
-            + "\n"
-        )
+        whole = {"format": FORMAT, "version": FORMAT_VERSION} | self._document() | further
+        whole["model"] = model_document(self.model)
+        return json.dumps(whole, allow_nan=False, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, text: str) -> IdentificationResult:
-        """Read a result; raises `ResultError` where the text is not one, misses something, or was
-        made with other base parameters than today's.
+        """Read a result.
+
+        Raises
+        ------
+        ResultError
+            If the text is not a stored result, is damaged, or belongs to other base parameters.
         """
-        try:
-            whole = json.loads(text)
-        except ValueError as problem:
-            raise ResultError(
-                f"this is not a stored result, not even JSON ({problem}); expected the file that"
-                " identify wrote"
-            ) from problem
-        if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
-            raise ResultError(
-                f"this JSON is not a stored result: its format should be {FORMAT!r}; expected the"
-                " file that identify wrote"
-            )
-        if whole.get("version") != FORMAT_VERSION:
-            raise ResultError(
-                f"this result has format version {whole.get('version')}, this program reads"
-                f" {FORMAT_VERSION}; identify again"
-            )
+        whole = stored_document(text)
         try:
             model = model_from_document(whole["model"])
             base = find_base_parameters(model, DriveSet.parse(whole["drive"]))
-            parameters = tuple(_parameter(item, whole["method"]) for item in whole["parameters"])
-            ids = [parameter.id for parameter in parameters]
-            if ids != base.ids.tolist():
-                odd = sorted(set(ids) ^ set(base.ids.tolist())) or ids
-                raise ResultError(
-                    f"the result of {model.name} has {len(ids)} base parameters, the robot has"
-                    f" {base.n_base}; they differ in {odd[:10]}; identify again"
-                )
-            return cls(
+            result = cls(
                 model=model,
                 base=base,
-                method=str(whole["method"]),
-                sources=tuple(whole["sources"]),
-                n_samples=int(whole["n_samples"]),
-                rate=float(whole["rate"]),
-                duration=float(whole["duration"]),
-                parameters=parameters,
-                covariance=whole["covariance"],
-                textbook_covariance=whole["textbook_covariance"],
-                sigma=whole["sigma"],
-                effective_samples=float(whole["effective_samples"]),
-                rank=int(whole["rank"]),
-                singular_values=whole["singular_values"],
-                condition_number=_number(whole["condition_number"]),
-                scaled_condition_number=_number(whole["scaled_condition_number"]),
-                undetermined=tuple(whole["undetermined"]),
-                train=TorqueMetrics.from_dict(whole["train"]),
-                validation=tuple(
-                    TorqueMetrics.from_dict(metrics) for metrics in whole["validation"]
-                ),
-                cad=TorqueMetrics.from_dict(whole["cad"]),
-                physically_consistent=whole["physically_consistent"],
-                consistency_margin=whole["consistency_margin"],
-                warnings=tuple(IdentificationWarning(**warning) for warning in whole["warnings"]),
-                provenance=tuple(whole["provenance"]),
-                notes=tuple(whole.get("notes", ())),
-                cause_data=(
-                    None
-                    if whole.get("cause_data") is None
-                    else CauseData.from_dict(whole["cause_data"])
-                ),
-                errors=ErrorBasis.from_dict(whole.get("errors") or {}),
-                free=None if whole.get("free") is None else FreeValues.from_dict(whole["free"]),
+                **decoded(cls, whole, but=REBUILT),
             )
         except (KeyError, TypeError, AttributeError, ValueError) as problem:
-            if isinstance(problem, ResultError):
-                raise
-            reason = (
-                str(problem)
-                if isinstance(problem, AsbuiltError)
-                else f"{type(problem).__name__} {problem}"
-            )
+            known = isinstance(problem, AsbuiltError)
+            reason = str(problem) if known else f"{type(problem).__name__} {problem}"
+            raise ResultError(f"the stored result is damaged: {reason}", cure=AGAIN) from problem
+        ids = [parameter.id for parameter in result.parameters]
+        if ids != base.ids.tolist():
+            odd = sorted(set(ids) ^ set(base.ids.tolist())) or ids
             raise ResultError(
-                f"the stored result is damaged: {reason}; identify again"
-            ) from problem
+                f"the result of {model.name} has other base parameters than the robot has today;"
+                f" they differ in {odd[:10]}",
+                cure=AGAIN,
+            )
+        return result
 
 
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+def stored_document(text: str) -> Mapping[str, Any]:
+    """Return the document of a stored result.
 
-
-def _parameter(item: Mapping[str, Any], method: str) -> IdentifiedParameter:
-    """Return a parameter as stored.
-
-    Files of versions that gave dropped parameters an error of zero are read as they are meant.
+    Raises
+    ------
+    ResultError
+        If the text is no such document, or of another version of the format.
     """
-    numbers = {
-        name: np.nan if item[name] is None else float(item[name])
-        for name in ("cad", "estimate", "std_error", "textbook_std_error")
-    }
-    if (
-        "dropped" not in item
-        and method == "essential"
-        and numbers["estimate"] == 0.0 == numbers["std_error"]
-    ):
-        numbers |= {"std_error": np.nan, "textbook_std_error": np.nan, "dropped": True}
-    return IdentifiedParameter(**{**item, **numbers})
-
-
-def _number(value: float | None) -> float:
-    return np.inf if value is None else float(value)
+    expected = Cure("give the result.json that identify wrote")
+    try:
+        whole = json.loads(text)
+    except ValueError as problem:
+        raise ResultError(
+            f"this is not a stored result, not even JSON ({problem})", cure=expected
+        ) from problem
+    if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
+        raise ResultError(
+            f"this JSON is not a stored result: its format is not {FORMAT!r}", cure=expected
+        )
+    if whole.get("version") != FORMAT_VERSION:
+        raise ResultError(
+            f"this result has format version {whole.get('version')}, this program reads"
+            f" {FORMAT_VERSION}",
+            cure=AGAIN,
+        )
+    return whole

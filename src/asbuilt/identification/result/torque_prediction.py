@@ -1,10 +1,8 @@
-"""The torque that a set of base parameters predicts for a recording, beside the torque that was
-measured.
-"""
+"""Torque predicted from base parameters beside the torque measured."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import ResultError
+from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -23,13 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Hold measured and predicted torque, both (N, n), at the times `t` (N,) of the filtered and
-    decimated grid.
+    """Hold measured and predicted torque of a recording.
+
+    `measured` and `predicted` (N, n) are in the band of the samples' filter, at the times `t` (N,)
+    of the filtered grid; `rms_recorded` (n,) is the error against the torque as logged.
     """
 
     t: Array
     measured: Array
     predicted: Array
+    rms_recorded: Array
     joint_names: tuple[str, ...]
     source: str
 
@@ -42,14 +44,83 @@ class Prediction:
         """Measured minus predicted torque, (N, n)."""
         return self.measured - self.predicted
 
+    def metrics(self) -> TorqueMetrics:
+        """Measure the prediction."""
+        metrics = torque_metrics(self.measured, self.predicted, self.source, self.joint_names)
+        return replace(metrics, rms_recorded=self.rms_recorded)
+
+
+def all_parameters(base: BaseParameters, values: ArrayLike) -> Array:
+    """Return standard parameters (n_standard,) that give the torque of base parameters (p,).
+
+    The kept columns of the regressor reproduce every torque alone, so the base parameters take
+    their places and all others are zero. Such links need not be physically consistent.
+    """
+    beta = np.asarray(values, dtype=np.float64)
+    if beta.shape != (base.n_base,):
+        raise ResultError(
+            f"{base.robot} with drive terms {base.drive} has {base.n_base} base parameters, got"
+            f" shape {beta.shape}"
+        )
+    chi = np.zeros(base.n_standard)
+    chi[base.columns] = beta
+    return chi
+
 
 def carrying(model: RobotModel, base: BaseParameters, values: ArrayLike) -> RobotModel:
-    """Return the robot with link parameters that give the rigid-body torque of these base
-    parameters, though no real bodies need have them.
+    """Return the robot with link parameters that give the rigid-body torque of base parameters."""
+    return model.with_parameters(all_parameters(base, values)[: 10 * model.n_joints])
+
+
+def model_torque(
+    model: RobotModel,
+    base: BaseParameters,
+    values: ArrayLike,
+    samples: Samples,
+    *,
+    added: Array | None = None,
+) -> tuple[Array, Array]:
+    """Return the torque of the rigid bodies and of the whole model, both (N, n), at every sample.
+
+    `added` (10 n,) are link parameters that come on top, such as those of a payload.
+
+    Raises
+    ------
+    ResultError
+        If the samples belong to other joints or `values` is not of shape (p,).
     """
-    chi = np.zeros(base.n_standard)
-    chi[base.columns] = np.asarray(values, dtype=np.float64)
-    return model.with_parameters(chi[: 10 * model.n_joints])
+    chi = all_parameters(base, values)
+    if samples.joint_names != model.joint_names:
+        raise ResultError(
+            f"the recording {samples.source!r} has joints {', '.join(samples.joint_names)};"
+            f" {model.name} needs {', '.join(model.joint_names)} in this order",
+            expected=model.joint_names,
+            joints=samples.joint_names,
+        )
+    links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
+    state = (samples.q, samples.qd, samples.qdd)
+    rigid = inverse_dynamics(model, *state, parameters=links if added is None else links + added)
+    if not base.drive:
+        return rigid, rigid
+    shares = model.motor_shares
+    return rigid, rigid + drive_torque(base.drive, drives, *state, load=rigid, shares=shares)
+
+
+def beside_measured(samples: Samples, torque: Array) -> Prediction:
+    """Put a predicted torque (N, n), given at every sample, beside the one measured.
+
+    Both go through the filter of the samples.
+    """
+    recorded = replace(samples, tau=samples.tau_raw, parallel=None)
+    error = recorded.filtered_torque - recorded.filtered(torque)
+    return Prediction(
+        samples.filtered_times,
+        samples.filtered_torque,
+        samples.filtered(torque),
+        np.sqrt(np.mean(error**2, axis=0)),
+        samples.joint_names,
+        samples.source,
+    )
 
 
 def predict_torque(
@@ -60,44 +131,22 @@ def predict_torque(
     *,
     added: Array | None = None,
 ) -> Prediction:
-    """Predict `F(Y_b beta)` beside `F(tau)`, F being the parallel filter of the samples, if any.
+    """Predict `F(Y_b beta)` beside `F(tau)`, F being the filter of the samples, if any.
 
-    The kept columns of Y reproduce every torque alone, so Newton-Euler runs once with beta in their
-    places and zero elsewhere. `added` (10 n,) are link parameters that come on top, such as those
-    of a payload. Raises `ResultError` where the samples belong to other joints or `values` is not
-    of shape (p,).
+    Parameters
+    ----------
+    model, base
+        The robot and its base parameters.
+    values
+        The base parameters, shape (p,).
+    samples
+        Prepared samples of a recording.
+    added
+        Link parameters (10 n,) that come on top, such as those of a payload.
+
+    Raises
+    ------
+    ResultError
+        If the samples belong to other joints or `values` is not of shape (p,).
     """
-    beta = np.asarray(values, dtype=np.float64)
-    if beta.shape != (base.n_base,):
-        raise ResultError(
-            f"{base.robot} with drive terms {base.drive} has {base.n_base} base parameters, got"
-            f" shape {beta.shape}"
-        )
-    if samples.joint_names != model.joint_names:
-        raise ResultError(
-            f"samples of {samples.source} have joints {list(samples.joint_names)}, {model.name} has"
-            f" {list(model.joint_names)}"
-        )
-    chi = np.zeros(base.n_standard)
-    chi[base.columns] = beta
-    links, drives = chi[: 10 * model.n_joints], chi[10 * model.n_joints :]
-    if added is not None:
-        links = links + added
-    torque = inverse_dynamics(model, samples.q, samples.qd, samples.qdd, parameters=links)
-    if base.drive:
-        torque = torque + drive_torque(
-            base.drive,
-            drives,
-            samples.q,
-            samples.qd,
-            samples.qdd,
-            load=torque,
-            shares=model.motor_shares,
-        )
-    return Prediction(
-        samples.filtered_times,
-        samples.filtered_torque,
-        samples.filtered(torque),
-        model.joint_names,
-        samples.source,
-    )
+    return beside_measured(samples, model_torque(model, base, values, samples, added=added)[1])

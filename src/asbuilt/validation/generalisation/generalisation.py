@@ -1,159 +1,146 @@
-"""Whether a result carries over.
-
-What the checks found, what was held out, and joints that stood still.
-"""
+"""Findings of validation data: whether the fit generalises, and joints at rest."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.identification.result.result import IdentificationResult, IdentificationWarning
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
-from asbuilt.validation.generalisation.standstill import StandingErrors, standing_errors
+from asbuilt.validation.generalisation.standstill import RestingErrors, resting_errors
 from asbuilt.validation.prediction import Validation
 
-STANDING_ERROR = 0.5
-"""Share of a joint's squared error at standstill from which it is said so."""
-OVERFIT = 2.0
-"""Held-out error of a joint, in multiples of its error on the data used, from which the fit is said
-not to generalise.
-"""
-NOTICEABLE = 0.1
-"""Held-out error of a joint, as a fraction of its own torque, below which that is not said."""
-REPEATED = 0.6
-"""Share of held-out states that the motion fitted came near to from which it is said to be the same
-motion; 0 to .2 for others, .5 for blocks of 2 s of a slow one.
-"""
-BEHIND_CAD = 1.05
-"""Held-out error of a joint as built, in multiples of that of CAD, from which CAD is said to
-predict better.
-"""
 
+@dataclass(frozen=True, slots=True)
+class GeneralisationLimits:
+    """Say what validation data must not exceed; own choices, from recordings of seven real robots.
 
-def with_findings(
-    result: IdentificationResult,
-    checks: Sequence[RecordingCheck],
-    validations: Sequence[Validation],
-) -> IdentificationResult:
-    """Return the result with its held-out metrics, the findings of the checks and the verdict on
-    generalisation among its warnings.
+    | field | meaning |
+    |---|---|
+    | `overfit` | error of a joint, in multiples of its training error |
+    | `noticeable` | error of a joint as a fraction of its torque, below which `overfit` is no matter |
+    | `behind_cad` | error of a joint as built, in multiples of that of CAD |
+    | `repeated` | share of states that the training motion came near to: 0 to 0.2 for other motions, 0.5 for 2 s blocks of a slow one |
+    | `resting_energy` | share of a joint's squared error at rest, |
+    | `resting_ratio` | its error at rest in multiples of that in motion, |
+    | `resting_time` | and its share of the time at rest, from which static friction is named |
     """
-    found = [
-        IdentificationWarning(
-            finding.code, f"{recording_name(check.source)}: {finding.message}. {finding.cure}."
-        )
-        for check in checks
-        for finding in check.warnings
-    ]
-    for validation in validations:
-        found += _generalisation(result.train, validation) + _standstill(validation)
+
+    overfit: float = 2.0
+    noticeable: float = 0.1
+    behind_cad: float = 1.05
+    repeated: float = 0.6
+    resting_energy: float = 0.5
+    resting_ratio: float = 2.0
+    resting_time: float = 0.05
+
+
+LIMITS = GeneralisationLimits()
+
+
+def validation_findings(
+    train: TorqueMetrics, validations: Sequence[Validation]
+) -> tuple[Finding, ...]:
+    """Return what predictions of validation data say beside the training error."""
     if not validations:
-        found.append(
-            IdentificationWarning(
+        return (
+            Finding(
                 "nothing_held_out",
-                "No recording was held out: errors are those of the data used and flatter the fit."
-                " Give --validate LOG or --holdout blocks:5s:3.",
-            )
+                "warning",
+                "No validation data: errors are those of the training data and are too small",
+                Cure(
+                    "validate on another recording, or hold out blocks", {"holdout": "blocks:5s:3"}
+                ),
+            ),
         )
-    return replace(
-        result,
-        validation=tuple(validation.metrics_as_built for validation in validations),
-        cad=validations[0].metrics_cad if validations else result.cad,
-        warnings=(*result.warnings, *found),
+    return tuple(
+        finding
+        for validation in validations
+        for finding in (*_generalisation(train, validation), *_rest(validation))
     )
 
 
-def with_repeats(
-    result: IdentificationResult, fitted: Sequence[Samples], held_out: Sequence[Samples]
-) -> IdentificationResult:
-    """Return the result with a warning for held-out data whose motion is that of the data used."""
-    found = [
-        IdentificationWarning(
+def repetition_findings(
+    training: Sequence[Samples], validation: Sequence[Samples]
+) -> tuple[Finding, ...]:
+    """Return a finding for each validation recording that repeats the training motion."""
+    return tuple(
+        Finding(
             "held_out_repeats",
-            f"{recording_name(samples.source)} repeats the motion fitted ({100 * share:.0f} % of"
-            " its states were there before): its errors say how well the robot repeats itself, not"
-            " how well the model predicts another motion. Judge by another motion (--validate), or"
-            " hold out part of a motion that does not come again.",
+            "warning",
+            f"{recording_name(samples.source)} repeats the training motion ({100 * share:.0f} % of"
+            " its states): its errors measure the repeatability of the robot, not the model on"
+            " other motion",
+            Cure("validate on another motion"),
         )
-        for samples in held_out
-        if (share := repeated_share(fitted, samples)) > REPEATED
-    ]
-    return replace(result, warnings=(*result.warnings, *found))
-
-
-def _standstill(validation: Validation) -> list[IdentificationWarning]:
-    """Say where most of a joint's error falls on the time in which it stands still."""
-    errors = standing_errors(validation)
-    held = np.flatnonzero(_held(errors))
-    if not held.size:
-        return []
-    listed = "; ".join(
-        f"{errors.joint_names[k]}: {100 * errors.energy[k]:.0f} % of the squared error in the"
-        f" {100 * errors.time[k]:.0f} % of the time it stands, RMS {errors.standing[k]:.3g} there"
-        f" and {errors.moving[k]:.3g} ({100 * errors.relative_moving[k]:.1f} %) while it moves"
-        for k in held
+        for samples in validation
+        if (share := repeated_share(training, samples)) > LIMITS.repeated
     )
-    return [
-        IdentificationWarning(
-            "error_at_standstill",
-            f"On {recording_name(validation.source)} static friction holds joints that stand while"
-            " others move, and may take any value up to break-away, which no friction law in"
-            f" velocity predicts. {listed}. Judge these joints by their motion.",
+
+
+def _rest(validation: Validation) -> Iterator[Finding]:
+    """Name joints whose error is mostly that of static friction while they rest."""
+    errors = resting_errors(validation)
+    held = np.flatnonzero(_held(errors))
+    if held.size:
+        listed = "; ".join(
+            f"{errors.joint_names[k]} {100 * errors.energy[k]:.0f} % of the squared error in"
+            f" {100 * errors.time[k]:.0f} % of the time, RMS {errors.resting[k]:.3g} at rest and"
+            f" {errors.moving[k]:.3g} ({100 * errors.relative_moving[k]:.1f} %) in motion"
+            for k in held
         )
-    ]
+        yield Finding(
+            "error_at_standstill",
+            "warning",
+            f"Static friction at rest, which no friction law in velocity predicts, dominates the"
+            f" errors on {recording_name(validation.source)}: {listed}",
+            Cure("validate these joints by their motion"),
+        )
 
 
-def _held(errors: StandingErrors) -> NDArray[np.bool_]:
-    """Tell the joints (n,) most of whose error is that of static friction at standstill, which says
-    nothing of how the fit carries over.
-    """
+def _held(errors: RestingErrors) -> NDArray[np.bool_]:
+    """Return which joints (n,) have an error that is mostly static friction at rest."""
     return np.asarray(
-        (errors.energy > STANDING_ERROR)
-        & (errors.standing > 2.0 * errors.moving)
-        & (errors.time > 0.05),
+        (errors.energy > LIMITS.resting_energy)
+        & (errors.resting > LIMITS.resting_ratio * errors.moving)
+        & (errors.time > LIMITS.resting_time),
         dtype=np.bool_,
     )
 
 
-def _generalisation(train: TorqueMetrics, validation: Validation) -> list[IdentificationWarning]:
+def _generalisation(train: TorqueMetrics, validation: Validation) -> Iterator[Finding]:
     built, cad = validation.metrics_as_built, validation.metrics_cad
-    found = []
-    standing = standing_errors(validation)
-    error = np.where(_held(standing), standing.moving, built.rms)
+    source, rest = recording_name(built.source), resting_errors(validation)
+    error = np.where(_held(rest), rest.moving, built.rms)
+
+    def listed(joints: NDArray[np.int64], errors: NDArray[np.float64], than: TorqueMetrics) -> str:
+        return ", ".join(
+            f"{built.joint_names[k]} {errors[k]:.3g} against {than.rms[k]:.3g}" for k in joints
+        )
+
     worse = np.flatnonzero(
-        (error > OVERFIT * train.rms) & (built.relative_error_per_joint > NOTICEABLE)
+        (error > LIMITS.overfit * train.rms) & (built.relative_error_per_joint > LIMITS.noticeable)
     )
     if worse.size:
-        listed = ", ".join(
-            f"{built.joint_names[k]} {error[k]:.3g} against {train.rms[k]:.3g}" for k in worse
+        yield Finding(
+            "does_not_generalise",
+            "warning",
+            f"Torque errors on {source} exceed {LIMITS.overfit:g} times those on the training data"
+            f" ({listed(worse, error, train)}): the recording is too short or too little varied for"
+            " so many parameters",
+            Cure("record longer, add recordings, or use fewer drive terms"),
         )
-        found.append(
-            IdentificationWarning(
-                "does_not_generalise",
-                f"Torque errors on {recording_name(built.source)} are more than {OVERFIT:g} times"
-                f" those of the data used ({listed}): the recording is too short or too little"
-                " varied for so many parameters. Record longer, add recordings, or use fewer drive"
-                " terms.",
-            )
-        )
-    behind = np.flatnonzero(built.rms > BEHIND_CAD * cad.rms)
+    behind = np.flatnonzero(built.rms > LIMITS.behind_cad * cad.rms)
     if behind.size:
-        listed = ", ".join(
-            f"{built.joint_names[k]} {built.rms[k]:.3g} against {cad.rms[k]:.3g}" for k in behind
+        yield Finding(
+            "cad_predicts_better",
+            "warning",
+            f"CAD predicts {source} better than the fit at {listed(behind, built.rms, cad)}",
+            Cure("record longer, or regularise toward CAD", {"method": "ridge"}),
         )
-        found.append(
-            IdentificationWarning(
-                "cad_predicts_better",
-                f"On {recording_name(built.source)} the CAD values predict these joints better than"
-                f" the fit: {listed}.",
-            )
-        )
-    return found

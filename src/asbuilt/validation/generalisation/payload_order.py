@@ -1,11 +1,9 @@
-"""Whether the torques under load belong to the joints they are logged for.
-
-With the arm known, any body at the flange explains the right order best.
-"""
+"""Whether torques under load belong to the joints they are logged for."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -15,83 +13,107 @@ from asbuilt.description.inertia import shift_matrix
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.signal.samples import Samples
+from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.tables import significant
 
-DECISIVE = 0.25
-"""Part of the squared error, in noise of the joints, that an exchange of two torques or a turned
-sign must leave at most to be believed.
-"""
-AUDIBLE = 4.0
-"""Squared error per torque, in noise variances of the result, below which all is well as it is."""
+
+@dataclass(frozen=True, slots=True)
+class SwapLimits:
+    """Say when torques count as swapped or negated; own choices, tested on real robots.
+
+    `left` is the part of the squared error that a swap of two torques or one opposite sign may
+    leave at most; `noise` the squared error per torque, in noise variances of the result, below
+    which nothing is tried.
+    """
+
+    left: float = 0.25
+    noise: float = 4.0
 
 
-def refuse_exchanged(
+LIMITS = SwapLimits()
+
+
+def refuse_swapped(
     result: IdentificationResult, loaded: Sequence[Samples], link: int, placement: Array
 ) -> None:
-    """Raise RecordingError where the arm of the result and some body at `placement` (4, 4) on
-    `link` explain torques under load far better once two are exchanged or one is turned.
+    """Refuse torques under load that fit far better with two swapped or one negated.
 
-    CAD tells the order of joints that gravity loads; this tells that of wrists, whose friction the
-    result knows. Each recording is judged alone.
+    With the arm known, any body at `placement` (4, 4) on `link` explains the right order best.
+    This also covers wrists, whose friction the result has. Recordings are looked at one by one.
+
+    Raises
+    ------
+    RecordingError
+        If torques seem swapped or negated.
     """
-    shift, weights = shift_matrix(placement), result.weights
-    n = result.model.n_joints
+    weights = result.weights
     for samples in loaded:
         arm = predict_torque(result.model, result.base, result.estimates, samples)
-        columns = np.empty((*arm.measured.shape, 10))
-        for i in range(10):
-            links = np.zeros(10 * n)
-            links[10 * link : 10 * link + 10] = shift[:, i]
-            columns[:, :, i] = samples.filtered(
-                inverse_dynamics(result.model, samples.q, samples.qd, samples.qdd, parameters=links)
-            )
-        basis, lengths, _ = np.linalg.svd(
-            (columns * weights[:, None]).reshape(-1, 10), full_matrices=False
-        )
-        basis = basis[:, lengths > np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)]
+        basis = _body_torques(result, samples, link, placement)
         as_logged = _left((arm.measured - arm.predicted) * weights, basis)
-        if as_logged < AUDIBLE:
+        if as_logged < LIMITS.noise:
             continue
-        tried: list[tuple[float, str, str]] = []
-        for j, k in combinations(range(n), 2):
-            order = np.arange(n)
-            order[[j, k]] = k, j
-            pair = f"those of {result.joint_names[j]} and {result.joint_names[k]} look swapped"
-            tried.append(
-                (
-                    _left((arm.measured[:, order] - arm.predicted) * weights, basis),
-                    pair,
-                    (
-                        "Check the order of the torque columns; name them in a recording sheet:"
-                        " [columns] torque = [...]"
-                    ),
-                )
-            )
-        for k in range(n):
-            signs = np.where(np.arange(n) == k, -1.0, 1.0)
-            listed = ", ".join(f"{sign:g}" for sign in signs)
-            tried.append(
-                (
-                    _left((arm.measured * signs - arm.predicted) * weights, basis),
-                    f"that of {result.joint_names[k]} alone has the opposite sign",
-                    f"Turn it in a recording sheet: sign = [{listed}]",
-                )
-            )
-        best, what, cure = min(tried)
-        if best < DECISIVE * as_logged:
+        tried = [
+            (_left((changed - arm.predicted) * weights, basis), what, cure)
+            for changed, what, cure in _changes(arm.measured, result.joint_names)
+        ]
+        best, what, cure = min(tried, key=lambda each: each[0])
+        if best < LIMITS.left * as_logged:
             raise RecordingError(
                 f"{samples.source}: the torques do not fit the arm of the result with any body at"
                 f" its flange; {what} (error {significant(np.sqrt(as_logged), 2)} times the noise"
-                f" of the result as logged, {significant(np.sqrt(best), 2)} times then). {cure};"
-                " --unchecked takes the recording as it is"
+                f" of the result as logged, {significant(np.sqrt(best), 2)} times then)",
+                cure=cure,
             )
 
 
+def _body_torques(
+    result: IdentificationResult, samples: Samples, link: int, placement: Array
+) -> Array:
+    """Return an orthonormal basis (N n, r) of the weighted torques that a body there can make."""
+    shift, n = shift_matrix(placement), result.model.n_joints
+    columns = np.empty((samples.n_filtered, n, 10))
+    for i in range(10):
+        links = np.zeros(10 * n)
+        links[10 * link : 10 * link + 10] = shift[:, i]
+        columns[:, :, i] = samples.filtered(
+            inverse_dynamics(result.model, samples.q, samples.qd, samples.qdd, parameters=links)
+        )
+    basis, lengths, _ = np.linalg.svd(
+        (columns * result.weights[:, None]).reshape(-1, 10), full_matrices=False
+    )
+    rounding = np.finfo(np.float64).eps * len(basis) * lengths.max(initial=0.0)
+    return np.asarray(basis[:, lengths > rounding])
+
+
+def _changes(measured: Array, names: Sequence[str]) -> Iterator[tuple[Array, str, Cure]]:
+    """Yield the torques with two joints swapped, or one negated."""
+    n = len(names)
+    for j, k in combinations(range(n), 2):
+        order = np.arange(n)
+        order[[j, k]] = k, j
+        yield (
+            measured[:, order],
+            f"those of {names[j]} and {names[k]} look swapped",
+            Cure(
+                "check the order of the torque columns; a recording sheet names them:"
+                " [columns] torque = [...]",
+                {"checked": False},
+            ),
+        )
+    for k in range(n):
+        signs = np.where(np.arange(n) == k, -1.0, 1.0)
+        listed = ", ".join(f"{sign:g}" for sign in signs)
+        yield (
+            measured * signs,
+            f"that of {names[k]} alone has the opposite sign",
+            Cure(f"turn it in a recording sheet: sign = [{listed}]", {"checked": False}),
+        )
+
+
 def _left(error: Array, basis: Array) -> float:
-    """Return the mean square of a weighted torque error (N, n) beside what orthonormal columns (N
-    n, r) of a body explain.
-    """
+    """Return the mean square of a weighted error (N, n) beside what a basis (N n, r) explains."""
     y = error.ravel()
     return float(y @ y - np.sum((basis.T @ y) ** 2)) / y.size

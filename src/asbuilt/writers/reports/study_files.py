@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.figures.cutoff_figure import cutoff_figure
 from asbuilt.writers.figures.figure_style import save_figure
-from asbuilt.writers.figures.figures import torque_figure
+from asbuilt.writers.figures.torque_figure import torque_figure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.as_built import as_built, keeping_described_drives
 from asbuilt.writers.models.export import load_note, urdf_to_edit
@@ -33,21 +34,19 @@ from asbuilt.writers.tables.tabular import (
 )
 
 
-def study_text(study: Study, payload: Payload | None = None) -> str:
-    """Return what `asbuilt identify` prints.
-
-    The summary, torque errors of CAD and as built, the verdict, and what the flange carries where
-    that was identified too.
-    """
-    parts = [study.result.summary().as_text()]
-    if gear_ratios(study.result.model):
+def study_text(study: Study, payload: Payload | None = None, *, full: bool = False) -> str:
+    """Return what `asbuilt identify` prints, with the payload if one was identified too."""
+    parts = [study.summary.as_text(full)]
+    if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"
-            + motor_side_table(motor_side_parameters(study.result)).as_text()
+            + motor_side_table(motor_side_parameters(study.result)).as_text(full)
         )
     if study.cutoffs is not None:
-        parts.append(study.cutoffs.table().as_text())
-    parts += [stacked([study.comparison.torque_table()]), study.comparison.verdict()]
+        parts.append(study.cutoffs.table().as_text(full))
+    if full:
+        parts.append(stacked([study.comparison.torque_table()], full=full))
+    parts.append(study.comparison.verdict())
     return "\n".join(parts if payload is None else [*parts, "", payload_text(payload)])
 
 
@@ -58,7 +57,7 @@ def study_document(
     payload: Payload | None = None,
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `notes` are those of `write_study`."""
-    document = identify_document(study.result, files=files) | {
+    document = identify_document(study, files=files) | {
         "file_notes": {kind: list(said) for kind, said in (notes or {}).items()}
     }
     if study.cutoffs is not None:
@@ -66,6 +65,11 @@ def study_document(
     if payload is not None:
         document["payload"] = payload_document(payload)
     return document
+
+
+def write_result(path: str | os.PathLike[str], result: IdentificationResult | Study) -> Path:
+    """Write a result, or a study, as JSON that `read_result` reads back to the last bit."""
+    return atomic_write(path, result.to_json())
 
 
 def write_study(
@@ -81,8 +85,8 @@ def write_study(
     """
     result = study.result
     files = {
-        "result": atomic_write(folder / "result.json", result.to_json()),
-        "summary": atomic_write(folder / "summary.txt", study_text(study, payload)),
+        "result": write_result(folder / "result.json", study),
+        "summary": atomic_write(folder / "summary.txt", study_text(study, payload, full=True)),
         "parameters": write_parameters_csv(folder / "parameters.csv", result),
     }
     if payload is not None:
@@ -93,15 +97,7 @@ def write_study(
             cutoff_figure(study.cutoffs, title=f"{result.robot}: cutoff of the low-pass"),
             folder / "cutoff.png",
         )
-    files["report"] = write_report(
-        folder / "report.html",
-        result,
-        study.validations,
-        fitted=study.training,
-        attribution=study.attribution,
-        payload=payload,
-        command=command,
-    )
+    files["report"] = write_report(folder / "report.html", study, payload=payload, command=command)
     robots, notes = _write_robot(folder, result)
     return files | robots, notes
 

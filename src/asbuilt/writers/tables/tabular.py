@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -12,18 +10,19 @@ from typing import Any
 
 import numpy as np
 
+from asbuilt.codec import json_text, plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
-from asbuilt.identification.result.determination import determination
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import Validation, torque_units
 from asbuilt.workflow.information_efficiency import Attainment
+from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, path_texts
 
 
@@ -41,7 +40,7 @@ def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
                 "name": name,
                 "expression": expression,
                 "symbolic": symbolic,
-                "value": _number(value),
+                "value": plain(value),
                 "unit": unit,
             }
             for number, name, expression, symbolic, value, unit in zip(
@@ -68,56 +67,21 @@ def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
 
 
 def identify_document(
-    result: IdentificationResult, *, files: Mapping[str, str | os.PathLike[str]] | None = None
+    study: Study, *, files: Mapping[str, str | os.PathLike[str]] | None = None
 ) -> dict[str, Any]:
-    """Return what `asbuilt identify --json` prints.
-
-    `files` are the paths of what was written, by kind.
-    """
-    return {
-        "robot": result.robot,
-        "method": result.method,
+    """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
+    result = study.result
+    return result.as_dict() | {
         "drive": str(result.base.drive),
-        "n_samples": result.n_samples,
-        "n_standard": result.n_standard,
-        "n_base": result.n_base,
-        "rank": result.rank,
-        "condition_number": _number(result.condition_number),
-        "scaled_condition_number": _number(result.scaled_condition_number),
-        "effective_samples": _number(result.effective_samples),
-        "errors": result.errors.as_dict() | {"sentence": result.errors_sentence},
-        "joints": list(result.joint_names),
-        "parameters": [
-            {
-                "id": parameter.id,
-                "name": parameter.name,
-                "expression": parameter.expression,
-                "unit": parameter.unit,
-                "cad": _number(parameter.cad),
-                "estimate": _number(parameter.estimate),
-                "std_error": _number(parameter.std_error),
-                "determined": parameter.determined,
-                "dropped": parameter.dropped,
-                "poorly_determined": parameter.poorly_determined,
-            }
-            for parameter in result.parameters
-        ],
+        "errors": plain(result.errors) | {"sentence": result.errors_sentence},
         "motor_side": (
             [asdict(each) for each in motor_side_parameters(result)]
             if gear_ratios(result.model)
             else []
         ),
-        "train": result.train.as_dict(),
-        "validation": [metrics.as_dict() for metrics in result.validation],
-        "cad": result.cad.as_dict(),
-        "physically_consistent": result.physically_consistent,
-        "undetermined": list(result.undetermined),
-        "determination": determination(result).as_dict(),
-        "warnings": [
-            {"code": warning.code, "message": warning.message} for warning in result.warnings
-        ],
-        "notes": list(result.notes),
-        "provenance": list(result.provenance),
+        "determination": study.determination.as_dict(),
+        "warnings": [{"code": each.code, "message": each.text} for each in study.findings],
+        "findings": plain(study.findings),
         "files": path_texts(files),
     }
 
@@ -192,7 +156,7 @@ def check_document(
                 "source": check.source,
                 "n_samples": check.n_samples,
                 "n_joints": check.n_joints,
-                "rate": _number(check.rate),
+                "rate": plain(check.rate),
                 "duration": check.duration,
                 "findings": [asdict(finding) for finding in check.findings],
                 "information": None if part is None else part.as_document(),
@@ -200,14 +164,6 @@ def check_document(
             for check, part in zip(checks, parts, strict=True)
         ],
     }
-
-
-def json_text(document: Any) -> str:
-    """Return one JSON document.
-
-    NaN and infinities become null, numpy numbers and arrays plain ones.
-    """
-    return json.dumps(_plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_json(path: str | os.PathLike[str], document: Any) -> Path:
@@ -267,21 +223,3 @@ def prediction_table(validation: Validation) -> Table:
             heads.append(Column(f"{name}_{what}", unit))
             values.append(torque[:, k])
     return Table(tuple(heads), tuple(tuple(row) for row in np.column_stack(values).tolist()))
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return str(value) if isinstance(value, os.PathLike) else value

@@ -1,0 +1,150 @@
+"""Dataclasses as plain data, ready for JSON, and back to the last bit."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Container, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+def stored(
+    *,
+    key: str = "",
+    missing: float = math.nan,
+    encode: Callable[[Any], Any] | None = None,
+    decode: Callable[[Any], Any] | None = None,
+) -> dict[str, Any]:
+    """Return metadata of a dataclass field that say how it is stored.
+
+    Parameters
+    ----------
+    key
+        Its name in plain data, by default that of the field.
+    missing
+        What a stored None means where the type asks for a number.
+    encode, decode
+        Conversions in place of those that follow from the type.
+    """
+    return {"key": key, "missing": missing, "encode": encode, "decode": decode}
+
+
+def plain(value: Any) -> Any:
+    """Return dataclasses, arrays and tuples as dictionaries and lists, NaN and infinities as None.
+
+    >>> plain({"a": np.array([1.0, np.nan]), "b": (True, "x")})
+    {'a': [1.0, None], 'b': [True, 'x']}
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {_key(item): _encoder(item)(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, os.PathLike) else value
+
+
+def restored(kind: type[T], data: Mapping[str, Any]) -> T:
+    """Rebuild a dataclass from `plain`; a field that is missing takes its default.
+
+    Raises
+    ------
+    KeyError, TypeError, ValueError
+        If a field without default is missing, or a value is not of the type of its field.
+    """
+    return kind(**decoded(kind, data))
+
+
+def decoded(kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()) -> dict[str, Any]:
+    """Return the fields of a dataclass, those of `but` apart, as `restored` makes them."""
+    if not isinstance(data, Mapping):
+        raise TypeError(f"{kind.__name__} is stored as an object, got {type(data).__name__}")
+    hints, given = _hints(kind), {}
+    for item in fields(kind):
+        if item.name in but:
+            continue
+        if _key(item) in data:
+            given[item.name] = _decoded(hints[item.name], data[_key(item)], item.metadata)
+        elif item.default is MISSING and item.default_factory is MISSING:
+            raise KeyError(_key(item))
+    return given
+
+
+def json_text(document: Any) -> str:
+    """Return one JSON document of plain data, indented, with a newline at the end."""
+    return json.dumps(plain(document), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def _key(item: Field[Any]) -> str:
+    return item.metadata.get("key") or item.name
+
+
+def _encoder(item: Field[Any]) -> Callable[[Any], Any]:
+    return item.metadata.get("encode") or plain
+
+
+@cache
+def _hints(kind: type[Any]) -> dict[str, Any]:
+    return get_type_hints(kind)
+
+
+def _decoded(hint: Any, value: Any, how: Mapping[str, Any]) -> Any:
+    if how.get("decode") is not None:
+        return how["decode"](value)
+    return _as(hint, value, how.get("missing", math.nan))
+
+
+def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
+    """Return plain data as what a type hint asks for."""
+    origin, arguments = get_origin(hint), get_args(hint)
+    if hint is Any:
+        return value
+    if origin in (Union, UnionType):
+        return _as_one_of(arguments, value)
+    if origin is Literal:
+        if value not in arguments:
+            raise ValueError(f"{value!r} is not one of {', '.join(map(repr, arguments))}")
+        return value
+    if origin is np.ndarray:
+        (number,) = get_args(arguments[1])
+        return np.array(value, dtype=number)
+    if origin is tuple:
+        if not isinstance(value, list):
+            raise TypeError(f"expected a list, got {type(value).__name__}")
+        if arguments[-1] is Ellipsis:
+            return tuple(_as(arguments[0], item) for item in value)
+        return tuple(_as(kind, item) for kind, item in zip(arguments, value, strict=True))
+    if origin is not None and issubclass(origin, Mapping):
+        return {key: _as(arguments[1], item) for key, item in value.items()}
+    if is_dataclass(hint):
+        return restored(hint, value)  # type: ignore[arg-type]
+    if hint is float:
+        return missing if value is None else float(value)
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+        raise TypeError(f"expected {hint.__name__}, got {value!r}")
+    return value
+
+
+def _as_one_of(kinds: tuple[Any, ...], value: Any) -> Any:
+    """Return plain data as the first of several types that it fits; None only where it may be."""
+    if value is None and NoneType in kinds:
+        return None
+    rest = [kind for kind in kinds if kind is not NoneType]
+    for kind in rest[:-1]:
+        try:
+            return _as(kind, value)
+        except (KeyError, TypeError, ValueError):
+            continue
+    return _as(rest[-1], value)

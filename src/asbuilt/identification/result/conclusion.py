@@ -1,0 +1,193 @@
+"""From an estimate to a result: errors, physical consistency, verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.findings import Finding
+from asbuilt.identification.bodies.consistency import (
+    consistency_margin,
+    margin_is_consistent,
+    non_passive_drives,
+)
+from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
+from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
+from asbuilt.identification.estimators.least_squares import Estimate
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+from asbuilt.identification.result.design_values import design_values
+from asbuilt.identification.result.estimation_findings import estimation_findings
+from asbuilt.identification.result.free_values import free_values
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
+
+
+@dataclass(frozen=True, slots=True)
+class PoorDetermination:
+    """Say when a parameter is poorly determined: both must hold; own choice.
+
+    `relative_error` is the standard error as a fraction of the larger of estimate and CAD value,
+    `torque` the torque it stands for as a fraction of the residual.
+    """
+
+    relative_error: float = 0.5
+    torque: float = 0.05
+
+
+POOR = PoorDetermination()
+
+
+def conclude(
+    model: RobotModel,
+    information: SquareRootInformation,
+    estimate: Estimate,
+    *,
+    rate: float,
+    train: TorqueMetrics | None = None,
+    cad: TorqueMetrics | None = None,
+    uncertainty: Uncertainty | None = None,
+    nonlinear: NonlinearErrors | None = None,
+    validation: Sequence[TorqueMetrics] = (),
+    notes: Sequence[str] = (),
+    findings: Sequence[Finding] = (),
+    **further: Any,
+) -> IdentificationResult:
+    """Make a result of an estimate.
+
+    Parameters
+    ----------
+    model, information, estimate
+        The robot, the square-root information of its recordings, and what was estimated.
+    rate
+        Rate of the samples used [Hz].
+    train, cad
+        Torque metrics as built and of the CAD values; None: from the information alone, which
+        does not know the largest error.
+    uncertainty
+        Standard errors; None: from time blocks.
+    nonlinear
+        Errors of nonlinear parameters fitted along.
+    validation
+        Torque metrics on validation data.
+    notes, findings
+        What else the result says.
+    further
+        Other fields of the result: `provenance`, `chain`, `holdout`, `digests`, `cause_data`.
+    """
+    base, design = information.base, design_values(model, information.base)
+    uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
+    if nonlinear is not None:
+        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + nonlinear.covariance)
+    parameters = _parameters(information, estimate, uncertainty, design)
+    try:
+        margin: float | None = consistency_margin(base, estimate.beta)
+    except IdentifiabilityError:
+        margin = None
+    consistent = None if margin is None else margin_is_consistent(margin, estimate.beta)
+    non_passive = non_passive_drives(base, estimate.beta)
+    said = estimation_findings(
+        parameters, estimate, uncertainty, margin if consistent is False else None, non_passive
+    )
+    return IdentificationResult(
+        model=model,
+        base=base,
+        method=estimate.method,
+        sources=information.sources,
+        n_samples=information.n_samples,
+        rate=rate,
+        duration=information.n_samples / rate,
+        parameters=parameters,
+        covariance=uncertainty.covariance,
+        textbook_covariance=estimate.covariance,
+        sigma=estimate.sigma,
+        effective_samples=uncertainty.effective_samples,
+        rank=estimate.rank,
+        singular_values=estimate.solution.singular_values,
+        condition_number=estimate.solution.condition_number,
+        scaled_condition_number=estimate.solution.scaled_condition_number,
+        undetermined=estimate.undetermined,
+        train=train or information_metrics(information, estimate.beta),
+        validation=tuple(validation),
+        cad=cad or information_metrics(information, np.nan_to_num(design, nan=0.0)),
+        physically_consistent=None if consistent is None else consistent and not non_passive,
+        consistency_margin=margin,
+        findings=(*said, *findings),
+        notes=(*estimate.notes, *notes),
+        errors=uncertainty.basis,
+        free=(
+            None
+            if estimate.method == "wls"
+            else free_values(
+                information, design, None if nonlinear is None else nonlinear.covariance
+            )
+        ),
+        **({"provenance": ()} | further),
+    )
+
+
+def information_metrics(information: SquareRootInformation, beta: Array) -> TorqueMetrics:
+    """Return the torque metrics of beta on the data behind the information; `max_abs` is NaN."""
+    n = information.n_samples
+    error, energy = information.residual_energy(beta), information.torque_energy
+    spread = energy - information.torque_sum.sum(axis=0) ** 2 / n
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return TorqueMetrics(
+            source=", ".join(information.sources),
+            joint_names=information.joint_names,
+            n_samples=n,
+            rms=np.sqrt(error / n),
+            max_abs=np.full(information.n_joints, np.nan),
+            r_squared=np.where(spread > 1e-12 * energy, 1.0 - error / spread, np.nan),
+            relative_error=float(np.sqrt(error.sum() / energy.sum())),
+            relative_error_per_joint=np.sqrt(error / energy),
+        )
+
+
+def _parameters(
+    information: SquareRootInformation, estimate: Estimate, uncertainty: Uncertainty, design: Array
+) -> tuple[IdentifiedParameter, ...]:
+    base = information.base
+    poor = _poorly_determined(information, estimate, uncertainty, design)
+    dropped = (
+        np.zeros(base.n_base, dtype=np.bool_) if estimate.dropped is None else estimate.dropped
+    )
+    std_errors, textbook = (
+        np.where(dropped, np.nan, each) for each in (uncertainty.std_errors, estimate.std_errors)
+    )
+    return tuple(
+        IdentifiedParameter(
+            id=int(base.ids[j]),
+            name=base.names[j],
+            expression=base.expressions[j],
+            symbolic=base.symbolic[j],
+            unit=base.units[j],
+            cad=float(design[j]),
+            estimate=float(estimate.beta[j]),
+            std_error=float(std_errors[j]),
+            textbook_std_error=float(textbook[j]),
+            determined=bool(estimate.determined[j]),
+            poorly_determined=bool(poor[j]),
+            dropped=bool(dropped[j]),
+        )
+        for j in range(base.n_base)
+    )
+
+
+def _poorly_determined(
+    information: SquareRootInformation, estimate: Estimate, uncertainty: Uncertainty, design: Array
+) -> NDArray[np.bool_]:
+    error = uncertainty.std_errors
+    size = np.fmax(np.abs(estimate.beta), np.abs(design))
+    column = np.linalg.norm(
+        information.stacked(1.0 / np.maximum(estimate.sigma, np.finfo(np.float64).tiny))[:, :-1],
+        axis=0,
+    )
+    torque = error * column / np.sqrt(information.n_samples)
+    return np.asarray((error > POOR.relative_error * size) & (torque > POOR.torque))

@@ -1,0 +1,227 @@
+"""Options of workflows: every default is stated here, once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from numpy.typing import ArrayLike
+
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
+from asbuilt.identification.estimators.methods import methods
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.signal_chain import SignalChain
+else:
+    SignalChain = Any
+
+BLOCKS = "blocks:5s:3"
+"""The usual rule of what to hold out."""
+
+
+def _drive(text: str) -> DriveSet | str:
+    automatic = "auto" in [part.strip().lower() for part in text.split(",")]
+    return text if automatic else DriveSet.parse(text)
+
+
+def _method(text: str) -> str:
+    return methods.find(text).name
+
+
+def _check_rule(rule: str | None) -> None:
+    if rule is not None:
+        from asbuilt.experiment.signal.hold_out import parse_rule
+
+        parse_rule(rule)
+
+
+def _option(default: Any, metavar: str, help: str, **further: Any) -> Any:
+    """Return a field with its description, and how an interface reads it from text."""
+    return field(default=default, metadata={"metavar": metavar, "help": help} | further)
+
+
+CHECKED = {"help": "use the recordings whatever their checks find"}
+HOLDOUT = {
+    "metavar": "RULE",
+    "help": "hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StudyOptions:
+    """Configure `identify`.
+
+    | field | meaning |
+    |---|---|
+    | `drive` | drive terms; None: those usual for the torque source; "auto" (or "auto,spring:joints=2"): chosen on held-out blocks |
+    | `method` | the estimator, a key of `methods` |
+    | `chain` | the signal chain; what it leaves open is chosen from the recordings |
+    | `sweep_cutoff` | choose the cutoff of the low-pass by held-out error |
+    | `holdout` | a rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out |
+    | `undetermined` | directions that no motion excites stay at CAD and are named, or are refused |
+    | `mounting` | gravity points as described, or its direction is identified too |
+    | `errors` | standard errors from time blocks by formula, by drawing the blocks, or by the textbook |
+    | `block_seconds` | length of the time blocks [s]; None: 5 s, less in short recordings |
+    | `checked` | refuse recordings in which `check_recording` finds errors |
+    | `threads` | threads of the kernels; None: all cores if that pays |
+
+    Raises
+    ------
+    UsageError
+        If the rule cannot be read.
+    """
+
+    drive: DriveSet | str | None = _option(
+        None,
+        "LIST",
+        "drive terms such as armature,viscous,coulomb,stribeck:velocity=0.1 (see asbuilt drives),"
+        " none, or auto: chosen on held-out blocks (auto,spring: with a spring)",
+        parse=_drive,
+    )
+    method: str = _option(
+        "auto", "NAME", "estimator; auto chooses one, an unknown name lists all", parse=_method
+    )
+    chain: SignalChain | None = None
+    sweep_cutoff: bool = False
+    holdout: str | None = field(default=None, metadata=HOLDOUT)
+    undetermined: Literal["toward_prior", "refuse"] = _option(
+        "toward_prior",
+        "HOW",
+        "what no motion excites: cad (keep at CAD, named) or refuse",
+        choices={"cad": "toward_prior", "refuse": "refuse"},
+        also=("--prior",),
+    )
+    mounting: Literal["as_described", "estimate"] = _option(
+        "as_described",
+        "HOW",
+        "direction of gravity: cad (as described) or estimate",
+        choices={"cad": "as_described", "estimate": "estimate"},
+    )
+    errors: ErrorKind = _option(
+        "blocks",
+        "KIND",
+        "standard errors: blocks (time blocks, by formula), bootstrap (time blocks drawn with"
+        " replacement) or textbook (independent residuals)",
+        choices=ERROR_KINDS,
+    )
+    block_seconds: float | None = None
+    checked: bool = field(default=True, metadata=CHECKED)
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        _check_rule(self.holdout)
+        if isinstance(self.drive, str):
+            object.__setattr__(self, "drive", _drive(self.drive))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValidationOptions:
+    """Configure `validate`.
+
+    | field | meaning |
+    |---|---|
+    | `chain` | the signal chain; None: that of the result, or else chosen for each recording |
+    | `cad` | another description of the robot with the same geometry, in place of the result's |
+    | `checked` | refuse recordings in which `check_recording` finds errors |
+    """
+
+    chain: SignalChain | None = None
+    cad: RobotModel | str | Path | None = None
+    checked: bool = field(default=True, metadata=CHECKED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PayloadOptions:
+    """Configure `identify_payload`.
+
+    | field | meaning |
+    |---|---|
+    | `frame` | link or frame that carries the payload; None: the flange |
+    | `arm` | the arm is refined with the payload, held by the result, or frozen |
+    | `gain_uncertainty` | relative error of the torque per ampere, for all joints or each; None: 7 % for currents, 5 % for motor torques, 0 for sensors |
+    | `chain` | the signal chain; what it leaves open is chosen from the loaded recordings |
+    | `holdout` | a rule of `hold_out`; None holds nothing out |
+    | `checked` | refuse recordings in which a check finds errors |
+
+    Raises
+    ------
+    UsageError
+        If the rule cannot be read.
+    """
+
+    frame: str | None = _option(
+        None, "NAME", "link or frame that carries the payload (default: the flange)"
+    )
+    arm: Literal["refined", "frozen"] = _option(
+        "refined",
+        "HOW",
+        "refined (with the payload, held by the result) or frozen",
+        choices=("refined", "frozen"),
+    )
+    gain_uncertainty: ArrayLike | None = None
+    chain: SignalChain | None = None
+    holdout: str | None = field(default=None, metadata=HOLDOUT)
+    checked: bool = field(default=True, metadata=CHECKED)
+
+    def __post_init__(self) -> None:
+        _check_rule(self.holdout)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerOptions:
+    """Configure `compare_controller`.
+
+    | field | meaning |
+    |---|---|
+    | `holdout` | what of the recording the models are validated on |
+    | `chain` | the signal chain; what it leaves open is chosen from the recording |
+    | `checked` | refuse a recording in which `check_recording` finds errors |
+    """
+
+    holdout: str = BLOCKS
+    chain: SignalChain | None = None
+    checked: bool = True
+
+    def __post_init__(self) -> None:
+        _check_rule(self.holdout)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainOptions:
+    """Configure `find_gains`.
+
+    | field | meaning |
+    |---|---|
+    | `com` | centre of mass of the payload in the flange frame [m], if known |
+    | `frame` | link or frame that carries the payload; None: the flange |
+    | `drive` | drive terms; None: those usual for the torque source |
+    | `chain` | the signal chain; what it leaves open is chosen from all recordings |
+    | `checked` | refuse recordings in which a check finds errors other than wrong gains |
+    """
+
+    com: ArrayLike | None = None
+    frame: str | None = None
+    drive: DriveSet | None = None
+    chain: SignalChain | None = None
+    checked: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ChannelOptions:
+    """Configure `identify_channels`.
+
+    | field | meaning |
+    |---|---|
+    | `link_side` | drive terms behind the sensors; None: viscous, Coulomb and offset |
+    | `motor_side` | drive terms before the sensors; None: armature, viscous, Coulomb, offset, and those of coupled motors |
+    | `chain` | the signal chain; what it leaves open is chosen from the recordings of the sensors |
+    | `checked` | refuse recordings in which `check_recording` finds errors |
+    """
+
+    link_side: DriveSet | None = None
+    motor_side: DriveSet | None = None
+    chain: SignalChain | None = None
+    checked: bool = True

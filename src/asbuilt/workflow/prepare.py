@@ -1,0 +1,163 @@
+"""Preparation of recordings: check, choose the signal chain, filter, hold out."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+from asbuilt.description.model import RobotModel
+from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.long_recordings import head_of, prepare_logged
+from asbuilt.experiment.logs.recordings import Recorded
+from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+
+Progress = Callable[[str, float], None]
+
+DIGESTED = 50_000
+"""Samples in a fingerprint; a stream holds more at once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """Hold recordings as samples, and how they were made.
+
+    | attribute | what |
+    |---|---|
+    | `chain` | the signal chain, its open choices settled; None if samples were given |
+    | `holdout` | the rule by which `held_out` was divided from `training` |
+    | `checks` | the checks of all recordings, in the order given |
+    | `training`, `held_out` | the two parts of the recordings, or all of them and nothing |
+    | `validation`, `others` | other recordings, and groups of them, whole |
+    | `digests` | fingerprints of the recordings, empty for samples |
+    """
+
+    chain: SignalChain | None
+    holdout: str | None
+    checks: tuple[RecordingCheck, ...]
+    training: tuple[Samples, ...]
+    held_out: tuple[Samples, ...]
+    validation: tuple[Samples, ...]
+    others: tuple[tuple[Samples, ...], ...]
+    digests: tuple[str, ...]
+
+
+def prepare(
+    model: RobotModel,
+    recordings: Sequence[Recorded],
+    *,
+    validation: Sequence[Recorded] = (),
+    others: Sequence[Sequence[Recorded]] = (),
+    chain: SignalChain | None = None,
+    holdout: str | None = None,
+    checked: bool = True,
+    tolerated: Collection[str] = TOO_LITTLE,
+    settle: Callable[[SignalChain, Sequence[Recording]], SignalChain] | None = None,
+    progress: Progress | None = None,
+) -> Prepared:
+    """Check recordings, choose the signal chain, filter and hold out.
+
+    Long recordings are read as streams: their first segment is checked and chosen by. All
+    recordings go through one chain, so that none is cut short by a choice made for another.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    recordings
+        Recordings to divide by `holdout`; samples are taken as they are.
+    validation
+        Recordings that take part in the choice of the chain, but are not divided.
+    others
+        Groups of recordings that follow the chain.
+    chain
+        The signal chain; what it leaves open is chosen from the recordings.
+    holdout
+        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out.
+    checked
+        Refuse recordings in which `check_recording` finds errors.
+    tolerated
+        Codes of errors that are no reason to refuse.
+    settle
+        Returns the chain to use, from the one chosen and the beginnings of `recordings`.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error, or filters leave nothing.
+    UsageError
+        If no recording is given, or the rule cannot be read.
+    """
+    if not recordings:
+        raise UsageError(f"no recording of {model.name} is given; give at least one")
+    report = progress or (lambda what, fraction: None)
+    report("check", 0.0)
+    groups = (recordings, validation, *others)
+    checks = (
+        _checked(model, [item for group in groups for item in group], tolerated) if checked else ()
+    )
+    report("filter", 0.0)
+    chosen, settled = _chosen_by([*recordings, *validation]), chain or SignalChain()
+    if chosen:
+        settled = resolve_chain(settled, *chosen)
+    if settle is not None:
+        settled = settle(settled, _chosen_by(recordings))
+    training, held_out = divided(recordings, settled, holdout)
+    return Prepared(
+        chain=settled if chosen else None,
+        holdout=holdout,
+        checks=checks,
+        training=training,
+        held_out=held_out,
+        validation=tuple(_samples(item, settled) for item in validation),
+        others=tuple(tuple(_samples(item, settled) for item in group) for group in others),
+        digests=tuple(digest(head) for head in _chosen_by(recordings)),
+    )
+
+
+def divided(
+    recordings: Sequence[Recorded], chain: SignalChain, holdout: str | None
+) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
+    """Filter recordings and divide them into training and held-out samples."""
+    samples = tuple(_samples(item, chain) for item in recordings)
+    if holdout is None:
+        return samples, ()
+    parts = [hold_out(each, holdout) for each in samples]
+    return (
+        tuple(training for training, _ in parts),
+        tuple(replace(held, source=f"{held.source}, held out {holdout}") for _, held in parts),
+    )
+
+
+def digest(recording: Recording) -> str:
+    """Return a fingerprint of the first times and positions of a recording."""
+    parts = [part[:DIGESTED].tobytes() for part in (recording.t, recording.q)]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
+def _checked(
+    model: RobotModel, recordings: Sequence[Recorded], tolerated: Collection[str]
+) -> tuple[RecordingCheck, ...]:
+    checks = tuple(
+        check_recording(model, head_of(item))
+        for item in recordings
+        if not isinstance(item, Samples)
+    )
+    for check in checks:
+        check.raise_errors(but=tolerated)
+    return checks
+
+
+def _chosen_by(recordings: Sequence[Recorded]) -> list[Recording]:
+    return [head_of(item) for item in recordings if not isinstance(item, Samples)]
+
+
+def _samples(item: Recorded, chain: SignalChain) -> Samples:
+    return item if isinstance(item, Samples) else prepare_logged(item, chain)

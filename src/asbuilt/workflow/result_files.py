@@ -1,0 +1,49 @@
+"""Stored results and studies."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from asbuilt.errors import ResultError
+from asbuilt.findings import Cure
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.workflow.study import Study
+
+
+def read_result(path: str | os.PathLike[str]) -> IdentificationResult:
+    """Read a stored result.
+
+    Parameters
+    ----------
+    path
+        The `result.json` that `identify` or `write_result` wrote.
+
+    Raises
+    ------
+    ResultError
+        If the file cannot be read, is not a stored result, or is damaged.
+    """
+    return read_study(path).result
+
+
+def read_study(path: str | os.PathLike[str]) -> Study:
+    """Read a stored result with the findings of its study.
+
+    Raises
+    ------
+    ResultError
+        If the file cannot be read, is not a stored result, or is damaged.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as problem:
+        raise ResultError(
+            f"{path} cannot be read as a result ({problem})",
+            cure=Cure("give the result.json that identify wrote"),
+            file=str(path),
+        ) from None
+    try:
+        return Study.from_json(text)
+    except ResultError as problem:
+        raise ResultError(f"{path}: {problem.message}", cure=problem.cure, file=str(path)) from None

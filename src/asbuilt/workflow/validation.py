@@ -1,0 +1,107 @@
+"""Validation of a result on recordings, prepared as those that it was identified from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.experiment.logs.long_recordings import head_of
+from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, as_recordings
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.prediction import Validation, validate_description, validate_samples
+from asbuilt.workflow.options import ValidationOptions
+from asbuilt.workflow.prepare import digest, prepare
+from asbuilt.workflow.study import Study
+
+
+def validate(
+    result: IdentificationResult | Study,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    *,
+    options: ValidationOptions | None = None,
+) -> tuple[Validation, ...]:
+    """Predict recordings with an identified model, and with CAD beside it.
+
+    A recording goes through the signal chain that the result was made with. Of a recording that
+    the result was identified from, only what was held out is predicted, if anything was. So the
+    numbers are those of the study.
+
+    Parameters
+    ----------
+    result
+        The result, or its study.
+    recordings
+        One recording or several, as for `identify`.
+    options
+        How to validate; None: the defaults.
+
+    Returns
+    -------
+    tuple of Validation
+        A prediction of each recording, in the order given.
+
+    Raises
+    ------
+    RecordingError
+        If a check finds an error in a recording, or filters leave nothing of it.
+    ResultError
+        If joints or geometry do not fit.
+    """
+    options = options or ValidationOptions()
+    result = result.result if isinstance(result, Study) else result
+    cad = options.cad
+    cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
+    return tuple(
+        validate_samples(result, _prepared(result, recording, options), cad=cad)
+        for recording in as_recordings(result.model, recordings)
+    )
+
+
+def validate_robot(
+    robot: RobotModel | str | Path,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    *,
+    options: ValidationOptions | None = None,
+) -> tuple[TorqueMetrics, ...]:
+    """Predict recordings with a robot as described, drives included.
+
+    Parameters
+    ----------
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    recordings, options
+        As for `validate`.
+
+    Returns
+    -------
+    tuple of TorqueMetrics
+        The errors on each recording, in the order given.
+    """
+    options = options or ValidationOptions()
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    return tuple(
+        validate_description(
+            model,
+            prepare(model, [recording], chain=options.chain, checked=options.checked).training[0],
+        )
+        for recording in as_recordings(model, recordings)
+    )
+
+
+def _prepared(
+    result: IdentificationResult, recording: Recorded, options: ValidationOptions
+) -> Samples:
+    """Return the samples of a recording; those held out, if the result was identified from it."""
+    trained = not isinstance(recording, Samples) and digest(head_of(recording)) in result.digests
+    prepared = prepare(
+        result.model,
+        [recording],
+        chain=options.chain or result.chain,
+        holdout=result.holdout if trained and options.chain is None else None,
+        checked=options.checked,
+    )
+    return (prepared.held_out or prepared.training)[0]

@@ -1,0 +1,110 @@
+"""Dataclasses as plain data and back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from asbuilt.codec import json_text, plain, restored, stored
+from asbuilt.findings import Cure, Finding
+
+
+@dataclass(frozen=True)
+class Inner:
+    name: str
+    count: int = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Outer:
+    numbers: NDArray[np.float64]
+    flags: NDArray[np.bool_]
+    places: tuple[NDArray[np.int64], ...]
+    kind: Literal["one", "two"]
+    ratio: float = field(metadata=stored(missing=np.inf))
+    text: str | None
+    inner: Inner | None
+    several: tuple[Inner, ...]
+    pair: tuple[str, float]
+    table: Mapping[str, float]
+    doubled: int = field(
+        metadata=stored(key="twice", encode=lambda x: 2 * x, decode=lambda x: x // 2)
+    )
+    later: float = 1.5
+
+
+EXAMPLE = Outer(
+    numbers=np.array([[0.1, np.nan], [1e-300, -0.0]]),
+    flags=np.array([True, False]),
+    places=(np.array([1, 2]), np.array([], dtype=np.int64)),
+    kind="two",
+    ratio=np.inf,
+    text=None,
+    inner=Inner("a"),
+    several=(Inner("b", 1), Inner("c", 2)),
+    pair=("x", 0.1 + 0.2),
+    table={"k": 1.0 / 3.0},
+    doubled=7,
+)
+
+
+def test_plain_data_are_json_and_come_back_to_the_last_bit() -> None:
+    text = json.dumps(plain(EXAMPLE), allow_nan=False)
+    again = restored(Outer, json.loads(text))
+    assert json.dumps(plain(again)) == text
+    np.testing.assert_array_equal(again.numbers, EXAMPLE.numbers)
+    assert np.signbit(again.numbers[1, 1])
+    assert again.flags.dtype == np.bool_
+    assert [part.dtype for part in again.places] == [np.int64, np.int64]
+    assert again.ratio == np.inf
+    assert (again.inner, again.several) == (EXAMPLE.inner, EXAMPLE.several)
+    assert (again.pair, again.table) == (EXAMPLE.pair, EXAMPLE.table)
+    assert plain(EXAMPLE)["twice"] == 14
+    assert again.doubled == 7
+
+
+def test_findings_come_back_with_their_cures() -> None:
+    found = Finding(
+        "gap", "info", "a gap", Cure("record again", {"checked": False, "rate": 2.0}), "A1", 1.0
+    )
+    assert restored(Finding, json.loads(json_text(found))) == found
+    bare = Finding("gap", "error", "a gap")
+    assert restored(Finding, plain(bare)) == bare
+
+
+def test_paths_and_numbers_of_numpy_are_plain() -> None:
+    document = {"path": Path("a") / "b", 1: np.float64(2.0), "n": np.int64(3), "no": np.nan}
+    assert plain(document) == {"path": str(Path("a") / "b"), "1": 2.0, "n": 3, "no": None}
+    assert type(plain(np.float64(2.0))) is float
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"kind": "three"}, "three"),
+        ({"inner": {"count": 1}}, "name"),
+        ({"several": [{"name": 1}]}, "expected str"),
+        ({"several": {"name": "a"}}, "expected a list"),
+        ({"ratio": "fast"}, "fast"),
+        ({"numbers": ["a"]}, "could not convert"),
+        ({"text": 3}, "expected str"),
+        ({"pair": ["x"]}, "argument 2 is shorter"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change: dict[str, object], error: str) -> None:
+    data = plain(EXAMPLE)
+    assert isinstance(data, dict)
+    with pytest.raises((KeyError, TypeError, ValueError), match=error):
+        restored(Outer, data | change)
+    del data["numbers"]
+    with pytest.raises(KeyError, match="numbers"):
+        restored(Outer, data)
+    with pytest.raises(TypeError, match="object"):
+        restored(Outer, [1])  # type: ignore[arg-type]
