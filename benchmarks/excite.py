@@ -15,16 +15,18 @@ from asbuilt.arrays import Array
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.batches import available_cores
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.excitation.design.design import USUAL_DRIVE, design_motion
+from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.fixed_duration import sized
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.program import DesignProgram, Objective
-from asbuilt.excitation.design.torque_limit import TorqueLimit
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.excitation.state_bounds import parameter_scale
+from asbuilt.excitation.torque_limit import TorqueLimit
 
 ROBOT, DURATION, HARMONICS, FRACTION, TORQUE_FRACTION = "kuka-iiwa7-r800", 20.0, 5, 0.95, 0.8
 RANDOM_MOTIONS = 1000
@@ -38,7 +40,7 @@ class Problem:
 
     def __init__(self) -> None:
         self.model = load_robot(ROBOT)
-        base = find_base_parameters(self.model, USUAL_DRIVE)
+        base = find_base_parameters(self.model, DriveSet.parse(DesignOptions.drive))
         self.information, self.bounds = (
             Information.of(self.model, base),
             MotionBounds.assumed(self.model, FRACTION),
@@ -46,17 +48,18 @@ class Problem:
         self.options = DesignOptions(
             duration=DURATION, size=HARMONICS, fraction=FRACTION, torque_fraction=TORQUE_FRACTION
         )
+        self.family = sized(self.options, self.bounds)[1]
         torque = TorqueLimit((self.model,), TORQUE_FRACTION * MotionBounds.of(self.model).torque)
         scale = parameter_scale(self.information, self.bounds)
         objective = Objective(
             self.information, DOptimality(), scale, DURATION * self.options.information_rate
         )
-        self.nodes = DesignProgram(objective, self.options.family, self.bounds, 200, (torque,))
+        self.nodes = DesignProgram(objective, self.family, self.bounds, 200, (torque,))
         self.fine = DesignProgram(
-            objective, self.options.family, self.bounds, int(1000 * DURATION), (torque,)
+            objective, self.family, self.bounds, int(1000 * DURATION), (torque,)
         )
         self.middle = np.outer(
-            self.options.family.constant, (self.bounds.lower + self.bounds.upper) / 2
+            self.family.constant, (self.bounds.lower + self.bounds.upper) / 2
         )
         self.shape = self.middle.shape
 
@@ -149,11 +152,11 @@ def measure(search_s: float = 240.0) -> dict[str, float | str]:
     problem = Problem()
     design_motion(
         problem.model,
-        options=DesignOptions(duration=4.0, size=3, starts=1, time_limit=1.0),
+        DesignOptions(duration=4.0, size=3, starts=1, time_limit=1.0),
         with_bound=False,
     )
     begin = time.perf_counter()
-    design = design_motion(problem.model, USUAL_DRIVE, problem.options)
+    design = design_motion(problem.model, problem.options)
     seconds = time.perf_counter() - begin
     p = design.base.n_base
     found = {"design": float(np.linalg.slogdet(design.mean_information)[1])}
@@ -169,7 +172,7 @@ def measure(search_s: float = 240.0) -> dict[str, float | str]:
         for name, method in methods.items():
             found[name] = problem.log_det(method(problem, seconds * available_cores()))
     patient = replace(problem.options, seed=1, starts=10**6, time_limit=search_s)
-    search = design_motion(problem.model, USUAL_DRIVE, patient, with_bound=False)
+    search = design_motion(problem.model, patient, with_bound=False)
     found["long_search"] = float(np.linalg.slogdet(search.mean_information)[1])
     best = max(found.values())
     numbers: dict[str, float | str] = {

@@ -1,6 +1,4 @@
-"""Design motions for four robots, hold them against random ones and against the bound, and keep one
-clear of its cell.
-"""
+"""Design motions for four robots, compare them with random ones and an upper bound, avoid a cell."""
 
 from __future__ import annotations
 
@@ -10,16 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from asbuilt import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.collision.constraint import watched
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.static_poses import design_static_poses
 from asbuilt.excitation.information.information import Information, mean_information
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.writers.motion_files import write_motion
-
-DRIVE = DriveSet.parse("viscous,coulomb,offset")
 
 print(
     "robot             parameters  log det  efficiency  of its harmonics  condition  scaled  random"
@@ -28,7 +22,7 @@ print(
 for name in ("kuka-iiwa7-r800", "ur10e", "franka-panda", "two-link"):
     model = load_robot(name)
     design = design_motion(
-        model, DRIVE, DesignOptions(duration=20.0, size=5, starts=4, time_limit=4.0)
+        model, DesignOptions(duration=20.0, size=5, starts=4, time_limit=4.0)
     )
     states = random_fourier(model, rng=0).sample(100)
     random = mean_information(Information.of(model, design.base), states.q, states.qd, states.qdd)
@@ -50,10 +44,7 @@ with tempfile.TemporaryDirectory() as folder:
         " [0.7, 0, 1]\n"
     )
     careful = design_motion(
-        iiwa,
-        DRIVE,
-        DesignOptions(size=5, starts=2, time_limit=8.0),
-        constraints=watched(iiwa, collision=str(cell)),
+        iiwa, DesignOptions(size=5, starts=2, time_limit=8.0, collision=str(cell))
     )
     path = write_motion(Path(folder) / "motion.csv", careful.motion, iiwa.joint_names)
     print(
@@ -64,6 +55,6 @@ print(careful.limits)
 
 standing = design_static_poses(iiwa, 12)
 print(
-    f"\n{len(standing.poses)} poses tell the {standing.n_parameters} gravity parameters, condition"
+    f"\n{len(standing.poses)} poses determine the {standing.n_parameters} gravity parameters, condition"
     f" number {standing.condition_number:.2f}"
 )

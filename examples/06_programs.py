@@ -9,8 +9,9 @@ import tempfile
 from asbuilt import load_robot
 from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.writers.programs.format import PROGRAM_FORMATS
+from asbuilt.writers.programs.program import make_program
 from asbuilt.writers.programs.program_files import write_program
-from asbuilt.writers.programs.registry import PROGRAM_FORMATS, make_program
 
 ROBOTS = ("kuka-iiwa7-r800", "franka-panda", "ur10e", "scara")
 

@@ -1,7 +1,6 @@
-from .design.design import Design as Design
 from .design.design import design_motion as design_motion
+from .design.designed_motion import Design as Design
 from .design.options import DesignOptions as DesignOptions
-from .design.precision import design_for_precision as design_for_precision
 from .design.static_poses import StaticDesign as StaticDesign
 from .design.static_poses import design_static_poses as design_static_poses
 from .information.criteria import Criterion as Criterion
@@ -20,6 +19,8 @@ from .motions.motion import Motion as Motion
 from .motions.motion import Trajectory as Trajectory
 from .motions.motion_csv import SampledMotion as SampledMotion
 from .motions.motion_csv import read_motion as read_motion
+from .motions.parametrisation import PARAMETRISATIONS as PARAMETRISATIONS
+from .motions.parametrisation import Parametrisation as Parametrisation
 from .motions.point_to_point import PointToPointMotion as PointToPointMotion
 from .motions.quintic import QuinticMotion as QuinticMotion
 from .motions.random_motion import random_fourier as random_fourier

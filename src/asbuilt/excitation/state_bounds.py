@@ -1,7 +1,4 @@
-"""The states that a robot may take.
-
-Limits completed where the description is silent, and random states within them.
-"""
+"""State bounds of a robot, completed if the description lacks limits, and random states."""
 
 from __future__ import annotations
 
@@ -15,13 +12,11 @@ from asbuilt.excitation.information.information import Information
 from asbuilt.excitation.limits import MotionBounds
 
 SCALING_STATES = 500
-"""Random states over which the units of the parameters are means."""
+"""Random states over which the units of the parameters are averaged."""
 
 
 def limited_model(model: RobotModel) -> tuple[RobotModel, tuple[str, ...]]:
-    """Return the robot with the limits that a design keeps to, and the names of those that the
-    description does not give.
-    """
+    """Return the robot with complete limits, and the names of those that were assumed."""
     bounds = MotionBounds.assumed(model)
     assumed: list[str] = []
     limits = []
@@ -66,9 +61,9 @@ def random_states(
 
 
 def parameter_scale(information: Information, bounds: MotionBounds) -> Array:
-    """Return a natural unit for each base parameter (p,).
+    """Return the change of each base parameter (p,) that changes the torque by its noise.
 
-    What changes the torque by one noise standard deviation, RMS over admissible states.
+    The change of torque is an RMS over the state bounds.
     """
     states = random_states(bounds, SCALING_STATES, np.random.default_rng(0))
     rows = information.rows(*states, smooth=False)

@@ -13,12 +13,14 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.design.design import design_motion, position_of
+from asbuilt.excitation.design.design import design_motion
+from asbuilt.excitation.design.designed_motion import position_of
+from asbuilt.excitation.design.fixed_duration import sized
 from asbuilt.excitation.design.multistart import Candidate, Deadline, SearchProgress, search_all
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.precision import design_for_precision, predicted_precision
 from asbuilt.excitation.information.efficiency import information_efficiency
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.parametrisation import PARAMETRISATIONS
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.writers.tables.design_tables import excite_text
 
@@ -37,7 +39,7 @@ def log_det_of(model, motion, drive=DRIVE) -> float:
 @pytest.fixture(scope="module")
 def arm():
     model = load_robot("two-link")
-    return model, design_motion(model, DRIVE, QUICK)
+    return model, design_motion(model, QUICK)
 
 
 def test_a_design_beats_fifty_random_motions(arm) -> None:
@@ -55,7 +57,7 @@ def test_a_design_beats_fifty_random_motions(arm) -> None:
 def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> None:
     model = load_robot(robot)
     options = DesignOptions(duration=8.0, size=4, starts=1, time_limit=20.0)
-    motion = design_motion(model, DRIVE, options, with_bound=False).motion
+    motion = design_motion(model, options, with_bound=False).motion
     bounds = MotionBounds.assumed(model, 0.95)
     t = np.linspace(0, motion.duration, 13001)
     q, qd, qdd = motion.at(t)
@@ -96,11 +98,13 @@ def test_limits_hold_on_a_finer_grid_with_torques_by_pinocchio(robot: str) -> No
 def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm) -> None:
     model, design = arm
     alone, helped = (
-        design_motion(model, DRIVE, replace(QUICK, starts=24), cores=cores, with_bound=False)
+        design_motion(
+            model, replace(QUICK, starts=24, time_limit=600.0), cores=cores, with_bound=False
+        )
         for cores in (1, 3)
     )
     assert np.array_equal(alone.motion.coefficients, helped.motion.coefficients)
-    other = design_motion(model, DRIVE, replace(QUICK, seed=1), with_bound=False)
+    other = design_motion(model, replace(QUICK, seed=1), with_bound=False)
     assert not np.array_equal(other.motion.coefficients, design.motion.coefficients)
 
 
@@ -110,7 +114,7 @@ def test_the_same_seed_gives_the_same_motion_on_any_number_of_cores(arm) -> None
 def test_other_families_respect_the_limits_too(parametrisation: str, size: int) -> None:
     model = load_robot("two-link")
     design = design_motion(
-        model, DRIVE, replace(QUICK, parametrisation=parametrisation, size=size), with_bound=False
+        model, replace(QUICK, parametrisation=parametrisation, size=size), with_bound=False
     )
     assert design.limits.is_respected
     assert np.isfinite(design.log_det)
@@ -120,7 +124,7 @@ def test_other_families_respect_the_limits_too(parametrisation: str, size: int) 
 
 def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     model, design = arm
-    focused = design_motion(model, DRIVE, replace(QUICK, focus=("Izz2", "11")), with_bound=False)
+    focused = design_motion(model, replace(QUICK, focus=("Izz2", "11")), with_bound=False)
     places = [position_of(design.base, name) for name in ("Izz2", "11")]
     det = [
         np.linalg.det(np.linalg.inv(d.information)[np.ix_(places, places)])
@@ -128,11 +132,11 @@ def test_a_focus_lowers_the_error_of_what_it_names(arm) -> None:
     ]
     assert det[0] < det[1]
     with pytest.raises(UsageError, match="no base parameter 'Izz9'"):
-        design_motion(model, DRIVE, replace(QUICK, focus=("Izz9",)))
+        design_motion(model, replace(QUICK, focus=("Izz9",)))
     lines = excite_text(focused).splitlines()
-    heads = next(k for k, line in enumerate(lines) if line.startswith("what was asked for, then"))
-    assert [line.split()[0] for line in lines[heads + 3 : heads + 5]] == ["16", "11"]
-    assert lines[0].endswith(", for Izz2, 11")
+    heads = next(k for k, line in enumerate(lines) if line.startswith("parameters in focus, then"))
+    assert [line.split()[0] for line in lines[heads + 4 : heads + 6]] == ["16", "11"]
+    assert any(line.split() == ["criterion", "d,", "for", "Izz2", "and", "11"] for line in lines)
 
 
 def test_what_a_motion_cannot_tell_has_an_infinite_error(arm) -> None:
@@ -147,7 +151,8 @@ def test_what_a_motion_cannot_tell_has_an_infinite_error(arm) -> None:
     expected = np.sqrt(np.diag(np.linalg.inv(design.information[np.ix_(one, one)])))[:-1]
     np.testing.assert_allclose(blind.std_errors[rest], expected, rtol=1e-6)
     written = excite_text(blind)
-    assert written.count("not told") == 2
+    assert written.count("  undetermined") == 2
+    assert "2 parameters UNDETERMINED" in written
     assert "above 1e+07" in written
 
 
@@ -156,17 +161,17 @@ def test_what_is_known_already_need_not_be_told_again(arm) -> None:
     weak = position_of(design.base, "Fo1")
     known = 1e6 * np.diag(np.diag(design.information))
     known[weak] = known[:, weak] = 0.0
-    follow = design_motion(model, DRIVE, QUICK, prior=known, with_bound=False)
+    follow = design_motion(model, QUICK, prior=known, with_bound=False)
     alone = 1 / np.sqrt(follow.information[weak, weak])
     assert follow.std_errors[weak] == pytest.approx(alone, rel=1e-2)
     assert np.all(follow.std_errors <= design.std_errors * (1 + 1e-6))
     with pytest.raises(UsageError, match="same drive terms"):
-        design_motion(model, DRIVE, QUICK, prior=np.eye(3))
+        design_motion(model, QUICK, prior=np.eye(3))
 
 
 def test_criteria_win_at_their_own_game(arm) -> None:
     model, design = arm
-    even = design_motion(model, DRIVE, replace(QUICK, criterion="condition"), with_bound=False)
+    even = design_motion(model, replace(QUICK, criterion="condition"), with_bound=False)
     assert even.log_det < design.log_det
     assert even.scaled_condition_number < design.scaled_condition_number * 1.05
 
@@ -180,12 +185,12 @@ def test_power_and_other_robots_tighten_a_design(arm) -> None:
         return float(np.abs(inverse_dynamics(model, *state) * state[1]).max())
 
     limit = 0.5 * power(design)
-    weak = design_motion(model, DRIVE, replace(QUICK, power=(limit,)), with_bound=False)
+    weak = design_motion(model, replace(QUICK, power=(limit,)), with_bound=False)
     assert power(weak) <= limit * (1 + 1e-6)
     assert f"power at most {power(weak):.3g} W of the {limit:g} W allowed" in weak.notes[0]
     assert weak.log_det < design.log_det
     careful = design_motion(
-        model, DRIVE, replace(QUICK, perturbed=2, spread=0.3, torque_fraction=0.3), with_bound=False
+        model, replace(QUICK, perturbed=2, spread=0.3, torque_fraction=0.3), with_bound=False
     )
     assert careful.limits.worst["torque"].margin >= 0.7 - 1e-6
 
@@ -198,7 +203,7 @@ def test_an_interrupt_keeps_the_best_so_far(arm) -> None:
             raise KeyboardInterrupt
 
     kept = design_motion(
-        model, DRIVE, replace(QUICK, starts=40), progress=stop, with_bound=False, cores=1
+        model, replace(QUICK, starts=40), progress=stop, with_bound=False, cores=1
     )
     assert kept.interrupted
     assert kept.limits.is_respected
@@ -208,13 +213,13 @@ def test_a_robot_too_weak_for_its_weight_is_told_so() -> None:
     model = load_robot("two-link")
     weak = model.with_limits([replace(joint.limits, torque=1e-3) for joint in model.joints])
     with pytest.raises(MotionError, match="no motion within the constraints"):
-        design_motion(weak, DRIVE, replace(QUICK, starts=1), with_bound=False)
+        design_motion(weak, replace(QUICK, starts=1), with_bound=False)
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("parametrisation", "spline"),
+        ("precision", 0.0),
         ("duration", -1.0),
         ("fraction", 1.5),
         ("starts", 0),
@@ -229,15 +234,14 @@ def test_senseless_options_are_refused(field: str, value) -> None:
 
 def test_a_wanted_precision_finds_its_duration(arm) -> None:
     model, design = arm
-    reached = predicted_precision(design)
-    longer, trials = design_for_precision(
-        model, DRIVE, replace(QUICK, size=None, starts=2), reached / 1.5
-    )
+    reached = design.precision
+    wanted = replace(QUICK, size=None, starts=2, duration="auto", precision=reached / 1.5)
+    longer = design_motion(model, wanted)
     assert longer.motion.duration > 8
-    assert predicted_precision(longer) <= reached / 1.5
-    assert [trial.duration for trial in trials] == sorted(trial.duration for trial in trials)
-    with pytest.raises(UsageError, match="positive fraction"):
-        design_for_precision(model, DRIVE, QUICK, 0.0)
+    assert longer.precision <= reached / 1.5
+    assert [trial.duration for trial in longer.trials] == sorted(
+        trial.duration for trial in longer.trials
+    )
 
 
 def test_an_interrupt_ends_the_search_for_a_duration(arm) -> None:
@@ -246,27 +250,31 @@ def test_an_interrupt_ends_the_search_for_a_duration(arm) -> None:
     def stop(_) -> None:
         raise KeyboardInterrupt
 
-    design, trials = design_for_precision(
-        model, DRIVE, replace(QUICK, size=None), 1e-4, progress=stop
-    )
+    wanted = replace(QUICK, size=None, duration="auto", precision=1e-4)
+    design = design_motion(model, wanted, progress=stop)
     assert design.interrupted
-    assert [trial.duration for trial in trials] == [10.0]
+    assert [trial.duration for trial in design.trials] == [10.0]
 
 
 def test_a_search_that_does_worse_with_more_time_is_told_so(arm, monkeypatch) -> None:
     model, design = arm
     found = iter([0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.07, 0.08])
+
+    class Found:
+        interrupted, size, size_name, options = False, 4, "harmonics", design.options
+
+        @property
+        def precision(self) -> float:
+            return next(found)
+
     monkeypatch.setattr(
-        "asbuilt.excitation.design.precision.design_motion", lambda *_, **__: design
-    )
-    monkeypatch.setattr(
-        "asbuilt.excitation.design.precision.predicted_precision", lambda _: next(found)
+        "asbuilt.excitation.design.precision.design_fixed", lambda *_, **__: Found()
     )
     with pytest.raises(
         MotionError,
-        match=r"10 s with 4 harmonics would give 0\.01, but .* the search finds nothing better",
+        match=r"0\.01 with 10 s and 4 harmonics, .* the search finds nothing better",
     ):
-        design_for_precision(model, DRIVE, QUICK, 0.005)
+        design_motion(model, replace(QUICK, duration="auto", precision=0.005))
 
 
 def test_a_recording_is_told_how_much_it_carries(arm) -> None:
@@ -290,7 +298,7 @@ def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) ->
     monkeypatch.setattr("asbuilt.excitation.design.multistart.time.monotonic", lambda: next(clock))
     told: list[SearchProgress] = []
     design = design_motion(
-        model, DRIVE, replace(QUICK, starts=500, time_limit=10.0), progress=told.append, cores=1
+        model, replace(QUICK, starts=500, time_limit=10.0), progress=told.append, cores=1
     )
     assert [phase for phase, _ in itertools.groupby(state.phase for state in told)] == [
         "bound",
@@ -307,8 +315,8 @@ def test_the_time_limit_covers_bounds_search_and_refinement(arm, monkeypatch) ->
 def test_a_new_population_begins_where_one_brings_nothing_more(arm) -> None:
     """Searches are numbered through all populations, and the best of all is kept."""
     model, design = arm
-    most = design_motion(model, DRIVE, replace(QUICK, starts=26), with_bound=False)
-    one = design_motion(model, DRIVE, replace(QUICK, starts=24), with_bound=False)
+    most = design_motion(model, replace(QUICK, starts=26), with_bound=False)
+    one = design_motion(model, replace(QUICK, starts=24), with_bound=False)
     assert set(one.candidates) < set(most.candidates)
     assert most.candidates[0] >= one.candidates[0] >= design.candidates[0] - 1.0
 
@@ -320,7 +328,7 @@ def test_an_interrupt_of_the_refinement_keeps_its_best(arm) -> None:
         if state.phase == "refinement":
             raise KeyboardInterrupt
 
-    kept = design_motion(model, DRIVE, QUICK, progress=stop, with_bound=False, cores=1)
+    kept = design_motion(model, QUICK, progress=stop, with_bound=False, cores=1)
     assert kept.interrupted
     assert kept.limits.is_respected
 
@@ -346,31 +354,35 @@ def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
     more acceleration.
     """
     slow = MotionBounds.assumed(load_robot("kuka-iiwa7-r800"))
-    assert DesignOptions(duration=20.0).for_limits(slow).size == 5
     quick = replace(slow, acceleration=6.0 * slow.velocity)
-    assert DesignOptions(duration=20.0).for_limits(quick).size == 12
-    assert [
-        getattr(DesignOptions(duration=100.0).for_limits(slow), name)
-        for name in ("size", "periods")
-    ] == [25, 1]
-    assert [
-        getattr(DesignOptions(duration=100.0).for_limits(quick), name)
-        for name in ("size", "periods")
-    ] == [15, 4]
-    assert [
-        getattr(DesignOptions(duration=100.0, periods=1).for_limits(quick), name)
-        for name in ("size", "periods")
-    ] == [25, 1]
-    assert DesignOptions(duration=20.0, size=7).for_limits(quick).size == 7
+
+    def size(bounds, **options):
+        return sized(DesignOptions(**{"duration": 20.0, **options}), bounds)[0].size
+
+    def size_and_periods(bounds, **options):
+        found = sized(DesignOptions(duration=100.0, **options), bounds)[0]
+        return found.size, found.periods
+
+    assert size(slow) == 5
+    assert size(quick) == 12
+    assert size_and_periods(slow) == (25, 1)
+    assert size_and_periods(quick) == (15, 4)
+    assert size_and_periods(quick, periods=1) == (25, 1)
+    assert size(quick, size=7) == 7
     for family, few, many in (("bspline", 17, 39), ("quintic", 17, 20), ("point-to-point", 17, 17)):
-        assert DesignOptions(duration=20.0, parametrisation=family).family.size == few
-        assert DesignOptions(duration=20.0, parametrisation=family).for_limits(slow).size == few
-        assert DesignOptions(duration=20.0, parametrisation=family).for_limits(quick).size == many
-    assert DesignOptions(duration=60.0, parametrisation="bspline").for_limits(quick).size == 49
+        assert PARAMETRISATIONS[family].usual_size(20.0, None)[0] == few
+        assert size(slow, parametrisation=family) == few
+        assert size(quick, parametrisation=family) == many
+    assert size(quick, duration=60.0, parametrisation="bspline") == 49
+
+
+def test_an_unknown_family_is_refused() -> None:
+    with pytest.raises(UsageError, match="available: .*fourier"):
+        design_motion("two-link", DesignOptions(parametrisation="spline"))
 
 
 def test_no_motion_is_nearer_to_the_bound_of_all_states_than_to_that_of_its_own(arm) -> None:
     model, _ = arm
     for limit in (0.5, 4.0):
-        design = design_motion(model, DRIVE, replace(QUICK, time_limit=limit))
+        design = design_motion(model, replace(QUICK, time_limit=limit))
         assert design.family_efficiency >= design.d_efficiency

@@ -6,9 +6,9 @@ import numpy as np
 from asbuilt.excitation.design.interior_point import (
     Evaluation,
     MotionProgram,
-    StateConstraint,
     solve,
 )
+from asbuilt.excitation.state_constraint import StateConstraint
 
 
 class Disc(StateConstraint):
@@ -37,7 +37,7 @@ class Nearest(MotionProgram):
         self.centre = np.zeros((3, 2))
         self.half = np.array([[1.0, 2.0], [1.5, np.inf], [2.0, 2.5]])
         self.constraints = tuple(constraints)
-        self.room = 0.0
+        self.margin = 0.0
 
     def evaluate(self, q, qd, qdd) -> Evaluation:
         away = [x - w for x, w in zip((q, qd, qdd), self.wanted, strict=True)]

@@ -12,35 +12,35 @@ import numpy as np
 import pytest
 
 from asbuilt.excitation.design.multistart import Candidate, Deadline, search_all
-from asbuilt.excitation.design.process_pool import Crew
+from asbuilt.excitation.design.process_pool import ProcessPool
 
 
 @contextmanager
-def ready(work, size: int = 1) -> Iterator[Crew]:
-    """A crew that has loaded what it needs."""
-    with closing(Crew(work, size)) as crew:
+def ready(work, size: int = 1) -> Iterator[ProcessPool]:
+    """A pool that has loaded what it needs."""
+    with closing(ProcessPool(work, size)) as pool:
         end = time.monotonic() + 60
-        while not crew.has_room and time.monotonic() < end:
+        while not pool.is_free and time.monotonic() < end:
             time.sleep(0.05)
-        yield crew
+        yield pool
 
 
-def test_a_crew_does_its_work_and_says_when_it_is_full() -> None:
-    with ready(math.sqrt) as crew:
-        future = crew.submit(9.0)
-        assert not crew.has_room or future.done()
+def test_a_pool_does_its_work_and_says_when_it_is_full() -> None:
+    with ready(math.sqrt) as pool:
+        future = pool.submit(9.0)
+        assert not pool.is_free or future.done()
         assert future.result(timeout=60) == 3.0
-    assert not crew.has_room
+    assert not pool.is_free
 
 
-def test_nobody_beside_this_process_is_no_crew() -> None:
-    with closing(Crew(math.sqrt, 0)) as crew:
-        assert not crew.has_room
+def test_nobody_beside_this_process_is_no_pool() -> None:
+    with closing(ProcessPool(math.sqrt, 0)) as pool:
+        assert not pool.is_free
 
 
 def test_work_that_cannot_be_handed_over_is_done_here() -> None:
-    with closing(Crew(threading.Lock().acquire, 1)) as crew:
-        assert not crew.has_room
+    with closing(ProcessPool(threading.Lock().acquire, 1)) as pool:
+        assert not pool.is_free
 
 
 def candidate(number: int) -> Candidate:
@@ -52,9 +52,9 @@ def slow(number: int) -> Candidate:
     return candidate(number)
 
 
-def test_what_a_lost_crew_was_at_is_done_here() -> None:
-    with ready(os._exit) as crew:
-        found = search_all(range(30), slow, Deadline(60.0), crew=crew)
+def test_what_a_lost_pool_was_at_is_done_here() -> None:
+    with ready(os._exit) as pool:
+        found = search_all(range(30), slow, Deadline(60.0), pool=pool)
     assert [each.number for each in found] == list(range(30))[::-1]
 
 
@@ -64,8 +64,8 @@ def test_an_interrupt_keeps_what_was_found() -> None:
             raise KeyboardInterrupt
 
     deadline = Deadline(60.0)
-    with ready(time.sleep) as crew:
-        found = search_all(range(1000, 1030), slow, deadline, crew=crew, progress=stop)
+    with ready(time.sleep) as pool:
+        found = search_all(range(1000, 1030), slow, deadline, pool=pool, progress=stop)
     assert 3 <= len(found) < 30
     assert deadline.interrupted
     assert deadline()

@@ -13,10 +13,10 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError
 from asbuilt.excitation.collision.constraint import watched
-from asbuilt.excitation.design.interior_point import StateConstraint
-from asbuilt.excitation.design.route import Roadmap, short_tour, travel_through
+from asbuilt.excitation.design.route import Roadmap, route_through, short_tour
 from asbuilt.excitation.design.static_poses import design_static_poses
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.state_constraint import StateConstraint
 
 
 class Wall(StateConstraint):
@@ -44,7 +44,7 @@ def test_the_way_turns_over_a_wall_and_rests_at_every_pose_once() -> None:
     stations = np.random.default_rng(0).uniform(-1, 1, (200, 2))
     wall = Wall(0.5)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
-    travel = travel_through(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.5)
+    travel = route_through(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.5)
     q, qd, qdd = travel.motion.at(travel.motion.sample_times(500.0))
     assert np.all(wall.values(q, qd, qdd) < 1)
     assert travel.turns > 0
@@ -58,11 +58,11 @@ def test_the_way_turns_over_a_wall_and_rests_at_every_pose_once() -> None:
 
 def test_a_free_way_has_no_turns_and_one_that_is_closed_is_refused() -> None:
     stations = np.random.default_rng(0).uniform(-1, 1, (200, 2))
-    assert travel_through(POSES, None, PLANE, [], [], 0.0).turns == 0
+    assert route_through(POSES, None, PLANE, [], [], 0.0).turns == 0
     wall = Wall(2.0)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
-    with pytest.raises(MotionError, match="no way clear of obstacles was found between the poses"):
-        travel_through(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.0)
+    with pytest.raises(MotionError, match="no route without collision was found from"):
+        route_through(POSES, Roadmap.of(kept, PLANE, [wall]), PLANE, [wall], [], 0.0)
 
 
 def test_a_roadmap_is_one_piece() -> None:
@@ -70,8 +70,8 @@ def test_a_roadmap_is_one_piece() -> None:
     wall = Wall(2.0)
     kept = stations[wall.values(stations, stations, stations)[:, 0] < 1]
     roadmap = Roadmap.of(kept, PLANE, [wall])
-    assert len({bool(side) for side in roadmap.stations[:, 0] > 0}) == 1
-    assert len(roadmap.stations) == max(np.sum(kept[:, 0] > 0), np.sum(kept[:, 0] < 0))
+    assert len({bool(side) for side in roadmap.nodes[:, 0] > 0}) == 1
+    assert len(roadmap.nodes) == max(np.sum(kept[:, 0] > 0), np.sum(kept[:, 0] < 0))
 
 
 def test_short_tours_of_few_places_are_the_shortest() -> None:
@@ -110,4 +110,4 @@ def test_joints_of_many_turns_stand_near_the_middle_of_where_they_can_go() -> No
     model = load_robot("ur10e")
     design = design_static_poses(model, 12)
     assert np.all(np.abs(design.poses[:, [0, 3, 4, 5]]) <= np.pi + 0.5)
-    assert design.travel < 20
+    assert design.route_time < 20

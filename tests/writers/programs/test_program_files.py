@@ -63,14 +63,14 @@ def test_program_writes_every_file_it_names(
         assert os.access(document["files"]["program"], os.X_OK)
     status, out, _ = call(capsys, *arguments, "--name", "other")
     assert status == 0
-    assert "NOT checked: collisions" in out
+    assert "NOT CHECKED: collisions" in out
     assert "other" in out
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (["--format", "krl"], 2, "available: sunrise, fri"),
+        (["--format", "krl"], 2, "available: franka, sunrise, fri"),
         (["--format", "urscript"], 1, "6 revolute joints"),
         (["--format", "csv", "--rate", "0"], 1, "rate"),
         ([], 2, "--format"),

@@ -13,7 +13,7 @@ import pytest
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.writers.programs.registry import make_program
+from asbuilt.writers.programs.program import make_program
 
 ROBOTS = ("ur10e", "puma-560")
 NUMBER = r"-?\d+\.\d{7}"

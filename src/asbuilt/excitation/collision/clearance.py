@@ -1,6 +1,4 @@
-"""How near the bodies of a robot come to each other and to obstacles along a motion, as far as
-anybody has described them.
-"""
+"""Smallest distance between bodies along a motion."""
 
 from __future__ import annotations
 
@@ -14,14 +12,15 @@ from asbuilt.excitation.collision.capsules import surroundings
 from asbuilt.excitation.collision.constraint import CollisionGuard
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.pacing import CHECK_RATE
+from asbuilt.findings import Cure
 
 POSES_AT_ONCE = 4000
-"""Poses that are looked at together, for memory."""
+"""Poses evaluated together, for memory."""
 
 
 @dataclass(frozen=True)
 class Clearance:
-    """Say that the bodies of `source` come no nearer than `distance` [m] along a motion.
+    """Smallest `distance` [m] between the bodies of `source` along a motion.
 
     `obstacles` are those beside the robot, `left_out` pairs that always touch.
     """
@@ -33,14 +32,12 @@ class Clearance:
 
 
 def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance:
-    """Return how near bodies come on a 1 kHz grid.
-
-    `source` is what `--collision` takes, see `surroundings`.
+    """Return the smallest distance on a 1 kHz grid between the bodies of `source`.
 
     Raises
     ------
     MotionError
-        If they touch, with bodies that meet only by accident.
+        If bodies of pairs that are checked touch.
     """
     bodies = surroundings(model, source)
     guard = CollisionGuard(model, bodies)
@@ -53,9 +50,10 @@ def clearance_along(model: RobotModel, motion: Motion, source: str) -> Clearance
     if distance <= 0.0:
         part = np.array_split(t, max(1, len(t) // POSES_AT_ONCE))[int(np.argmin(nearest))]
         raise MotionError(
-            f"bodies of {source} run into each other by {-1000 * distance:.0f} mm between t ="
-            f" {part[0]:.2f} and {part[-1]:.2f} s of the motion; design it with --collision"
-            f" {source}"
+            f"bodies of {source} overlap by {-1000 * distance:.0f} mm between t = {part[0]:.2f} and"
+            f" {part[-1]:.2f} s of the motion",
+            cure=Cure("design a motion that keeps them apart", {"collision": source}),
+            distance=distance,
         )
     return Clearance(
         source, distance, tuple(obstacle.name for obstacle in bodies.obstacles), guard.left_out

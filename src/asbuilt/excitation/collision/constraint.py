@@ -1,6 +1,4 @@
-"""Keep bodies apart: the distances between capsules and to obstacles as a constraint on the joint
-positions.
-"""
+"""Constraints on the place of bodies: collisions, and a box for the tool."""
 
 from __future__ import annotations
 
@@ -15,19 +13,18 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError, UsageError
 from asbuilt.excitation.collision.capsules import Surroundings, neighbours, surroundings
 from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_to_box
-from asbuilt.excitation.design.interior_point import StateConstraint
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_bounds import random_states
+from asbuilt.excitation.state_constraint import StateConstraint
 
 SOFTNESS = 0.1
 """Distance beyond the clearance over which a body matters to a design [m]."""
 
-SURVEYED = 200
-"""Random poses by which it is told which bodies always touch."""
+SAMPLED = 200
+"""Random poses in which it is found which bodies always touch."""
+
 ALWAYS = 0.9
-"""Pairs of links closer than the clearance in more than this share of random poses touch by
-construction and are left out.
-"""
+"""Share of random poses above which a pair closer than the clearance touches by construction."""
 
 
 class CollisionGuard(StateConstraint):
@@ -36,7 +33,7 @@ class CollisionGuard(StateConstraint):
     `v = 1 - tanh((d - c) / 0.1 m)` must stay below 1.
 
     Links joined by a joint, pairs that are allowed to touch, and pairs that touch in nearly every
-    pose are not watched; `left_out` names the last.
+    pose are not checked; `left_out` names the last.
     """
 
     name = "collision"
@@ -57,7 +54,7 @@ class CollisionGuard(StateConstraint):
             for a in range(len(links))
             if links[a] != ROOT
         ]
-        poses = random_states(MotionBounds.assumed(model), SURVEYED, np.random.default_rng(0))[0]
+        poses = random_states(MotionBounds.assumed(model), SAMPLED, np.random.default_rng(0))[0]
         close = (self._distances(poses)[0] < bodies.clearance).mean(axis=0) > ALWAYS
         names = [model.root_link if link == ROOT else model.link_names[link] for link in links]
         names += [obstacle.name for obstacle in bodies.obstacles]
@@ -78,9 +75,7 @@ class CollisionGuard(StateConstraint):
         return self._softened(self._distances(q)[0])
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivative of v with respect to q, (N, pairs, n, 1), from the nearest points
-        and the Jacobians there.
-        """
+        """Return the derivative of v by q (N, pairs, n, 1), from the Jacobians at nearest points."""
         distances, points, normals = self._distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
@@ -106,17 +101,21 @@ class CollisionGuard(StateConstraint):
         return slopes
 
     def smallest_distance(self, q: Array) -> float:
-        """Return the smallest distance between any watched pair over all poses (N, n) [m]."""
+        """Return the smallest distance between any checked pair over all poses (N, n) [m]."""
         return float(self._distances(q)[0].min())
+
+    def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
+        """Name the pairs that are not checked."""
+        if not self.left_out:
+            return ()
+        return (f"NOT CHECKED, they touch in nearly every pose: {', '.join(self.left_out)}",)
 
     def _softened(self, distances: Array) -> Array:
         softened: Array = 1.0 - np.tanh((distances - self._bodies.clearance) / SOFTNESS)
         return softened
 
     def _distances(self, q: Array) -> tuple[Array, Array, Array]:
-        """Return distances (N, pairs), nearest points (N, pairs, 2, 3) on the axes of the capsules,
-        and normals (N, pairs, 3) from first to second.
-        """
+        """Return distances (N, pairs), nearest axis points (N, pairs, 2, 3) and normals between."""
         links = link_poses(self._model, q)
         ends = []
         for capsule in self._bodies.capsules:
@@ -213,7 +212,7 @@ class ToolBox(StateConstraint):
         return normalised
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivatives of the place with respect to q, (N, 3, n, 1)."""
+        """Return the derivatives of the place by q, (N, 3, n, 1)."""
         place = self._places(q)
         axes, origins = _joint_axes(self._model, q)
         gradient = np.zeros((len(q), 3, self._model.n_joints))
@@ -226,11 +225,13 @@ class ToolBox(StateConstraint):
             gradient[:, :, k] = speed / self._half
         return gradient[..., None]
 
-    def smallest_room(self, q: Array) -> float:
-        """Return how near the point comes to a side of the box from within over all poses (N, n)
-        [m]; negative outside.
-        """
+    def margin(self, q: Array) -> float:
+        """Return the smallest distance to a side of the box over poses [m]; negative outside."""
         return float((self._half - np.abs(self._places(q) - self._centre)).min())
+
+    def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
+        """State the margin to the box."""
+        return (f"the tool keeps {1000 * self.margin(q):.0f} mm from the sides of its box",)
 
     def _places(self, q: Array) -> Array:
         pose = link_poses(self._model, q)[:, self._link]
@@ -245,9 +246,7 @@ def watched(
     tool_box: Sequence[float] = (),
     tool_frame: str | None = None,
 ) -> tuple[StateConstraint, ...]:
-    """Return the constraints for bodies from a `collision` source (see `surroundings`) and for a
-    box x0, x1, y0, y1, z0, z1 of the tool [m].
-    """
+    """Return the constraints for bodies and for a box of the tool; arguments of `DesignOptions`."""
     found: list[StateConstraint] = []
     if collision is not None:
         found.append(CollisionGuard(model, surroundings(model, collision)))
@@ -261,32 +260,10 @@ def watched(
     return tuple(found)
 
 
-def told_constraints(constraints: Sequence[StateConstraint], q: Array) -> tuple[str, ...]:
-    """Return sentences about how poses (N, n) keep a box, and about the pairs of bodies that are
-    not watched.
-    """
-    boxes = [
-        constraint.smallest_room(q) for constraint in constraints if isinstance(constraint, ToolBox)
-    ]
-    pairs = [
-        pair
-        for constraint in constraints
-        if isinstance(constraint, CollisionGuard)
-        for pair in constraint.left_out
-    ]
-    told = [
-        f"the tool stays in its box, {1000 * room:.0f} mm from the nearest side" for room in boxes
-    ]
-    return (
-        (*told, f"NOT WATCHED, for they touch in nearly every pose: {', '.join(pairs)}")
-        if pairs
-        else tuple(told)
-    )
-
-
 def skeleton_distance(model: RobotModel, q: Array) -> float | None:
-    """Return the smallest distance between capsules along the robot's stick figure over poses (N,
-    n) [m], None where it has none that could meet.
+    """Return the smallest distance between the robot's own capsules over poses (N, n) [m].
+
+    None if it has no capsules that could meet.
     """
     try:
         return CollisionGuard(model, surroundings(model, "skeleton")).smallest_distance(q)

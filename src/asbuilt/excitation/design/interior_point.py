@@ -1,7 +1,4 @@
-"""A primal-dual interior-point method for motions that are linear in their coefficients.
-
-Every iterate respects every constraint.
-"""
+"""Primal-dual interior-point method whose iterates respect every constraint."""
 
 from __future__ import annotations
 
@@ -13,77 +10,61 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from asbuilt.arrays import Array
-
-FRACTION_TO_BOUNDARY = 0.995
-"""The most of the way to a constraint that one step takes."""
-ARMIJO = 1e-4
-"""The least decrease of the barrier function that a step must bring, in parts of what its slope
-promises.
-"""
-SHRINK_BARRIER = 0.2
-"""By what factor the weight of the barrier falls."""
-STEPS_PER_BARRIER = 40
-"""Steps at one weight of the barrier, at most."""
-DAMPING = 0.2
-"""The least curvature along a step that BFGS believes, in parts of what it believed before (Powell
-1978).
-"""
-MOST_BACKTRACKS = 14
-"""Halvings of a step before another one is tried."""
-COMPLEMENTARITY_SPREAD = 1e8
-"""How far a multiplier times its slack may be from the weight of the barrier, as a factor."""
+from asbuilt.excitation.state_constraint import StateConstraint
 
 
-class StateConstraint(ABC):
-    """Bound something that depends on the joint state at one instant.
+@dataclass(frozen=True)
+class SolverConstants:
+    """Constants of the method; Nocedal & Wright (2006), chapter 19, unless noted.
 
-    Torque, distance to an obstacle, place of the tool.
-
-    Its values are normalised so that they must stay below 1, and above -1 where it is `two_sided`.
+    | field | meaning and source |
+    |---|---|
+    | `to_boundary` | largest fraction of the way to a constraint that one step takes |
+    | `armijo` | least decrease of the barrier function relative to its slope |
+    | `shrinkage` | factor by which the barrier weight falls |
+    | `steps` | most steps at one barrier weight |
+    | `damping` | least curvature along a step relative to that before (Powell 1978) |
+    | `backtracks` | halvings of a step before BFGS starts afresh |
+    | `spread` | factor between multiplier times slack and the barrier weight |
     """
 
-    name: str
-    two_sided: bool
+    to_boundary: float = 0.995
+    armijo: float = 1e-4
+    shrinkage: float = 0.2
+    steps: int = 40
+    damping: float = 0.2
+    backtracks: int = 14
+    spread: float = 1e8
 
-    @abstractmethod
-    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the normalised values (N, m) at the states (N, n)."""
 
-    @abstractmethod
-    def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivatives of the values with respect to the joint positions and their time
-        derivatives of orders below r, (N, m, n, r).
-        """
+CONSTANTS = SolverConstants()
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """A value, minus infinity where it is not defined, and a function for its derivatives with
-    respect to the states, each (N, n).
-    """
+    """A value, minus infinity where undefined, and its gradient by q, qd, qdd, each (N, n)."""
 
     value: float
     gradient: Callable[[], tuple[Array, Array, Array]]
 
 
 class MotionProgram(ABC):
-    """Maximise a function of the states of a motion `d^k q / dt^k (t_s) = bases[k] @ coefficients`,
-    coefficients (n_basis, n).
+    """Maximise a function of the states `d^k q / dt^k (t_s) = bases[k] @ coefficients`.
 
-    `bases[k]` (N, n_basis) for the orders 0 ... 3, each of whose products must stay within
-    `centre[k] +- half[k]` (n,), where half may be infinite. The values of state constraints must
-    stay below `1 - room`.
+    Coefficients are (n_basis, n), `bases[k]` (N, n_basis) for the orders 0 ... 3. Each derivative
+    must stay within `centre[k] +- half[k]` (n,), half may be infinite, and the values of state
+    constraints below `1 - margin`.
     """
 
     bases: tuple[Array, ...]
     centre: Array
     half: Array
     constraints: tuple[StateConstraint, ...]
-    room: float
+    margin: float
 
     @abstractmethod
     def evaluate(self, q: Array, qd: Array, qdd: Array) -> Evaluation:
-        """Return what is to be maximised."""
+        """Return the function to be maximised."""
 
     def states(self, coefficients: Array) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations at the nodes."""
@@ -94,26 +75,21 @@ class MotionProgram(ABC):
         )
 
     def margins(self, coefficients: Array) -> list[Array]:
-        """Return the slacks of all constraints.
-
-        For each order the room above and below, then those of the state constraints.
-        """
+        """Return the slacks of all constraints: for each order above and below, then the states'."""
         found = []
         for basis, centre, half in zip(self.bases, self.centre, self.half, strict=True):
             v = (basis @ coefficients - centre) / half
             found += [1.0 - v, 1.0 + v]
         state = self.states(coefficients)
         for constraint in self.constraints:
-            v, most = constraint.values(*state), 1.0 - self.room
+            v, most = constraint.values(*state), 1.0 - self.margin
             found += [most - v, most + v] if constraint.two_sided else [most - v]
         return found
 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """The coefficients (n_basis, n), the value reached, the iterations spent and whether the method
-    converged.
-    """
+    """A local optimum: coefficients (n_basis, n), value, iterations, convergence."""
 
     coefficients: Array
     value: float
@@ -140,13 +116,13 @@ def solve(
     cancelled: Callable[[], bool] = lambda: False,
     improved: Callable[[Array, float], None] | None = None,
 ) -> Optimum | None:
-    """Climb from strictly feasible coefficients; None where the start is not strictly feasible.
+    """Climb from strictly feasible coefficients; return None if the start is not feasible.
 
     The barrier problem `max f + mu sum log s` is solved for falling mu by Newton steps with
     primal-dual multipliers for the constraints, whose curvature is exact to first order, and a
     damped BFGS approximation of the curvature of f (Nocedal & Wright 2006, chapter 19; Powell
     1978). Line search on the barrier function itself keeps all slacks positive.
-    `improved(coefficients, value)` is told each iterate.
+    `improved(coefficients, value)` is called with each iterate.
     """
     x = np.array(start, dtype=np.float64)
     mu, mu_end = barrier
@@ -173,13 +149,13 @@ def solve(
         )
         error = max(float(np.abs(residual).max()) / scale, mismatch)
         since += 1
-        if error < 10 * mu or since > STEPS_PER_BARRIER:
+        if error < 10 * mu or since > CONSTANTS.steps:
             if mu <= mu_end * 1.0001:
                 converged = error < 10 * mu or point.value - last_value < tolerance
-                if converged or since > STEPS_PER_BARRIER:
+                if converged or since > CONSTANTS.steps:
                     break
             else:
-                mu = max(mu_end, SHRINK_BARRIER * mu)
+                mu = max(mu_end, CONSTANTS.shrinkage * mu)
                 since = 0
                 last_value = point.value
         steep = [mu / s_up - mu / s_low for s_up, s_low in _pairs(program, point.slacks, np.inf)]
@@ -201,7 +177,7 @@ def solve(
             if fresh:
                 if mu <= mu_end * 1.0001:
                     break
-                mu, since = max(mu_end, SHRINK_BARRIER * mu), 0
+                mu, since = max(mu_end, CONSTANTS.shrinkage * mu), 0
             curvature, fresh = scale * metric, True
             duals = [mu / s for s in point.slacks]
             continue
@@ -229,9 +205,7 @@ def _flat(by_coefficient: Array) -> Array:
 
 
 def _metric(program: MotionProgram) -> Array:
-    """Return the mean of the squared normalised position, velocity and acceleration as a quadratic
-    form of the coefficients.
-    """
+    """Return the quadratic form of the mean squared normalised q, qd and qdd."""
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     whole = np.zeros((n * n_basis, n * n_basis))
     for basis, half in zip(program.bases[:3], program.half, strict=False):
@@ -255,9 +229,7 @@ def _point(
 
 
 def _pulled(program: MotionProgram, slopes: Array, weights: Array) -> Array:
-    """Return `sum weights dv/dx` over the values v (N, m) of one constraint, x the coefficients
-    joint by joint.
-    """
+    """Return `sum weights dv/dx` over the values v (N, m) of one constraint, joint by joint."""
     samples, m, n, orders = slopes.shape
     by_state = (weights[:, None, :] @ slopes.reshape(samples, m, -1)).reshape(samples, n, orders)
     return _flat(np.asarray(sum(program.bases[k].T @ by_state[:, :, k] for k in range(orders))))
@@ -272,9 +244,7 @@ def _rates(program: MotionProgram, slopes: Array, direction: Array) -> Array:
 
 
 def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> Array:
-    """Return `sum weights dv/dx (dv/dx)^T`, first by the states of a sample, then by the
-    coefficients behind them.
-    """
+    """Return `sum weights dv/dx (dv/dx)^T`, by way of the states of each sample."""
     samples, m, n, orders = slopes.shape
     rows = slopes.reshape(samples, m, -1)
     by_state = (rows * weights[:, :, None]).transpose(0, 2, 1) @ rows
@@ -288,9 +258,7 @@ def _curved_stiffness(program: MotionProgram, slopes: Array, weights: Array) -> 
 def _pairs(
     program: MotionProgram, each: list[Array], absent: float = 0.0
 ) -> list[tuple[Array, Array]]:
-    """Return what belongs to the upper and the lower side of each group of constraints, `absent`
-    where there is no lower side.
-    """
+    """Return the upper and lower side of each group of constraints, `absent` if one-sided."""
     found, at = [], 0
     for _ in program.bases:
         found.append((each[at], each[at + 1]))
@@ -344,19 +312,19 @@ def _line_search(
             falling = ds < 0
             if np.any(falling):
                 length = min(
-                    length, FRACTION_TO_BOUNDARY * float((-s[falling] / ds[falling]).min())
+                    length, CONSTANTS.to_boundary * float((-s[falling] / ds[falling]).min())
                 )
     reference = -point.value - mu * _barrier(point.slacks)
     fall = float(slope @ step)
-    for _ in range(MOST_BACKTRACKS):
+    for _ in range(CONSTANTS.backtracks):
         trial = point.coefficients + length * direction
         slacks = program.margins(trial)
         worst = min(float((s / old).min()) for s, old in zip(slacks, point.slacks, strict=True))
-        if worst > 1 - FRACTION_TO_BOUNDARY:
+        if worst > 1 - CONSTANTS.to_boundary:
             evaluation = program.evaluate(*program.states(trial))
             if -evaluation.value - mu * _barrier(
                 slacks
-            ) <= reference + ARMIJO * length * fall + 1e-12 * abs(reference):
+            ) <= reference + CONSTANTS.armijo * length * fall + 1e-12 * abs(reference):
                 return _point(program, trial, slacks, evaluation), length
         length *= 0.5
     return None, 0.0
@@ -365,9 +333,7 @@ def _line_search(
 def _next_duals(
     program: MotionProgram, old: _Point, new: _Point, duals: list[Array], step: Array, mu: float
 ) -> list[Array]:
-    """Take the Newton step of the multipliers, as far as they stay positive, and keep them near the
-    central path.
-    """
+    """Take the Newton step of the positive multipliers and keep them near the central path."""
     n_basis, n = program.bases[0].shape[1], program.half.shape[1]
     direction = step.reshape(n, n_basis).T
     rates: list[Array] = []
@@ -382,8 +348,8 @@ def _next_duals(
     for z, dz in zip(duals, moves, strict=True):
         falling = dz < 0
         if np.any(falling):
-            length = min(length, FRACTION_TO_BOUNDARY * float((-z[falling] / dz[falling]).min()))
-    spread = COMPLEMENTARITY_SPREAD
+            length = min(length, CONSTANTS.to_boundary * float((-z[falling] / dz[falling]).min()))
+    spread = CONSTANTS.spread
     return [
         np.clip(z + length * dz, mu / s / spread, mu / s * spread)
         for z, dz, s in zip(duals, moves, new.slacks, strict=True)
@@ -404,8 +370,8 @@ def _bfgs(curvature: Array, shift: Array, change: Array) -> Array:
     along, sharp = float(shift @ forward), float(shift @ change)
     if along <= 0:
         return curvature
-    if sharp < DAMPING * along:
-        theta = (1 - DAMPING) * along / (along - sharp)
+    if sharp < CONSTANTS.damping * along:
+        theta = (1 - CONSTANTS.damping) * along / (along - sharp)
         change = theta * change + (1 - theta) * forward
         sharp = float(shift @ change)
     updated: Array = (

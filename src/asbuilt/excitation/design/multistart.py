@@ -1,4 +1,4 @@
-"""Many starts: the best of several local searches, with progress and an end on demand."""
+"""Multistart search with progress, deadline and interrupt."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.excitation.design.interior_point import Optimum
-from asbuilt.excitation.design.process_pool import Crew
+from asbuilt.excitation.design.process_pool import ProcessPool
 
 Task = TypeVar("Task")
 
 POLL = 0.2
-"""Time after which progress is told and the deadline looked at, though no search has ended [s]."""
+"""Interval at which progress is reported and the deadline checked [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """What one local search found: coefficients and value, minus infinity where it found nothing."""
+    """Coefficients and value of a local optimum; the value is minus infinity if none was found."""
 
     number: int
     coefficients: Array
@@ -33,7 +33,7 @@ class Candidate:
 
     @classmethod
     def of(cls, number: int, optimum: Optimum | None) -> Candidate:
-        """Return what a search ended at."""
+        """Return the candidate of an optimum, or of none."""
         return (
             cls(number, np.zeros((0, 0)), -np.inf)
             if optimum is None
@@ -43,10 +43,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class SearchProgress:
-    """How a phase of a design stands: seconds since it began, of those it has.
-
-    Searches finished, of those planned; the best value so far.
-    """
+    """State of a phase of a design: seconds and searches, spent and planned; best value so far."""
 
     seconds: float
     limit: float
@@ -57,15 +54,12 @@ class SearchProgress:
 
     @property
     def share(self) -> float:
-        """The share of the phase that is over, by searches or by time, whichever is further."""
+        """Completed fraction of the phase, by searches or by time, whichever is larger."""
         return min(1.0, max(self.finished / self.planned, self.seconds / self.limit))
 
 
 class Deadline:
-    """Say when to stop: after `seconds`, or once `stop` was called from anywhere.
-
-    `interrupted` where a keyboard interrupt called it.
-    """
+    """Stop after `seconds`, or when `stop` is called; a keyboard interrupt sets `interrupted`."""
 
     def __init__(self, seconds: float) -> None:
         self._begin = time.monotonic()
@@ -75,23 +69,20 @@ class Deadline:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the beginning."""
+        """Seconds since the start."""
         return time.monotonic() - self._begin
 
     def stop(self) -> None:
-        """Make every search that asks end."""
+        """End every search that uses this deadline."""
         self._stopped.set()
 
     def __reduce__(self) -> tuple[Callable[[float, float], Deadline], tuple[float, float]]:
-        """Pickle when it ends: another process of this machine has the same clock.
-
-        A later `stop` here is not heard there.
-        """
+        """Pickle the end; processes of one machine share the clock, but not a later `stop`."""
         return Deadline.begun_at, (self._begin, self.seconds)
 
     @classmethod
     def begun_at(cls, begin: float, seconds: float) -> Deadline:
-        """Return the deadline that began when the clock was at `begin`."""
+        """Return the deadline that started at clock time `begin`."""
         deadline = cls(seconds)
         deadline._begin = begin
         return deadline
@@ -106,16 +97,14 @@ def search_all(
     search: Callable[[Task], Candidate],
     deadline: Deadline,
     *,
-    crew: Crew[Task, Candidate] | None = None,
+    pool: ProcessPool[Task, Candidate] | None = None,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> list[Candidate]:
-    """Do the searches that the tasks ask for, here and by a crew, best first in the answer.
+    """Return the candidates of all tasks, searched here and in a process pool, best first.
 
-    A keyboard interrupt or the deadline ends them early and keeps what they have.
-
-    Each search must look at the deadline itself; the first begins even where the time is up, so
-    that there is an answer however slow the machine. The order does not depend on timing: equal
-    values are ordered by number. What a lost crew was at is done here.
+    A keyboard interrupt or the deadline ends the searches early and keeps their results. Each
+    search must check the deadline itself; the first one starts even after the deadline. The order
+    does not depend on timing, and tasks of a lost pool are searched here.
     """
     found: list[Candidate] = []
     waiting = deque(tasks)
@@ -126,12 +115,12 @@ def search_all(
         try:
             while True:
                 while waiting and not (deadline() and (found or pending)):
-                    helped = own is not None
-                    if helped and (crew is None or not crew.has_room):
+                    busy = own is not None
+                    if busy and (pool is None or not pool.is_free):
                         break
                     task = waiting.popleft()
-                    if crew is not None and helped:
-                        future = crew.submit(task)
+                    if pool is not None and busy:
+                        future = pool.submit(task)
                     else:
                         future = own = here.submit(search, task)
                     pending[future] = task
@@ -154,18 +143,15 @@ def search_all(
         except KeyboardInterrupt:
             deadline.stop()
             deadline.interrupted = True
-            if crew is not None:
-                crew.close()
+            if pool is not None:
+                pool.close()
             if own is not None:
                 found.append(own.result())
     return best_first(found)
 
 
 def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Return the candidates that found something, best first.
-
-    Equal ones in the order of their numbers.
-    """
+    """Return the successful candidates, best first, equal ones by number."""
     return sorted(
         (candidate for candidate in candidates if np.isfinite(candidate.value)),
         key=lambda c: (-c.value, c.number),

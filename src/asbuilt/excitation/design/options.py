@@ -1,151 +1,176 @@
-"""What is wanted of a design."""
+"""Options of a design: every default is stated here, once."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
-import numpy as np
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 from asbuilt.errors import UsageError
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.parametrisations import PARAMETRISATIONS, Fourier, Parametrisation
 
-LEAST_FREQUENCY = 0.25
-"""Highest frequency of a Fourier series where nothing speaks for a higher one [Hz]."""
 
-LEAST_HARMONICS, MOST_HARMONICS = 4, 16
-"""Fewest and most harmonics in a period where none are asked for."""
+def option(
+    default: Any, metavar: str, help: str, *, parse: Callable[[str], Any] | None = None
+) -> Any:
+    """Return a field with its description, and its parser if text is not enough."""
+    metadata = {"metavar": metavar, "help": help}
+    return field(default=default, metadata=metadata | ({"parse": parse} if parse else {}))
 
-LEAST_POINTS, MOST_POINTS, POINTS_PER_WAVE = 4, 49, 3.2
-"""Fewest and most control points where none are asked for, and how many there are in a wave of the
-useful frequency.
-"""
+
+def _numbers(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = (math.nan,)
+    if not all(map(math.isfinite, values)):
+        raise UsageError(f"expected finite numbers separated by commas, got {text!r}")
+    return values
+
+
+def _noise(text: str) -> float | tuple[float, ...]:
+    values = _numbers(text)
+    return values[0] if len(values) == 1 else values
+
+
+def _duration(text: str) -> float | str:
+    try:
+        return "auto" if text == "auto" else float(text)
+    except ValueError:
+        raise UsageError(f"expected a positive number of seconds or auto, got {text!r}") from None
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name for name in text.split(",") if name.strip())
 
 
 @dataclass(frozen=True)
 class DesignOptions:
-    """Say what is wanted of a design.
+    """Configure the design of a motion.
 
-    | field | meaning |
-    |---|---|
-    | `parametrisation`, `size` | family of motions and how rich it is: harmonics, control points or way points |
-    | `duration`, `periods` | length of the motion [s]; a Fourier series may run through several periods, one where nothing else suits the limits |
-    | `criterion`, `focus` | `d`, `a`, `e` or `condition`; names or ids of base parameters for D_s |
-    | `noise` | standard deviation of the torque [N m or N], one number or one per joint |
-    | `information_rate` | independent torque samples per second that the noise refers to [1/s] |
-    | `fraction`, `torque_fraction` | how much of the limits of motion, and of torque, may be used |
-    | `power` | greatest mechanical power of each joint [W], one number or one per joint; none where empty |
-    | `perturbed`, `spread` | how many other robots the torque limit must hold for, and how far off their masses are |
-    | `starts`, `seed`, `time_limit` | random starts of local searches, seed of everything random, and when the whole design is to be done [s] |
+    Parameters
+    ----------
+    parametrisation
+        Family of motions, see `PARAMETRISATIONS`.
+    size
+        Harmonics, control points, way points or poses; None: by duration and limits.
+    duration
+        Duration [s], or `"auto"`: as short as `precision` allows.
+    precision
+        With `duration="auto"`: the largest torque error of one parameter's standard error, as a
+        fraction of the torque.
+    periods
+        How often a Fourier series repeats within the duration; None: by duration and limits.
+    drive
+        Drive terms to identify, such as `"viscous,coulomb,offset"`, or `"none"`.
+    criterion
+        `"d"`, `"a"`, `"e"` or `"condition"`.
+    focus
+        Names or ids of the base parameters that matter (D_s).
+    noise
+        Standard deviation of the torque, one number or one per joint [N m or N].
+    information_rate
+        Independent torque samples per second to which the noise refers [1/s].
+    fraction, torque_fraction
+        Share of the limits of motion, and of the torque limits, that the motion may use.
+    power
+        Mechanical power allowed, one number or one per joint [W]; empty: unlimited.
+    perturbed, spread
+        Number of other robots whose torque limit must hold, and how far their masses are off.
+    collision
+        Bodies to keep apart: `"skeleton[:RADIUS]"`, a `.urdf` with geometry or a `.toml` file.
+    tool_box, tool_frame
+        Box `x0, x1, y0, y1, z0, z1` of the root frame [m] and the frame that must stay in it.
+    starts, seed, time_limit
+        Random starts of local searches, seed, and time for the whole design [s].
+
+    Raises
+    ------
+    UsageError
+        If a value is out of range.
+
+    Examples
+    --------
+    >>> DesignOptions(duration=10.0, starts=4).fraction
+    0.95
     """
 
-    parametrisation: str = "fourier"
-    size: int | None = None
-    duration: float = 20.0
-    periods: int | None = None
-    criterion: str = "d"
-    focus: tuple[str, ...] = ()
-    noise: float | tuple[float, ...] = 1.0
+    parametrisation: str = option(
+        "fourier",
+        "KIND",
+        "family of motions: fourier, bspline, quintic, point-to-point or an installed one",
+    )
+    size: int | None = option(
+        None,
+        "N",
+        "harmonics, control points, way points or poses (default: by duration and limits)",
+    )
+    duration: float | Literal["auto"] = option(
+        20.0, "S", "duration, or auto: as short as the precision allows", parse=_duration
+    )
+    precision: float = option(
+        0.002, "SHARE", "with duration auto: torque error per parameter, relative to the torque"
+    )
+    periods: int | None = option(
+        None, "N", "repetitions of a Fourier series within the duration (default: by duration)"
+    )
+    drive: str = option("viscous,coulomb,offset", "LIST", "drive terms to identify, or none")
+    criterion: str = option("d", "NAME", "d, a, e or condition")
+    focus: tuple[str, ...] = option(
+        (), "LIST", "names or ids of the base parameters that matter", parse=_names
+    )
+    noise: float | tuple[float, ...] = option(
+        1.0,
+        "S1,S2,...",
+        "standard deviation of the torque, one or one per joint [N m]",
+        parse=_noise,
+    )
     information_rate: float = 100.0
-    fraction: float = 0.95
-    torque_fraction: float = 0.8
-    power: tuple[float, ...] = ()
-    perturbed: int = 0
+    fraction: float = option(0.95, "SHARE", "usable share of the limits of motion")
+    torque_fraction: float = option(0.8, "SHARE", "usable share of the torque limits")
+    power: tuple[float, ...] = option(
+        (), "P1,P2,...", "mechanical power allowed, one or one per joint [W]", parse=_numbers
+    )
+    perturbed: int = option(0, "N", "hold the torque limit for N other robots, masses 10 % off")
     spread: float = 0.1
-    starts: int = 96
-    seed: int = 0
-    time_limit: float = 24.0
+    collision: str | None = option(
+        None,
+        "SOURCE",
+        "keep bodies apart: skeleton[:RADIUS], a .urdf with geometry, or a .toml file",
+    )
+    tool_box: tuple[float, ...] = option(
+        (), "X0,X1,Y0,Y1,Z0,Z1", "keep the tool in this box of the root frame [m]", parse=_numbers
+    )
+    tool_frame: str | None = option(None, "NAME", "frame that stays in the box (default: the last)")
+    starts: int = option(96, "N", "random starts of local searches")
+    seed: int = option(0, "N", "seed of the random numbers")
+    time_limit: float = option(24.0, "S", "time for the whole design")
 
     def __post_init__(self) -> None:
-        if self.parametrisation not in PARAMETRISATIONS:
-            raise UsageError(
-                f"unknown parametrisation {self.parametrisation!r}; available:"
-                f" {', '.join(PARAMETRISATIONS)}"
-            )
-        for name in ("duration", "information_rate", "time_limit"):
+        for name in ("duration", "precision", "information_rate", "time_limit"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise UsageError(f"{name} must be a positive number, got {value}")
+            if name == "duration" and value == "auto":
+                continue
+            if not (isinstance(value, int | float) and math.isfinite(value) and value > 0):
+                raise UsageError(f"{name} must be a positive number, got {value!r}")
         for name in ("fraction", "torque_fraction"):
             if not 0 < getattr(self, name) <= 1:
                 raise UsageError(
                     f"{name} must lie above 0 and at most at 1, got {getattr(self, name)}"
                 )
-        for name, count in (("starts", self.starts), ("periods", self.periods)):
-            if count is not None and count < 1:
-                raise UsageError(f"{name} must be at least 1, got {count}")
+        for name, least in (("starts", 1), ("periods", 1), ("perturbed", 0), ("seed", 0)):
+            count = getattr(self, name)
+            if count is not None and count < least:
+                raise UsageError(f"{name} must be at least {least}, got {count}")
         if self.size is not None and self.size < 2:
             raise UsageError(
-                "a design needs at least 2 harmonics, 3 way points or control points; got"
-                f" {self.size}"
+                "a design needs at least 2 harmonics or poses, 3 way points or control points;"
+                f" got {self.size}"
             )
-
-    def for_limits(self, bounds: MotionBounds) -> DesignOptions:
-        """Return the options with the harmonics and periods, control points or way points that suit
-        a robot with these limits, where none are asked for.
-        """
-        if self.size is not None:
-            return self
-        useful = useful_frequency(bounds)
-        if self.parametrisation != "fourier":
-            return replace(self, size=usual_points(self.parametrisation, self.duration, useful))
-        periods = self.periods or (
-            max(1, round(useful * self.duration / MOST_HARMONICS))
-            if useful > 1.01 * LEAST_FREQUENCY
-            else 1
-        )
-        return replace(self, periods=periods, size=usual_harmonics(self.duration / periods, bounds))
 
     @property
-    def family(self) -> Parametrisation:
-        """The family of motions."""
-        if self.parametrisation == "fourier":
-            periods = self.periods or 1
-            return Fourier(
-                self.duration, self.size or usual_harmonics(self.duration / periods), periods
-            )
-        return PARAMETRISATIONS[self.parametrisation](
-            self.duration, self.size or usual_points(self.parametrisation, self.duration)
-        )
-
-
-def usual_harmonics(period: float, bounds: MotionBounds | None = None) -> int:
-    """Return the number of harmonics where none is asked for.
-
-    At least 4, up to a quarter of a hertz or, for a robot that is quick, its useful frequency.
-
-    Beyond 16 harmonics, a quarter of a hertz is all.
-    """
-    slow = max(LEAST_HARMONICS, round(LEAST_FREQUENCY * period))
-    return (
-        slow
-        if bounds is None
-        else max(slow, min(MOST_HARMONICS, round(useful_frequency(bounds) * period)))
-    )
-
-
-def usual_points(parametrisation: str, duration: float, useful: float = LEAST_FREQUENCY) -> int:
-    """Return the number of control points, way points or poses where none is asked for.
-
-    At least 4 and one every 1.25 s; up to 49 control points or 25 way points for a quick robot.
-
-    `useful` is its useful frequency [Hz]. A way point brings a velocity and an acceleration of its
-    own, so that half as many are as rich as control points. Poses are not thickened, for a
-    controller stops at each.
-    """
-    slow = max(LEAST_POINTS, round(POINTS_PER_WAVE * LEAST_FREQUENCY * duration) + 1)
-    density = {"bspline": 1.0, "quintic": 0.5}.get(parametrisation, 0.0)
-    return max(
-        slow,
-        min(
-            round(density * (MOST_POINTS - 1)), round(density * POINTS_PER_WAVE * useful * duration)
-        )
-        + 1,
-    )
-
-
-def useful_frequency(bounds: MotionBounds) -> float:
-    """Return a tenth of a / v, the median over joints of the limits of acceleration over velocity
-    [Hz]: below, a joint is at full speed most of the time.
-    """
-    return float(np.median(bounds.acceleration / bounds.velocity)) / 10
+    def seconds(self) -> float:
+        """The duration as a number; raises `UsageError` if it is `"auto"`."""
+        if isinstance(self.duration, str):
+            raise UsageError("the duration is 'auto'; give a number of seconds")
+        return self.duration

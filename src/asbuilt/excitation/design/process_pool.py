@@ -1,7 +1,4 @@
-"""Processes that take part in a search.
-
-Threads would wait for each other, for much of a search is Python.
-"""
+"""Process pool of a search; threads would wait for each other in Python code."""
 
 from __future__ import annotations
 
@@ -19,15 +16,14 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 MOST = 7
-"""Most processes beside this one; each needs some 250 MB."""
+"""Most processes beside this one; each needs about 250 MB."""
 
 
-class Crew(Generic[Task, Result]):
-    """Processes that do `work` on tasks handed to them; work, tasks and results must be picklable.
+class ProcessPool(Generic[Task, Result]):
+    """Run `work` on tasks in other processes; work, tasks and results must be picklable.
 
-    They take part once they have loaded what they need, which takes seconds: `has_room` says
-    whether one is free. Where none can be made, or they are lost, there is never room. To be closed
-    in the end; what they do then is lost.
+    Starting takes seconds; `is_free` says whether a process is ready and idle. It is never free if
+    no process can be started or the processes are lost. Close it in the end.
     """
 
     def __init__(self, work: Callable[[Task], Result], size: int) -> None:
@@ -50,8 +46,8 @@ class Crew(Generic[Task, Result]):
             self.close()
 
     @property
-    def has_room(self) -> bool:
-        """Whether a process is there that has nothing to do."""
+    def is_free(self) -> bool:
+        """Whether a process is ready and idle."""
         return (
             self._ready is not None
             and self._ready.done()
@@ -60,7 +56,7 @@ class Crew(Generic[Task, Result]):
         )
 
     def submit(self, task: Task) -> Future[Result]:
-        """Hand a task to a process that is free."""
+        """Submit a task to a free process."""
         assert self._executor is not None
         self._busy += 1
         future: Future[Result] = self._executor.submit(_do, task)
@@ -68,7 +64,7 @@ class Crew(Generic[Task, Result]):
         return future
 
     def close(self) -> None:
-        """End the processes, whatever they do."""
+        """Kill the processes."""
         if self._executor is not None:
             self._executor.shutdown(wait=True, kill_workers=True)
         self._executor = self._ready = None
@@ -80,7 +76,7 @@ class Crew(Generic[Task, Result]):
 
 
 _work: list[Callable[[object], object]] = []
-"""What this process was made to do, where it belongs to a crew."""
+"""The work of this process, if it belongs to a pool."""
 
 
 def _begin(work: Callable[[object], object]) -> None:
@@ -97,9 +93,7 @@ def _do(task: object) -> object:
 
 @contextmanager
 def _interrupts_ignored() -> Iterator[None]:
-    """Let processes that are begun within inherit that they ignore Ctrl-C, which is for this one to
-    answer.
-    """
+    """Start processes that ignore Ctrl-C, which this process handles."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,7 +1,4 @@
-"""The design of a motion as a program for the interior-point method.
-
-Nodes, limits, criterion and what is known already.
-"""
+"""Optimisation problem of a design: nodes, limits, criterion, prior information."""
 
 from __future__ import annotations
 
@@ -10,21 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram, StateConstraint
+from asbuilt.excitation.design.interior_point import Evaluation, MotionProgram
 from asbuilt.excitation.information.criteria import Criterion
 from asbuilt.excitation.information.information import Information
 from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.parametrisations import Parametrisation
+from asbuilt.excitation.motions.parametrisation import Parametrisation
+from asbuilt.excitation.state_constraint import StateConstraint
 
 
 @dataclass(frozen=True, eq=False)
 class Objective:
-    """Judge mean information per sample.
+    """Evaluate `criterion(S (n_samples mean + prior) S)`, S the diagonal of `scale`.
 
-    `criterion(S (n_samples mean + prior) S)`, S the diagonal of `scale`.
-
-    `scale` (p,) are units for the parameters, `n_samples` how many independent samples the motion
-    will be worth, `prior` (p, p) information from elsewhere.
+    `scale` (p,) are units for the parameters, `n_samples` the independent samples of the motion,
+    `prior` (p, p) information from earlier recordings.
     """
 
     information: Information
@@ -51,8 +47,9 @@ class Objective:
 
 
 class DesignProgram(MotionProgram):
-    """Maximise an objective over the coefficients of one family of motions, at nodes in the middle
-    of equal intervals.
+    """Maximise an objective over the coefficients of a family of motions.
+
+    Nodes are the midpoints of equal intervals.
     """
 
     def __init__(
@@ -63,14 +60,13 @@ class DesignProgram(MotionProgram):
         n_nodes: int,
         constraints: tuple[StateConstraint, ...] = (),
         tightening: float = 0.0,
-        room: float = 0.0,
+        margin: float = 0.0,
     ) -> None:
         self.objective = objective
         self.family = family
         self.constraints = constraints
-        self.room = room
-        span = family.duration / getattr(family, "periods", 1)
-        t = (np.arange(n_nodes) + 0.5) * span / n_nodes
+        self.margin = margin
+        t = (np.arange(n_nodes) + 0.5) * family.span / n_nodes
         orders = range(4 if np.any(np.isfinite(bounds.jerk)) else 3)
         self.bases = tuple(family.basis(t, order) for order in orders)
         symmetric = np.stack([bounds.velocity, bounds.acceleration, bounds.jerk])[

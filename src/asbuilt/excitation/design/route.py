@@ -1,4 +1,4 @@
-"""The way through standing poses: a short order, round what is in the way."""
+"""Route between standing poses avoiding collisions."""
 
 from __future__ import annotations
 
@@ -13,44 +13,40 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-from asbuilt.excitation.design.interior_point import StateConstraint
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.pacing import paced_moves, violated
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+from asbuilt.excitation.state_constraint import StateConstraint
 
 STRIDE = 0.01
-"""Largest move of a joint between poses that are looked at on the way [rad or m]."""
+"""Largest move of a joint between poses that are checked along a segment [rad or m]."""
 
-STATIONS, NEIGHBOURS = 1000, 12
-"""Poses of a roadmap at most, and to how many others the way from each is looked at."""
+NODES, NEIGHBOURS = 1000, 12
+"""Most poses of a roadmap, and neighbours to which each is connected."""
 
 AT_ONCE = 4096
-"""Poses that are looked at together, for memory."""
+"""Poses evaluated together, for memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Roadmap:
-    """Hold poses (M, n) of which each can be reached from each other, straight in joint space along
-    `edges` (E, 2) (Kavraki et al. 1996).
+    """Connected poses (M, n): straight segments in joint space along `edges` (E, 2) are free.
+
+    Source: Kavraki et al. (1996).
     """
 
-    stations: Array
+    nodes: Array
     edges: NDArray[np.int64]
 
     @classmethod
     def of(
         cls, poses: Array, bounds: MotionBounds, obstacles: Sequence[StateConstraint]
     ) -> Roadmap:
-        """Return the largest part of the poses within which each can be reached from each other."""
-        nodes = poses[:STATIONS]
+        """Return the largest connected component of the poses."""
+        nodes = poses[:NODES]
         near = np.argsort(_distances(nodes, nodes, bounds), axis=1)[:, 1 : NEIGHBOURS + 1]
         pairs = sorted({(min(i, j), max(i, j)) for i, row in enumerate(near.tolist()) for j in row})
-        found = [
-            pair
-            for pair, clear in zip(pairs, ways_clear(nodes, pairs, obstacles), strict=True)
-            if clear
-        ]
-        edges = np.array(found, dtype=np.int64).reshape(-1, 2)
+        edges = _free(nodes, pairs, obstacles)
         parts = connected_components(
             _graph(edges, np.ones(len(edges)), len(nodes)), directed=False
         )[1]
@@ -60,72 +56,68 @@ class Roadmap:
 
 
 @dataclass(frozen=True, eq=False)
-class Travel:
-    """Poses in the order in which they are visited, the motion through them, and at how many
-    further poses it turns to get round something.
-    """
+class Route:
+    """Poses in the order of the visit, the motion through them, and its further turning poses."""
 
     poses: Array
     motion: PointToPointMotion
     turns: int
 
 
-def travel_through(
+def route_through(
     poses: Array,
     roadmap: Roadmap | None,
     bounds: MotionBounds,
     obstacles: Sequence[StateConstraint],
     loads: Sequence[StateConstraint],
     dwell: float,
-) -> Travel:
-    """Return a short way through all `poses` (K, n), straight in joint space where the values of
-    `obstacles` stay below 1, else over the roadmap.
+) -> Route:
+    """Return a short route through all `poses` (K, n).
 
-    Without a roadmap obstacles are not looked for. The velocity is that of the bounds, or less on
-    moves where `loads` (limits of torque) ask for it; `dwell` is the rest at each pose [s].
+    Segments are straight in joint space if the values of `obstacles` stay below 1, else they follow
+    the roadmap; without one, obstacles are not checked. The velocity is that of the bounds, or less
+    on segments whose torque exceeds `loads`; `dwell` is the rest at each pose [s].
 
     Raises
     ------
     MotionError
-        If no way is found, or the loads are too high however slow.
+        If no route is found, or the torque is too high at any speed.
     """
     nodes, apart = poses, _distances(poses, poses, bounds)
-    way = short_tour(apart)
+    route = short_tour(apart)
     if roadmap is not None:
         pairs = [(i, j) for i in range(len(poses)) for j in range(i)]
         blocked = np.zeros(apart.shape, dtype=bool)
-        blocked[tuple(np.transpose(pairs))] = ~ways_clear(poses, pairs, obstacles)
+        blocked[tuple(np.transpose(pairs))] = ~segments_free(poses, pairs, obstacles)
         blocked |= blocked.T
-        way = short_tour(np.where(blocked, apart + 1e3 * (1 + apart.max()), apart))
-        if any(blocked[i, j] for i, j in pairwise(way)):
-            nodes = np.vstack([poses, roadmap.stations])
+        route = short_tour(np.where(blocked, apart + 1e3 * (1 + apart.max()), apart))
+        if any(blocked[i, j] for i, j in pairwise(route)):
+            nodes = np.vstack([poses, roadmap.nodes])
             lengths, before = _lengths(nodes, poses, roadmap, blocked, bounds, obstacles)
             if not np.all(np.isfinite(lengths)):
                 i, j = np.argwhere(~np.isfinite(lengths))[0]
                 raise MotionError(
-                    "no way clear of obstacles was found between the poses"
-                    f" {np.round(poses[i], 2).tolist()} and {np.round(poses[j], 2).tolist()}; ask"
-                    " for fewer poses, give another seed, or allow more room"
+                    f"no route without collision was found from {np.round(poses[i], 2).tolist()}"
+                    f" to {np.round(poses[j], 2).tolist()}; use fewer poses, another seed, or a"
+                    " smaller clearance"
                 )
-            way = _with_turns(short_tour(lengths), before)
-    first = [node < len(poses) and node not in way[:place] for place, node in enumerate(way)]
+            route = _with_turns(short_tour(lengths), before)
+    first = [node < len(poses) and node not in route[:place] for place, node in enumerate(route)]
     motion = paced_moves(
-        nodes[way], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
+        nodes[route], bounds, [*obstacles, *loads], np.where(first, dwell, 0.0)[1:-1]
     )
     if motion is None:
         raise MotionError(
-            "a way between the poses asks for too much torque, however slow; allow more of the"
-            " torque, or give another seed"
+            "the route between the poses exceeds the torque limits at any speed; allow more of the"
+            " torque, or use another seed"
         )
-    return Travel(nodes[way][first], motion, len(way) - len(poses))
+    return Route(nodes[route][first], motion, len(route) - len(poses))
 
 
 def short_tour(apart: Array) -> list[int]:
-    """Return an order in which the sum of the distances (K, K) is short.
+    """Return an order in which the sum of the distances (K, K) is short; any end may come first.
 
-    Open, any end may come first.
-
-    Nearest neighbour from every start, improved by reversing stretches (2-opt; Croes 1958).
+    Nearest neighbour from every start, improved by reversing segments (2-opt; Croes 1958).
     """
     tours = []
     for start in range(len(apart)):
@@ -157,15 +149,15 @@ def _untangled(order: list[int], apart: Array) -> list[int]:
 
 
 def _distances(first: Array, second: Array, bounds: MotionBounds) -> Array:
-    """Return how long the slowest joint takes at full velocity (K, M) [s]."""
+    """Return the time that the slowest joint takes at its velocity limit (K, M) [s]."""
     apart: Array = np.abs((first[:, None] - second[None]) / bounds.velocity).max(axis=2)
     return apart
 
 
-def ways_clear(
+def segments_free(
     nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
 ) -> NDArray[np.bool_]:
-    """Return whether the straight way between each pair of nodes is clear."""
+    """Return whether the straight segment between each pair of nodes is free of collisions."""
     counts = [2 + int(np.abs(nodes[i] - nodes[j]).max() / STRIDE) for i, j in pairs]
     places = np.vstack(
         [
@@ -180,6 +172,14 @@ def ways_clear(
     return ~np.logical_or.reduceat(np.concatenate(over), np.cumsum([0, *counts[:-1]]))
 
 
+def _free(
+    nodes: Array, pairs: Sequence[tuple[int, int]], obstacles: Sequence[StateConstraint]
+) -> NDArray[np.int64]:
+    """Return the pairs of nodes (E, 2) whose segment is free."""
+    all_pairs = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return all_pairs[segments_free(nodes, pairs, obstacles)]
+
+
 def _lengths(
     nodes: Array,
     poses: Array,
@@ -188,19 +188,18 @@ def _lengths(
     bounds: MotionBounds,
     obstacles: Sequence[StateConstraint],
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Return the lengths of the shortest ways between the poses, and for each of these the node
-    before any other on the way to it.
-    """
+    """Return the lengths of the shortest routes between the poses, and predecessors on them."""
     count = len(poses)
-    near = np.argsort(_distances(poses, roadmap.stations, bounds), axis=1)[:, :NEIGHBOURS] + count
+    near = np.argsort(_distances(poses, roadmap.nodes, bounds), axis=1)[:, :NEIGHBOURS] + count
     pairs = [(i, j) for i, row in enumerate(near.tolist()) for j in row]
-    edges = [
-        pair
-        for pair, clear in zip(pairs, ways_clear(nodes, pairs, obstacles), strict=True)
-        if clear
-    ]
-    edges += [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
-    ends = np.vstack([np.array(edges, dtype=np.int64).reshape(-1, 2), roadmap.edges + count])
+    direct = [(i, j) for i in range(count) for j in range(i) if not blocked[i, j]]
+    ends = np.vstack(
+        [
+            _free(nodes, pairs, obstacles),
+            np.array(direct, dtype=np.int64).reshape(-1, 2),
+            roadmap.edges + count,
+        ]
+    )
     weights = np.abs((nodes[ends[:, 0]] - nodes[ends[:, 1]]) / bounds.velocity).max(axis=1)
     lengths, before = dijkstra(
         _graph(ends, weights, len(nodes)),
@@ -217,10 +216,10 @@ def _graph(edges: NDArray[np.int64], weights: Array, count: int) -> csr_array[np
 
 def _with_turns(tour: Sequence[int], before: NDArray[np.int32]) -> list[int]:
     """Return the tour with the nodes between its poses."""
-    way = [tour[0]]
+    route = [tour[0]]
     for start, stop in pairwise(tour):
         between = [stop]
         while before[start, between[-1]] != start:
             between.append(int(before[start, between[-1]]))
-        way += between[::-1]
-    return way
+        route += between[::-1]
+    return route

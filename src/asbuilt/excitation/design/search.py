@@ -1,7 +1,4 @@
-"""Local searches for the best motion.
-
-From random starts, from disturbed good motions, and refined until all limits hold at 1 kHz.
-"""
+"""Local searches for the best motion, with restarts and refinement at 1 kHz."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
-from asbuilt.excitation.design.interior_point import StateConstraint, solve
+from asbuilt.excitation.design.interior_point import Optimum, solve
 from asbuilt.excitation.design.multistart import (
     Candidate,
     Deadline,
@@ -24,87 +21,77 @@ from asbuilt.excitation.design.multistart import (
     search_all,
 )
 from asbuilt.excitation.design.options import DesignOptions
-from asbuilt.excitation.design.process_pool import Crew
+from asbuilt.excitation.design.process_pool import ProcessPool
 from asbuilt.excitation.design.program import DesignProgram, Objective
-from asbuilt.excitation.design.torque_limit import (
+from asbuilt.excitation.information.information import mean_information
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.motion import Motion, limit_array
+from asbuilt.excitation.motions.pacing import CHECK_RATE, paced_moves
+from asbuilt.excitation.motions.parametrisation import Parametrisation
+from asbuilt.excitation.motions.parametrisations.point_to_point import PointToPoint
+from asbuilt.excitation.state_bounds import random_states
+from asbuilt.excitation.state_constraint import StateConstraint
+from asbuilt.excitation.torque_limit import (
     STANDING,
     PowerLimit,
     TorqueLimit,
     WeightLimit,
     perturbed_models,
 )
-from asbuilt.excitation.information.information import mean_information
-from asbuilt.excitation.limits import MotionBounds
-from asbuilt.excitation.motions.motion import Motion, limit_array
-from asbuilt.excitation.motions.pacing import CHECK_RATE, paced_moves
-from asbuilt.excitation.motions.parametrisations import Parametrisation, PointToPoint
-from asbuilt.excitation.state_bounds import random_states
 
-NODES_PER_WAVE = 40
-"""Nodes per shortest wave of a motion during the search, twice as many in the end.
 
-With fewer, a search hides motion between the nodes.
-"""
+@dataclass(frozen=True)
+class SearchSettings:
+    """Configure the local searches; values found by experiments with six arms.
 
-LEAST_NODES = 128
-"""Nodes of the search at least, however few waves a motion has."""
-SEARCH_BARRIER = (20.0, 3e-3)
-"""Weights of the barrier at the beginning and the end of a search from a random start.
+    | field | meaning and source |
+    |---|---|
+    | `nodes_per_wave` | nodes per shortest wave, twice as many in the end; fewer hide motion |
+    | `least_nodes` | fewest nodes |
+    | `barrier_random` | barrier weights from a random start, strong to leave nearby limits |
+    | `barrier_restart` | barrier weights from a disturbed optimum |
+    | `barrier_refined` | barrier weights of the refinement |
+    | `margin_coarse`, `margin_fine` | margins to the limits of motion and to other constraints |
+    | `round` | random starts of a round; rounds end in optima of different value |
+    | `batch` | restarts from the same parents, whatever the number of cores |
+    | `parents` | best optima that are disturbed |
+    | `restarts_per_start` | most restarts for each random start |
+    | `idle_batches`, `least_gain` | a round ends after so many batches that gain less than this |
+    | `disturbance` | fraction of the way to a random motion that a restart goes |
+    | `repairs`, `shrinkage` | attempts to hold the limits at 1 kHz; least and most shrinking |
+    | `poses` | random poses that show whether the robot is too heavy for its drives |
+    | `shortest_move` | least time of a move between two poses [s] |
+    """
 
-Strong at first, which takes it away from the limits that it began near.
-"""
-FINAL_BARRIER = (3e-3, 3e-5)
-"""The same for the refinement, which goes on where the search ended."""
-HOP_BARRIER = (0.3, 3e-3)
-"""The same for a search from a disturbed good motion, which is not to be driven away from it."""
-SEARCH_SPARE, FINAL_SPARE = (3e-3, 3e-2), (1e-3, 1e-2)
-"""What search and refinement leave of the limits of motion and of the other constraints, so that
-they hold between the nodes, too.
-"""
+    nodes_per_wave: int = 40
+    least_nodes: int = 128
+    barrier_random: tuple[float, float] = (20.0, 3e-3)
+    barrier_restart: tuple[float, float] = (0.3, 3e-3)
+    barrier_refined: tuple[float, float] = (3e-3, 3e-5)
+    margin_coarse: tuple[float, float] = (3e-3, 3e-2)
+    margin_fine: tuple[float, float] = (1e-3, 1e-2)
+    round: int = 24
+    batch: int = 8
+    parents: int = 3
+    restarts_per_start: int = 8
+    idle_batches: int = 8
+    least_gain: float = 0.02
+    disturbance: tuple[float, float] = (0.1, 0.5)
+    repairs: int = 12
+    shrinkage: tuple[float, float] = (0.005, 0.3)
+    poses: int = 200
+    shortest_move: float = 0.1
 
-POPULATION = 24
-"""Random starts of a population. Disturbing its best goes on until that brings nothing.
 
-Then a new one begins, for populations end in optima of different worth.
-"""
-
-GENERATION = 8
-"""Disturbed motions searched from at a time.
-
-All of a generation have the same parents, whatever the number of cores.
-"""
-
-PARENTS = 3
-"""Best motions of a population that are disturbed."""
-HOPS_PER_START = 8
-"""Disturbed motions searched from at most, for each random start."""
-IDLE_GENERATIONS = 8
-LEAST_GAIN = 0.02
-"""A population ends after so many generations in a row that raise the best value by less than this."""
-DISTURBANCE = (0.1, 0.5)
-"""How far, in parts of the way to a random motion, a good one is disturbed."""
-
-REPAIRS = 12
-"""Attempts to make a motion hold at 1 kHz,"""
-LEAST_SHRINKING, MOST_SHRINKING = 0.005, 0.3
-"""in each of which it shrinks towards a point, poses by the least part to begin with.
-
-Beyond the most a motion is given up.
-"""
-SURVEYED = 200
-"""Random poses that tell whether a robot is anywhere too heavy for its drives."""
-
-SHORTEST_MOVE = 0.1
-"""Least time that the design grants to a move between two poses [s]."""
+SETTINGS = SearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Ask for a search.
+    """Ask for search `number`: from a random start, or from one disturbing the optimum `origin`.
 
-    Number `number` begins at a random start of its own, or between that and a good motion `origin`;
-    with `refined_until`, the deadline, `origin` itself is refined on a grid twice as dense and made
-    to hold at 1 kHz.
+    With a deadline `refined_until`, `origin` itself is refined on a grid twice as dense and made to
+    hold the limits at 1 kHz.
     """
 
     number: int
@@ -120,52 +107,50 @@ class DesignSearch:
         model: RobotModel,
         objective: Objective,
         options: DesignOptions,
+        family: Parametrisation,
         constraints: tuple[StateConstraint, ...],
         deadline: Deadline,
     ) -> None:
-        self.family = options.family
-        self._model, self._objective, self._options, self._deadline = (
-            model,
-            objective,
-            options,
-            deadline,
-        )
+        self.family = family
+        self._model, self._objective = model, objective
+        self._options, self._deadline = options, deadline
         self._bounds = MotionBounds.assumed(model, options.fraction)
         torque = options.torque_fraction * MotionBounds.of(model).torque
         models = perturbed_models(
             model, options.perturbed, options.spread, np.random.default_rng([options.seed, 1 << 20])
         )
-        watch: tuple[StateConstraint, ...] = (
+        limits: tuple[StateConstraint, ...] = (
             (TorqueLimit(models, torque),) if np.any(np.isfinite(torque)) else ()
         )
-        if watch and isinstance(self.family, PointToPoint):
+        if limits and isinstance(self.family, PointToPoint):
             weight = WeightLimit(models, STANDING * torque)
-            poses = random_states(self._bounds, SURVEYED, np.random.default_rng(0))[0]
-            watch += (weight,) if weight.binds(poses) else ()
+            poses = random_states(self._bounds, SETTINGS.poses, np.random.default_rng(0))[0]
+            limits += (weight,) if weight.binds(poses) else ()
         if options.power:
-            watch += (PowerLimit(model, limit_array(options.power, model.n_joints, "power")),)
-        self._constraints = watch + constraints
-        span = self.family.duration / getattr(self.family, "periods", 1)
-        self._n_nodes = max(LEAST_NODES, round(NODES_PER_WAVE * span / self.family.shortest_wave))
-        self._coarse = self._program(self._n_nodes, SEARCH_SPARE)
+            limits += (PowerLimit(model, limit_array(options.power, model.n_joints, "power")),)
+        self._constraints = limits + constraints
+        waves = SETTINGS.nodes_per_wave * family.span / family.shortest_wave
+        self._n_nodes = max(SETTINGS.least_nodes, round(waves))
+        self._coarse = self._program(self._n_nodes, SETTINGS.margin_coarse)
 
     def _program(
-        self, n_nodes: int, spare: tuple[float, float], family: Parametrisation | None = None
+        self, n_nodes: int, margin: tuple[float, float], family: Parametrisation | None = None
     ) -> DesignProgram:
+        chosen = family or self.family
         return DesignProgram(
-            self._objective, family or self.family, self._bounds, n_nodes, self._constraints, *spare
+            self._objective, chosen, self._bounds, n_nodes, self._constraints, *margin
         )
 
     def run(
-        self, crew: Crew[Task, Candidate] | None, progress: Callable[[SearchProgress], None] | None
+        self,
+        pool: ProcessPool[Task, Candidate] | None,
+        progress: Callable[[SearchProgress], None] | None,
     ) -> list[Candidate]:
-        """Return the candidates, best first, of all populations that the deadline leaves time for."""
-        starts = self._options.starts
-        sizes = [POPULATION] * (starts // POPULATION) + (
-            [starts % POPULATION] if starts % POPULATION else []
-        )
+        """Return the candidates, best first, of all rounds for which there is time."""
+        starts, batch = self._options.starts, SETTINGS.batch
+        sizes = [min(SETTINGS.round, starts - k) for k in range(0, starts, SETTINGS.round)]
         lengths = [
-            size + GENERATION * math.ceil(HOPS_PER_START * size / GENERATION) for size in sizes
+            size + batch * math.ceil(SETTINGS.restarts_per_start * size / batch) for size in sizes
         ]
         found: list[Candidate] = []
         first = 0
@@ -173,50 +158,41 @@ class DesignSearch:
             if found and self._deadline():
                 break
             best = found[0].value if found else -np.inf
-            told = partial(self._told, progress, best, sum(lengths))
-            found = best_first([*found, *self._population(first, size, length, crew, told)])
+            report = partial(self._report, progress, best, sum(lengths))
+            found = best_first([*found, *self._round(first, size, length, pool, report)])
             first += length
         return found
 
-    def _population(
+    def _round(
         self,
         first: int,
         size: int,
         length: int,
-        crew: Crew[Task, Candidate] | None,
-        told: Callable[[int, float, SearchProgress], None],
+        pool: ProcessPool[Task, Candidate] | None,
+        report: Callable[[int, float, SearchProgress], None],
     ) -> list[Candidate]:
-        """Return the candidates of one population, best first.
+        """Return the candidates of one round, best first; its searches are numbered from `first`.
 
-        Searches from random starts, then from disturbed versions of the best so far.
-
-        Disturbing good motions (basin hopping, Wales & Doye 1997) goes on, a generation at a time,
-        until some generations bring nothing. The searches of a population are numbered from
-        `first`.
+        Random starts, then restarts from disturbed optima (basin hopping, Wales & Doye 1997) in
+        batches, until some batches in a row bring no gain.
         """
-        seeds = [Task(first + k) for k in range(size)]
-        found = search_all(
-            seeds, self.search, self._deadline, crew=crew, progress=partial(told, first, -np.inf)
-        )
-        idle, done = 0, size
-        while found and done < length and idle < IDLE_GENERATIONS and not self._deadline():
+        tasks = [Task(first + k) for k in range(size)]
+        progress = partial(report, first, -np.inf)
+        found = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
+        idle, done, batch = 0, size, SETTINGS.batch
+        while found and done < length and idle < SETTINGS.idle_batches and not self._deadline():
             best = found[0].value
-            parents = found[:PARENTS]
-            hops = [Task(first + done + k, parents[k % len(parents)]) for k in range(GENERATION)]
-            born = search_all(
-                hops,
-                self.search,
-                self._deadline,
-                crew=crew,
-                progress=partial(told, first + done, best),
-            )
-            found = best_first([*found, *born])
-            idle = idle + 1 if found[0].value < best + LEAST_GAIN else 0
-            done += GENERATION
+            parents = found[: SETTINGS.parents]
+            tasks = [Task(first + done + k, parents[k % len(parents)]) for k in range(batch)]
+            progress = partial(report, first + done, best)
+            more = search_all(tasks, self.search, self._deadline, pool=pool, progress=progress)
+            found = best_first([*found, *more])
+            idle = idle + 1 if found[0].value < best + SETTINGS.least_gain else 0
+            done += batch
         return found
 
     @staticmethod
-    def _told(
+    def _report(
         progress: Callable[[SearchProgress], None] | None,
         best: float,
         planned: int,
@@ -225,60 +201,50 @@ class DesignSearch:
         state: SearchProgress,
     ) -> None:
         if progress is not None:
-            progress(
-                replace(
-                    state,
-                    finished=before + state.finished,
-                    planned=planned,
-                    best=max(best, own_best, state.best),
-                )
-            )
+            finished, highest = before + state.finished, max(best, own_best, state.best)
+            progress(replace(state, finished=finished, planned=planned, best=highest))
 
     def search(self, task: Task) -> Candidate:
-        """Do what a task asks for; the answer depends on nothing else."""
+        """Return the candidate of a task, which depends on nothing else."""
         if task.refined_until is not None:
             assert task.origin is not None
             return self._refined(task.origin, task.refined_until)
         rng = np.random.default_rng([self._options.seed, task.number])
-        return (
-            self._from_seed(task.number, rng)
-            if task.origin is None
-            else self._from_parent(task.number, rng, task.origin)
-        )
+        if task.origin is not None:
+            return self._restarted(task.number, rng, task.origin)
+        optimum = self._solved(self._coarse, self._start(rng), SETTINGS.barrier_random)
+        return Candidate.of(task.number, optimum)
 
-    def _from_seed(self, number: int, rng: np.random.Generator) -> Candidate:
-        start = self._start(rng)
-        optimum = (
-            None
-            if start is None
-            else solve(self._coarse, start, barrier=SEARCH_BARRIER, cancelled=self._deadline)
-        )
-        return Candidate.of(number, optimum)
+    def _solved(
+        self,
+        program: DesignProgram,
+        start: Array | None,
+        barrier: tuple[float, float],
+        deadline: Deadline | None = None,
+    ) -> Optimum | None:
+        if start is None:
+            return None
+        return solve(program, start, barrier=barrier, cancelled=deadline or self._deadline)
 
-    def _from_parent(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
+    def _restarted(self, number: int, rng: np.random.Generator, parent: Candidate) -> Candidate:
         for _ in range(10):
             other = self._start(rng)
             if other is None:
                 break
-            part = rng.uniform(*DISTURBANCE)
+            part = rng.uniform(*SETTINGS.disturbance)
             start = self._inside(self._coarse, (1 - part) * parent.coefficients + part * other)
-            if start is not None:
-                optimum = solve(self._coarse, start, barrier=HOP_BARRIER, cancelled=self._deadline)
-                if optimum is not None:
-                    return Candidate.of(number, optimum)
+            optimum = self._solved(self._coarse, start, SETTINGS.barrier_restart)
+            if optimum is not None:
+                return Candidate.of(number, optimum)
         return Candidate.of(number, None)
 
     def _refined(self, candidate: Candidate, deadline: Deadline) -> Candidate:
         coefficients, family, value = candidate.coefficients, self.family, candidate.value
         for _ in range(2 if isinstance(family, PointToPoint) else 1):
             family = self._retimed(family, coefficients)
-            dense = self._program(2 * self._n_nodes, FINAL_SPARE, family)
+            dense = self._program(2 * self._n_nodes, SETTINGS.margin_fine, family)
             start = self._inside(dense, coefficients)
-            optimum = (
-                None
-                if start is None
-                else solve(dense, start, barrier=FINAL_BARRIER, cancelled=deadline)
-            )
+            optimum = self._solved(dense, start, SETTINGS.barrier_refined, deadline)
             if optimum is not None and (
                 optimum.value > value - 1.0 or isinstance(family, PointToPoint)
             ):
@@ -297,24 +263,22 @@ class DesignSearch:
         return Candidate(candidate.number, kept, dense.evaluate(*dense.states(kept)).value)
 
     def _paced(self, poses: Array) -> tuple[Array, Array, Array] | None:
-        """Return the states at 1 kHz of what a controller makes of the poses, None where it can
-        make nothing.
-        """
+        """Return the states at 1 kHz of a controller's motion through the poses, if it has one."""
         motion = paced_moves(poses, self._bounds, self._constraints)
         return None if motion is None else motion.at(motion.sample_times(CHECK_RATE))
 
     def motion(self, candidate: Candidate) -> Motion:
-        """Return the motion of a refined candidate.
+        """Return the motion of a refined candidate; poses are joined as a controller does.
 
-        Poses become what a controller makes of them, slowed down on moves whose torque asks for it.
+        Moves whose torque is too large are slowed down.
         """
         if not isinstance(self.family, PointToPoint):
             return self.family.motion(candidate.coefficients)
         motion = paced_moves(candidate.coefficients, self._bounds, self._constraints)
         if motion is None:
             raise MotionError(
-                f"{self._model.name}: the designed poses ask for too much torque, however slow;"
-                " allow a larger share of it"
+                f"{self._model.name}: the designed poses exceed the torque limits at any speed;"
+                " allow a larger share of the torque"
             )
         return motion
 
@@ -326,22 +290,22 @@ class DesignSearch:
             [1.5 * way / self._bounds.velocity, np.sqrt(4.5 * way / self._bounds.acceleration)],
             axis=(0, 2),
         )
-        return family.retimed(np.maximum(steps, SHORTEST_MOVE))
+        return family.retimed(np.maximum(steps, SETTINGS.shortest_move))
 
     def failure(self) -> MotionError:
-        """Return why there is no design."""
+        """Return the error that says why there is no design."""
         rng = np.random.default_rng([self._options.seed, 0])
         start = self._start(rng)
         if start is None:
             return MotionError(
-                f"{self._model.name}: no motion within the constraints was found to start from,"
-                " however small; check the torque limits, the obstacles and the box of the tool,"
-                " or raise the fraction of the limits that may be used"
+                f"{self._model.name}: no motion within the constraints was found, however small;"
+                " check torque limits, obstacles and the box of the tool, or allow a larger"
+                " fraction of the limits"
             )
         return MotionError(
             f"{self._model.name}: no {self.family.key} motion with {self.family.size}"
-            f" {self.family.size_name} tells all {self._objective.information.n_parameters} base"
-            f" parameters; ask for more {self.family.size_name} or fewer drive terms"
+            f" {self.family.size_name} determines all {self._objective.information.n_parameters}"
+            f" base parameters; use more {self.family.size_name} or fewer drive terms"
         )
 
     def _start(self, rng: np.random.Generator) -> Array | None:
@@ -369,8 +333,9 @@ class DesignSearch:
         return None
 
     def _inside(self, program: DesignProgram, coefficients: Array) -> Array | None:
-        """Return the coefficients drawn towards standing in the middle of the range or of the
-        motion, just enough to be strictly feasible.
+        """Return the coefficients shrunk towards the middle of the range or of the motion.
+
+        They shrink just enough to be strictly feasible.
         """
         own = np.outer(self.family.constant, (program.bases[0] @ coefficients).mean(axis=0))
         middle = np.outer(self.family.constant, (self._bounds.lower + self._bounds.upper) / 2)
@@ -382,24 +347,23 @@ class DesignSearch:
         return None
 
     def _repaired(self, coefficients: Array, family: Parametrisation) -> Array | None:
-        """Return the coefficients, drawn inwards until every constraint holds at 1 kHz, at the pace
-        that a controller gives them.
-        """
-        span = family.duration / getattr(family, "periods", 1)
-        grid = self._program(max(self._n_nodes, int(span * CHECK_RATE)), (0.0, 0.0), family)
+        """Return the coefficients, shrunk until every constraint holds at 1 kHz."""
+        count = max(self._n_nodes, int(family.span * CHECK_RATE))
+        grid = self._program(count, (0.0, 0.0), family)
+        least, most = SETTINGS.shrinkage
         middle = np.outer(family.constant, (self._bounds.lower + self._bounds.upper) / 2)
         own = np.outer(family.constant, (grid.bases[0] @ coefficients).mean(axis=0))
         for pose in (middle, own):
             part = 0.0
-            for _ in range(REPAIRS):
+            for _ in range(SETTINGS.repairs):
                 trial: Array = coefficients + part * (pose - coefficients)
                 if isinstance(family, PointToPoint):
-                    worst = -LEAST_SHRINKING if self._paced(trial) is None else 0.0
+                    worst = -least if self._paced(trial) is None else 0.0
                 else:
                     worst = min(float(slack.min()) for slack in grid.margins(trial))
                 if worst >= 0:
                     return trial
                 part = max(2 * part, -1.05 * worst, 1e-6)
-                if part > MOST_SHRINKING:
+                if part > most:
                     break
         return None

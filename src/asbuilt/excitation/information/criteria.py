@@ -1,7 +1,4 @@
-"""What makes one motion more informative than another.
-
-Scalar criteria of the information matrix, with their gradients.
-"""
+"""Scalar criteria of the information matrix, with their gradients."""
 
 from __future__ import annotations
 
@@ -17,11 +14,11 @@ from asbuilt.arrays import Array
 from asbuilt.errors import UsageError
 
 SMOOTHNESS = 16
-"""Exponent of the norm that stands for the extreme eigenvalue in the criteria e and condition."""
+"""Exponent of the norm that approximates the extreme eigenvalue in e and condition."""
 
 
 class Criterion(ABC):
-    """Judge an information matrix M (p, p) of scaled parameters; larger is better."""
+    """Rate an information matrix M (p, p) of scaled parameters; larger is better."""
 
     key: ClassVar[str]
 
@@ -39,9 +36,7 @@ class Criterion(ABC):
 
 @dataclass(frozen=True)
 class DOptimality(Criterion):
-    """Maximise `log det M`: the smallest volume of the confidence ellipsoid, whatever the units of
-    the parameters.
-    """
+    """Maximise `log det M`: the smallest confidence ellipsoid, whatever the units."""
 
     key = "d"
 

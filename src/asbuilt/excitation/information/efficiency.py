@@ -1,4 +1,4 @@
-"""How much of the attainable information a recorded motion carries."""
+"""Information efficiency of a recorded motion."""
 
 from __future__ import annotations
 
@@ -21,12 +21,10 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import read_only
 
 MOST_SAMPLES = 20000
-"""Samples of a recording that are looked at; of longer ones every second, third, ..."""
-ROUNDS = 3
-"""Rounds in which the bound is tightened.
+"""Most samples of a recording that are used; of longer ones every second, third, ..."""
 
-A recording is judged to a few per cent, a design more sharply.
-"""
+ROUNDS = 3
+"""Rounds of the bound for a recording, accurate to a few per cent."""
 
 
 class JointStates(Protocol):
@@ -47,12 +45,12 @@ class JointStates(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class InformationEfficiency:
-    """Compare a motion with the best distribution over the states that the limits admit, sample for
-    sample.
+    """Information of a motion per sample relative to an upper bound that no motion reaches.
 
-    `d_efficiency` is `exp((log det M - log det M_bound) / p)`, 0 where the motion leaves a
-    parameter untold. `by_parameter` (p,) is the variance that the best distribution gives each base
-    parameter over the variance that the motion gives it; it may exceed 1 for some.
+    The bound is the best distribution over the states within the limits. `d_efficiency` is
+    `exp((log det M - log det M_bound) / p)`, 0 if a parameter remains undetermined. `by_parameter`
+    (p,) is the variance of each base parameter at the bound over that of the motion; it may exceed
+    1 for some.
     """
 
     base: BaseParameters
@@ -64,7 +62,7 @@ class InformationEfficiency:
 
     @property
     def owners(self) -> NDArray[np.intp]:
-        """The joint, counted from 0, to whose link or drive each base parameter belongs (p,)."""
+        """Joint, counted from 0, of the link or drive of each base parameter (p,)."""
         columns, per = self.base.columns, self.base.drive.columns_per_joint
         return np.where(
             columns < 10 * self._n_joints,
@@ -74,7 +72,7 @@ class InformationEfficiency:
 
     @property
     def worst(self) -> tuple[int | None, ...]:
-        """Which base parameter of each joint is told worst, None for a joint without any."""
+        """Worst determined base parameter of each joint, None for a joint without any."""
         own = [np.flatnonzero(self.owners == k) for k in range(self._n_joints)]
         return tuple(
             int(each[np.argmin(self.by_parameter[each])]) if each.size else None for each in own
@@ -82,9 +80,9 @@ class InformationEfficiency:
 
     @property
     def by_joint(self) -> Array:
-        """The share of the worst told parameter of each joint (n,), NaN for a joint without any.
+        """Efficiency of the worst determined parameter of each joint (n,), NaN without any.
 
-        Small where it moved too little or alike.
+        It is small if the joint moved too little or correlated with others.
         """
         return np.array([np.nan if k is None else self.by_parameter[k] for k in self.worst])
 
@@ -96,11 +94,10 @@ class InformationEfficiency:
 def information_efficiency(
     model: RobotModel, drive: DriveSet, samples: JointStates
 ) -> InformationEfficiency:
-    """Return how much of the attainable information per sample the states of a recording carry, for
-    equal noise in all joints.
+    """Return the information efficiency of the states of a recording, for equal noise in all joints.
 
     Limits that the description lacks are those of `MotionBounds.assumed`. Long recordings are
-    thinned evenly. Raises UsageError without samples.
+    thinned evenly. Raises `UsageError` without samples.
     """
     step = max(1, -(-len(samples.q) // MOST_SAMPLES))
     q, qd, qdd = (
@@ -108,7 +105,7 @@ def information_efficiency(
         for x in (samples.q, samples.qd, samples.qdd)
     )
     if not len(q):
-        raise UsageError("there are no samples to judge")
+        raise UsageError("the recording has no samples")
     base, bound = _bound(model, drive)
     mean = mean_information(Information.of(model, base), q, qd, qdd)
     best = np.diag(np.linalg.inv(bound.information))
@@ -116,8 +113,8 @@ def information_efficiency(
     eigenvalues, vectors = np.linalg.eigh(mean / np.outer(size, size))
     kept = eigenvalues > len(mean) * np.finfo(float).eps * eigenvalues[-1]
     own = ((vectors[:, kept] ** 2) / eigenvalues[kept]).sum(axis=1) / size**2
-    told = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
-    by_parameter = np.where(told, best / np.maximum(own, np.finfo(float).tiny), 0.0)
+    determined = (vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6
+    by_parameter = np.where(determined, best / np.maximum(own, np.finfo(float).tiny), 0.0)
     return InformationEfficiency(
         base, bound.efficiency(mean) if np.all(kept) else 0.0, by_parameter
     )

@@ -1,6 +1,4 @@
-"""The information that joint states carry about the base parameters, and its derivatives with
-respect to the states.
-"""
+"""Information of joint states about the base parameters, and its derivatives."""
 
 from __future__ import annotations
 
@@ -25,28 +23,25 @@ from asbuilt.excitation.motions.motion import read_only
 Indices = NDArray[np.int64]
 
 SIGN_WIDTH = 0.02
-"""While a motion is designed, a drive column that jumps where the velocity changes sign follows
-`tanh(qd / width)` instead; the width is this fraction of the velocity limit. What is reported of a
-motion uses the exact columns.
+"""Width, relative to the velocity limit, over which `tanh(qd / width)` smooths drive columns that
+jump with the sign of velocity while a motion is designed; reports use the exact columns.
 """
 
 STEP = 1e-6
 """Step of the central differences through drive columns."""
 
 SMALLEST_SPEED = 1e-12
-"""Stands in for standstill where a column is taken just before and just behind it [rad/s or m/s]."""
+"""Speed at which a column is evaluated just before and after standstill [rad/s or m/s]."""
+
 LEAST_JUMP = 1e-3
-"""A drive column that changes by more than this from one side of standstill to the other jumps
-there.
-"""
+"""Change across standstill above which a drive column jumps there."""
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Evaluate `M = sum_s Y_s^T S^-1 Y_s` over samples s, Y the base columns, S the diagonal of
-    `noise` squared, and differentiate it.
+    """Evaluate and differentiate `M = sum_s Y_s^T S^-1 Y_s` over samples s.
 
-    `noise` (n,) is the standard deviation of each joint torque [N m or N].
+    Y are the base columns, S is the diagonal of `noise` squared; `noise` (n,) is the standard deviation of each joint torque [N m or N].
     """
 
     model: RobotModel
@@ -56,10 +51,7 @@ class Information:
 
     @classmethod
     def of(cls, model: RobotModel, base: BaseParameters, noise: ArrayLike = 1.0) -> Information:
-        """Prepare the evaluation.
-
-        Raises UsageError where the noise is not positive, one number or one per joint.
-        """
+        """Prepare the evaluation; raises `UsageError` unless the noise is positive."""
         sigma = np.asarray(noise, dtype=np.float64)
         if (
             sigma.shape not in ((), (1,), (model.n_joints,))
@@ -129,8 +121,7 @@ class Information:
         loads: Array | None = None,
         parameters: Array | None = None,
     ) -> tuple[Array, Array, Array]:
-        """Return the derivatives of `tr(P M)` for a constant symmetric P = `sensitivity`, each (N,
-        n).
+        """Return the derivatives of `tr(P M)`, P = `sensitivity` constant, symmetric, each (N, n).
 
         With `d phi = tr(P dM)` this is the gradient of phi. `loads` (N, n) are weights of the joint
         torques of rigid bodies with standard `parameters`, whose derivatives are added.
@@ -172,9 +163,7 @@ class Information:
 
     @cached_property
     def _drive_places(self) -> tuple[tuple[Indices, Indices], ...]:
-        """For each joint the chosen among its drive columns, and their rows in the layout of
-        `plan`.
-        """
+        """The drive columns of each joint in use, and their rows in the layout of `plan`."""
         n, per, found = self.model.n_joints, self.base.drive.columns_per_joint, []
         for k, (support, (first, _)) in enumerate(
             zip(self.plan.support, self.plan.bounds.tolist(), strict=True)
@@ -184,10 +173,7 @@ class Information:
         return tuple(found)
 
     def _drive_columns(self, state: Sequence[Array]) -> Array:
-        """Return the drive columns of all joints, jumps at zero velocity smoothed.
-
-        (columns per joint, N, n); `state` is q, qd, qdd, (load).
-        """
+        """Return smoothed drive columns (columns per joint, N, n); `state` is q, qd, qdd, (load)."""
         columns = self._exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):

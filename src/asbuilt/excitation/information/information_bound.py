@@ -1,7 +1,4 @@
-"""How much information per sample any motion could have.
-
-The D-optimal continuous design over the admissible states.
-"""
+"""Upper bound on the information per sample: the D-optimal design over all states."""
 
 from __future__ import annotations
 
@@ -13,46 +10,56 @@ from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
-from asbuilt.excitation.design.torque_limit import TorqueLimit
 from asbuilt.excitation.information.criteria import DOptimality
 from asbuilt.excitation.information.information import Information
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_bounds import random_states
+from asbuilt.excitation.torque_limit import TorqueLimit
 
 States = tuple[Array, Array, Array]
 
-POOL = 1500
-"""States in the pool at the start."""
-RANDOM_TRIALS = 6000
-"""Random states looked at in a round."""
 ROUNDS = 14
-"""Rounds at most."""
-REFINED = 192
-"""States per round that are climbed from."""
-CLIMBS = 12
-"""Steps of a climb."""
-WEIGHT_STEPS = 60
-"""Steps in which the weights of a pool settle, at most."""
-KEPT_WEIGHT = 1e-6
-"""States whose weight is below this part of the mean are dropped."""
-GAP = 0.02
-"""Where the gap per parameter, log(d_max / p), falls below this, the search for better states ends."""
+"""Most rounds of a bound for a design."""
+
+
+@dataclass(frozen=True)
+class BoundSearch:
+    """Configure the search for the bound.
+
+    | field | meaning and source |
+    |---|---|
+    | `pool`, `trials` | states in the pool at the start; random states added in a round |
+    | `refined`, `climbs` | states per round that are climbed from, and steps of a climb |
+    | `weight_steps` | most steps in which the weights of a pool converge |
+    | `kept_weight` | relative weight below which a state is dropped |
+    | `gap` | gap per parameter `log(d_max / p)` below which the bound is tight enough |
+    """
+
+    pool: int = 1500
+    trials: int = 6000
+    refined: int = 192
+    climbs: int = 12
+    weight_steps: int = 60
+    kept_weight: float = 1e-6
+    gap: float = 0.02
+
+
+SEARCH = BoundSearch()
 
 
 @dataclass(frozen=True, eq=False)
 class InformationBound:
-    """Bound the information per sample.
+    """Bound on the information per sample; no motion reaches it.
 
-    `log_det` is attained by a distribution over states, `upper` is above that of every
+    `log_det` is that of the best distribution over states found, `upper` exceeds that of every
     distribution.
 
-    By the equivalence theorem of Kiefer and Wolfowitz (1960), for any design M and every admissible
-    state x, `log det M* <= log det M + p log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1
-    Y(x))`. `upper` is the right side with the maximum over all states that were looked at:
+    By the equivalence theorem of Kiefer and Wolfowitz (1960), for any design M and every state
+    x within the bounds, `log det M* <= log det M + p log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1
+    Y(x))`. `upper` is the right side with the maximum over all states that were evaluated:
     `n_states` random ones and those reached from them by climbing d. It is exact for these, and a
     (very likely tight) estimate for the continuum between. States are independent here, while a
-    motion cannot be at its highest speed and acceleration in both directions at once; no motion
-    attains the bound.
+    motion cannot be at its highest speed and acceleration in both directions at once.
     """
 
     information: Array
@@ -78,31 +85,30 @@ def information_bound(
     rounds: int = ROUNDS,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> InformationBound:
-    """Return the D-optimal continuous design over the states within `bounds` whose torque stays
-    within `torque` (n,), and its bound.
+    """Return the bound over the states within `bounds` whose torque stays within `torque` (n,).
 
     Multiplicative weights (Silvey, Titterington & Torsney 1978) on a pool of states, to which those
-    with the largest d are added after climbing d within the limits, until the gap closes; at least
-    one round is made before `cancelled` is asked, and the bound is a looser one where that ends it.
+    with the largest d are added after climbing d within the limits, until the gap closes. At least
+    one round is made; the bound is looser if `cancelled` ends the search.
     """
     rng = np.random.default_rng([seed, 7])
     limit = (
         None if torque is None or not np.any(np.isfinite(torque)) else TorqueLimit((model,), torque)
     )
-    pool = _admissible(limit, random_states(bounds, POOL, rng, extreme=0.7))
+    pool = _within(limit, random_states(bounds, SEARCH.pool, rng, extreme=0.7))
     weights = np.full(len(pool[0]), 1.0 / len(pool[0]))
     p, seen = information.n_parameters, len(pool[0])
     best_upper, mean = np.inf, np.eye(p)
     for _ in range(rounds):
         weights, mean = _weighted(information, pool, weights)
-        keep = weights > KEPT_WEIGHT / len(weights)
+        keep = weights > SEARCH.kept_weight / len(weights)
         pool, weights = _chosen(pool, keep), weights[keep] / weights[keep].sum()
         log_det, inverse = DOptimality().value_and_gradient(mean)
-        trials = _admissible(limit, random_states(bounds, RANDOM_TRIALS, rng, extreme=0.8))
+        trials = _within(limit, random_states(bounds, SEARCH.trials, rng, extreme=0.8))
         seen += len(trials[0])
         worth = variance(information, inverse, trials)
-        top = _chosen(trials, np.argsort(-worth)[:REFINED])
-        heavy = _chosen(pool, np.argsort(-weights)[:REFINED])
+        top = _chosen(trials, np.argsort(-worth)[:SEARCH.refined])
+        heavy = _chosen(pool, np.argsort(-weights)[:SEARCH.refined])
         climbed = _climbed(information, inverse, bounds, limit, _joined(top, heavy))
         worth_climbed = variance(information, inverse, climbed)
         highest = max(
@@ -112,9 +118,9 @@ def information_bound(
         )
         upper = log_det + p * max(0.0, float(np.log(highest / p)))
         best_upper = min(best_upper, upper)
-        if np.log(highest / p) < GAP or cancelled():
+        if np.log(highest / p) < SEARCH.gap or cancelled():
             break
-        new = _chosen(climbed, np.argsort(-worth_climbed)[: REFINED // 2])
+        new = _chosen(climbed, np.argsort(-worth_climbed)[: SEARCH.refined // 2])
         pool = _joined(pool, new)
         weights = np.concatenate([0.9 * weights, np.full(len(new[0]), 0.1 / len(new[0]))])
     log_det = DOptimality().value(mean)
@@ -137,9 +143,7 @@ def variance(information: Information, inverse: Array, states: States) -> Array:
 
 
 def _weighted(information: Information, pool: States, weights: Array) -> tuple[Array, Array]:
-    """Return weights with (nearly) the largest log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i /
-    p, and that matrix.
-    """
+    """Return weights that maximise log det of `sum_i w_i M(x_i)`, by w_i <- w_i d_i / p, and it."""
     count, p = len(pool[0]), information.n_parameters
     rows = information.rows(*pool, smooth=False)
     parts = [
@@ -152,7 +156,7 @@ def _weighted(information: Information, pool: States, weights: Array) -> tuple[A
         )
     ]
     mean = np.zeros((p, p))
-    for _ in range(WEIGHT_STEPS):
+    for _ in range(SEARCH.weight_steps):
         mean = np.zeros((p, p))
         for support, w in parts:
             mean[np.ix_(support, support)] += (w * weights) @ w.T
@@ -162,7 +166,7 @@ def _weighted(information: Information, pool: States, weights: Array) -> tuple[A
         worth = np.zeros(count)
         for support, w in parts:
             worth += np.einsum("is,is->s", w, inverse[np.ix_(support, support)] @ w)
-        if worth.max() < p * (1 + GAP / 4):
+        if worth.max() < p * (1 + SEARCH.gap / 4):
             break
         weights = weights * worth / p
         weights /= weights.sum()
@@ -176,19 +180,16 @@ def _climbed(
     limit: TorqueLimit | None,
     states: States,
 ) -> States:
-    """Return states of larger d, reached by steps along its gradient within the limits.
-
-    A step that does not pay is halved.
-    """
+    """Return states of larger d, reached by steps along its gradient within the limits."""
     centre = (bounds.upper + bounds.lower) / 2
     halves = ((bounds.upper - bounds.lower) / 2, bounds.velocity, bounds.acceleration)
     middles = (centre, np.zeros_like(centre), np.zeros_like(centre))
     current, worth = states, variance(information, inverse, states)
     length = np.full((len(worth), 1), 0.3)
-    for _ in range(CLIMBS):
+    for _ in range(SEARCH.climbs):
         rows = information.rows(*current)
         slopes = information.state_gradient(*current, rows, inverse)
-        # In units of the limits; velocities and accelerations, in which d is nearly convex, go to a corner.
+        # In units of the limits: d is nearly convex in qd and qdd, which go to a corner.
         steps = [slope * half for slope, half in zip(slopes, halves, strict=True)]
         size = np.sqrt(sum((step**2).sum(axis=1, keepdims=True) for step in steps)) + 1e-300
         moved = [
@@ -210,7 +211,7 @@ def _climbed(
     return current
 
 
-def _admissible(limit: TorqueLimit | None, states: States) -> States:
+def _within(limit: TorqueLimit | None, states: States) -> States:
     if limit is None:
         return states
     q, qd, qdd = states

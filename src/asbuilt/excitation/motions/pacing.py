@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.excitation.design.interior_point import StateConstraint
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import STANDSTILL
 from asbuilt.excitation.motions.point_to_point import PointToPointMotion
+from asbuilt.excitation.state_constraint import StateConstraint
 
 CHECK_RATE = 1000.0
 """Rate of the grid on which a motion must keep its constraints [Hz]."""

@@ -1,4 +1,4 @@
-"""Programs for controllers as files in a folder."""
+"""Controller programs as files, text and documents."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from asbuilt.tables import wrapped
 from asbuilt.writers.files import atomic_write, path_texts
-from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramFile, ProgramRequest
+from asbuilt.writers.programs.format import ProgramFile
+from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
+from asbuilt.writers.tables.limit_tables import margin_table, verdict
 
 
 def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) -> dict[str, Path]:
-    """Write the files of a program, each whole or not at all, and return them by role.
+    """Write the files of a program into a folder and return them by role.
 
     Scripts become executable.
     """
@@ -28,7 +31,7 @@ def write_program(folder: str | os.PathLike[str], files: Sequence[ProgramFile]) 
 def program_document(
     request: ProgramRequest, form: str, files: Mapping[str, Path]
 ) -> dict[str, Any]:
-    """Return what `asbuilt program --json` prints."""
+    """Return the JSON document of a program."""
     return {
         "robot": request.model.name,
         "format": form,
@@ -43,24 +46,28 @@ def program_document(
     }
 
 
-def program_text(request: ProgramRequest, form: str) -> str:
-    """Return what `asbuilt program` prints."""
+def program_text(request: ProgramRequest, form: str, *, full: bool = False) -> str:
+    """Return a program as text: limits, what is not checked, margins."""
     known = request.clearance
     collisions = (
-        "NOT checked: collisions, and the way to the start pose."
+        "NOT CHECKED: collisions, and the approach to the start pose"
         if known is None
         else (
-            f"Bodies of {known.source} come no nearer than {1000 * known.distance:.0f} mm on the"
-            " motion. NOT checked: collisions with anything else, and the way to the start pose."
+            f"smallest distance between bodies of {known.source} {1000 * known.distance:.0f} mm;"
+            " NOT CHECKED: collisions with anything else, and the approach to the start pose"
         )
     )
+    title = (
+        f"{request.model.name} - {form} program of {request.name},"
+        f" {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s"
+    )
     return "\n".join(
-        (
-            (
-                f"{form} program of {request.name} for {request.model.name}:"
-                f" {request.motion.duration:.3f} s, dry run {request.dry_run.duration:.1f} s"
-            ),
-            str(request.report),
-            f"{collisions} Run the dry run first; the header of the program says how.",
-        )
+        [
+            wrapped(title),
+            wrapped(verdict(request.report)),
+            wrapped(collisions),
+            "Run the dry run first; the header of the program says how.",
+            "",
+            margin_table(request.report).as_text(full).rstrip(),
+        ]
     )

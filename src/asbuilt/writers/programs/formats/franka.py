@@ -8,16 +8,12 @@ import numpy as np
 
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
 from asbuilt.writers.programs.log_sheet import sheet_text
 from asbuilt.writers.programs.preamble import commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render
-from asbuilt.writers.programs.request import (
-    DRY_RUN_SLOWDOWN,
-    ProgramFile,
-    ProgramFormat,
-    ProgramRequest,
-)
+from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 CONTROL_RATE = 1000.0
 """Rate at which the robot takes positions and checks them for jumps [Hz]."""
@@ -132,3 +128,6 @@ def _check_smoothness(request: ProgramRequest) -> None:
             f" stops above {limit[j]:g}; give a motion with continuous acceleration from rest to"
             " rest (fourier, bspline, quintic), or slow it down"
         )
+
+
+PROGRAM_FORMATS.register(FrankaFormat.key, FrankaFormat())

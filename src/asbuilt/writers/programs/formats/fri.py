@@ -7,18 +7,14 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.formats.streamed_motion import DECIMALS, motion_table
 from asbuilt.writers.programs.formats.sunrise import PACKAGE, SIGN_NOTE
 from asbuilt.writers.programs.log_sheet import sheet_text
 from asbuilt.writers.programs.naming import class_name
 from asbuilt.writers.programs.preamble import commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render, rounded_down
-from asbuilt.writers.programs.request import (
-    DRY_RUN_SLOWDOWN,
-    ProgramFile,
-    ProgramFormat,
-    ProgramRequest,
-)
+from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 SPEED_ALLOWANCE = 1.05
 """A command may be faster than the motion by this factor ..."""
@@ -133,3 +129,6 @@ class FriFormat(ProgramFormat):
             ProgramFile("application", f"{java}.java", application),
             ProgramFile("sheet", f"{stem}_log.toml", sheet),
         )
+
+
+PROGRAM_FORMATS.register(FriFormat.key, FriFormat())

@@ -9,9 +9,10 @@ import numpy as np
 
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import PREFIXES, times_to_end
+from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.writers.programs.preamble import preamble
-from asbuilt.writers.programs.request import ProgramFile, ProgramFormat, ProgramRequest
+from asbuilt.writers.programs.request import ProgramRequest
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""
@@ -99,3 +100,6 @@ def motion_csv(motion: Motion, joint_names: tuple[str, ...], rate: float) -> str
     for time, row in zip(t, rows, strict=True):
         text.write(f"{time:.6f}," + ",".join(f"{value:.{DECIMALS}f}" for value in row) + "\n")
     return text.getvalue()
+
+
+PROGRAM_FORMATS.register(CsvFormat.key, CsvFormat())

@@ -8,15 +8,11 @@ import json
 
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import times_to_end
+from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.writers.programs.preamble import commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render
-from asbuilt.writers.programs.request import (
-    DRY_RUN_SLOWDOWN,
-    ProgramFile,
-    ProgramFormat,
-    ProgramRequest,
-)
+from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 DECIMALS = 9
 """Decimals of positions, velocities and accelerations."""
@@ -116,3 +112,6 @@ def trajectory_yaml(motion: Motion, joint_names: tuple[str, ...], rate: float) -
             f"  time_from_start: {{sec: {nanoseconds // 10**9}, nanosec: {nanoseconds % 10**9}}}",
         ]
     return "\n".join(lines) + "\n"
+
+
+PROGRAM_FORMATS.register(Ros2Format.key, Ros2Format())

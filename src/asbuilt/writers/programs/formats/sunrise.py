@@ -11,16 +11,12 @@ import numpy as np
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import MotionError
 from asbuilt.excitation.limits import MotionBounds
+from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.log_sheet import sheet_text
 from asbuilt.writers.programs.naming import class_name
 from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render, rounded_down
-from asbuilt.writers.programs.request import (
-    DRY_RUN_SLOWDOWN,
-    ProgramFile,
-    ProgramFormat,
-    ProgramRequest,
-)
+from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import Stretch, point_to_point_stretches, spline_times
 
 PACKAGE = "application"
@@ -178,3 +174,6 @@ def _spline_stretches(request: ProgramRequest) -> tuple[Stretch, ...]:
         speed = np.abs(request.motion.derivative(within, 1)).max(axis=0)
         stretches.append(Stretch(request.motion.derivative(end), speed, 0.0))
     return tuple(stretches)
+
+
+PROGRAM_FORMATS.register(SunriseFormat.key, SunriseFormat())

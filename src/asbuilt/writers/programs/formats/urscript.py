@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from asbuilt.errors import MotionError
+from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, ProgramFormat
 from asbuilt.writers.programs.log_sheet import GAINS_TO_FILL_IN, sheet_text
 from asbuilt.writers.programs.naming import identifier, plain_text
 from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render
-from asbuilt.writers.programs.request import (
-    DRY_RUN_SLOWDOWN,
-    ProgramFile,
-    ProgramFormat,
-    ProgramRequest,
-)
+from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 from asbuilt.writers.programs.via_points import hermite_knots
 
 TOLERANCE = 1e-4
@@ -175,3 +171,6 @@ def _sheet(request: ProgramRequest) -> str:
         },
         gains=f"Gains: {GAINS_TO_FILL_IN}. Or give --gain g1,g2,...:",
     )
+
+
+PROGRAM_FORMATS.register(UrScriptFormat.key, UrScriptFormat())

@@ -1,6 +1,4 @@
-"""The torque limit as a constraint on the joint state, for one description of the robot or for
-several that it might be.
-"""
+"""Limits of torque and power as constraints on the joint state."""
 
 from __future__ import annotations
 
@@ -16,27 +14,20 @@ from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
-from asbuilt.excitation.design.interior_point import StateConstraint
+from asbuilt.excitation.state_constraint import StateConstraint
 
 SIGN_WIDTH = 0.02
-"""Width [rad/s or m/s] over which the sign in a described friction is smoothed where its derivative
-is needed.
-"""
+"""Width over which the sign in described friction is smoothed for derivatives [rad/s or m/s]."""
 
 STANDING = 0.9
-"""How much of the torque that may be used standing may take where a robot stops on its way.
-
-The rest sets it moving.
-"""
+"""Share of the allowed torque that a standing robot may need; the rest accelerates it."""
 
 STEP = 1e-6
 """Step of the central differences through described friction."""
 
 
 class TorqueLimit(StateConstraint):
-    """Keep `|tau| / limit` below 1 for the rigid bodies and the drive values of every given
-    description.
-    """
+    """Keep `|tau| / limit` below 1 for every given description, drive values included."""
 
     name = "torque"
     two_sided = True
@@ -84,19 +75,13 @@ class TorqueLimit(StateConstraint):
         return limited.reshape(len(q), -1, *limited.shape[3:])
 
     def _loads(self, torque: Array) -> list[Array]:
-        """Return the loads that make a difference to friction.
-
-        One for every description, or one for all.
-        """
+        """Return the loads of the friction: one for every description, or one for all."""
         return [
             torque[:, place] for place in range(torque.shape[1] if self._drive.needs_load else 1)
         ]
 
     def _rigid(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torque of the rigid bodies of every description, (N, models, n).
-
-        One regressor for all where there are several.
-        """
+        """Return the torque of the rigid bodies of every description, (N, models, n)."""
         if len(self._parameters) == 1:
             return inverse_dynamics(self._model, q, qd, qdd, threads=1)[:, None]
         rows = self._plan.evaluate(q, qd, qdd)
@@ -109,9 +94,7 @@ class TorqueLimit(StateConstraint):
         )
 
     def _friction_slopes(self, *state: Array) -> Array:
-        """Return the derivatives of friction k with respect to q, qd, qdd and load of joint j, (N,
-        k, j, 4).
-        """
+        """Return the derivatives of friction k by q, qd, qdd and load of joint j, (N, k, j, 4)."""
         n = state[0].shape[1]
         coupled = bool(self._drive.of_motor.any())
         ways = (
@@ -145,9 +128,7 @@ class TorqueLimit(StateConstraint):
         return mixed
 
     def _exact_friction(self, *state: Array) -> Array:
-        """Return the drive torque, of all joints at once where they differ in nothing but values,
-        (N, n).
-        """
+        """Return the drive torque (N, n), of all joints at once if only their values differ."""
         if self._differ or self._drive.of_motor.any():
             return drive_torque(
                 self._drive,
@@ -165,7 +146,7 @@ class TorqueLimit(StateConstraint):
 
 
 class WeightLimit(TorqueLimit):
-    """Keep the torque at rest within the limit, so that the robot can be as slow as it likes."""
+    """Keep the torque at rest within the limit, so that the robot can move at any low speed."""
 
     name = "weight"
 
@@ -174,9 +155,7 @@ class WeightLimit(TorqueLimit):
         return super().values(q, np.zeros_like(q), np.zeros_like(q))
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivatives of the values with respect to q, (N, models x limited joints, n,
-        1).
-        """
+        """Return the derivatives of the values by q, (N, models x limited joints, n, 1)."""
         return super().slopes(q, np.zeros_like(q), np.zeros_like(q))[..., :1]
 
     def binds(self, poses: Array) -> bool:
@@ -191,6 +170,7 @@ class PowerLimit(StateConstraint):
     two_sided = True
 
     def __init__(self, model: RobotModel, limit: Array) -> None:
+        self._joint_names, self._limit = model.joint_names, limit
         self._finite = np.flatnonzero(np.isfinite(limit))
         self._torque = TorqueLimit((model,), limit)
 
@@ -205,12 +185,23 @@ class PowerLimit(StateConstraint):
         slopes[:, np.arange(self._finite.size), self._finite, 1] += self._torque.values(q, qd, qdd)
         return slopes
 
+    def notes(self, q: Array, qd: Array, qdd: Array) -> tuple[str, ...]:
+        """State the largest power relative to its limit."""
+        used = np.abs(self.values(q, qd, qdd)).max(axis=0)
+        k = int(np.argmax(used))
+        joint, limit = self._finite[k], self._limit[self._finite[k]]
+        return (
+            f"power at most {used[k] * limit:.3g} W of the {limit:g} W allowed, by"
+            f" {self._joint_names[joint]}",
+        )
+
 
 def perturbed_models(
     model: RobotModel, count: int, spread: float, rng: np.random.Generator
 ) -> tuple[RobotModel, ...]:
-    """Return the model and `count` versions with masses and inertias off by `spread` (standard
-    deviation, as a fraction), centres of mass likewise.
+    """Return the model and `count` versions with random mass properties.
+
+    Masses, inertias and centres of mass are off by `spread` (standard deviation, as a fraction).
     """
     versions = [model]
     for _ in range(count):

@@ -1,0 +1,240 @@
+"""A designed motion and its information about the base parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import UsageError
+from asbuilt.excitation.design.options import DesignOptions
+from asbuilt.excitation.design.program import Objective
+from asbuilt.excitation.information.information import mean_information
+from asbuilt.excitation.information.information_bound import InformationBound
+from asbuilt.excitation.limits import LimitReport, check_motion
+from asbuilt.excitation.motions.motion import Motion, limit_array
+from asbuilt.excitation.motions.pacing import CHECK_RATE
+from asbuilt.excitation.motions.parametrisation import Parametrisation
+from asbuilt.excitation.state_bounds import limited_model
+from asbuilt.excitation.state_constraint import StateConstraint, smallest_distance
+from asbuilt.excitation.torque_limit import PowerLimit
+
+UNDETERMINED = 1e-6
+"""Squared share of a parameter in the null space of the information, above which its standard error
+is infinite.
+"""
+
+EFFECT_RATE = 100.0
+"""Rate at which the torque of a motion is evaluated for `torque_effects` [Hz]."""
+
+
+@dataclass(frozen=True, slots=True)
+class DurationTrial:
+    """A duration that was tried, and the precision that its motion would give."""
+
+    duration: float
+    size: int
+    periods: int
+    precision: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Design:
+    """A designed motion, its margins and its information about the base parameters.
+
+    | field | meaning |
+    |---|---|
+    | `model`, `base`, `options`, `motion` | robot, base parameters, options as used, motion |
+    | `noise` (n,) | standard deviation of the torque [N m or N] |
+    | `size`, `size_name` | harmonics or points of the motion |
+    | `mean_information` (p, p) | mean of `Y^T S^-1 Y` on a 1 kHz grid, exact drive columns |
+    | `prior` (p, p) | information from earlier recordings |
+    | `bound`, `family_bound` | bounds over all states, and over those of a Fourier series |
+    | `limits`, `assumed` | margins on the grid; limits that the description lacks |
+    | `collision_distance` | smallest distance between bodies [m], None if unchecked |
+    | `value`, `candidates` | criterion of the motion and of all local optima |
+    | `solve_seconds`, `interrupted`, `notes` | how the search went |
+    | `trials` | durations tried for a wanted precision |
+    """
+
+    model: RobotModel
+    base: BaseParameters
+    options: DesignOptions
+    motion: Motion
+    noise: Array
+    size: int
+    size_name: str
+    mean_information: Array
+    prior: Array | None
+    bound: InformationBound | None
+    family_bound: InformationBound | None
+    limits: LimitReport
+    assumed: tuple[str, ...]
+    collision_distance: float | None
+    value: float
+    candidates: tuple[float, ...]
+    solve_seconds: float
+    interrupted: bool
+    notes: tuple[str, ...] = field(default=())
+    trials: tuple[DurationTrial, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        return (
+            f"Design({self.model.name!r}, {self.options.parametrisation!r},"
+            f" duration={self.motion.duration:g}, {self.size_name}={self.size},"
+            f" log_det={self.log_det:.2f}, limits_kept={self.limits.is_respected})"
+        )
+
+    @property
+    def n_samples(self) -> float:
+        """Independent torque samples of each joint."""
+        return self.motion.duration * self.options.information_rate
+
+    @property
+    def d_efficiency(self) -> float | None:
+        """Information efficiency `exp((log det M - log det M_bound) / p)` per sample.
+
+        The bound is an upper bound that no motion reaches; None without a bound.
+        """
+        return None if self.bound is None else self.bound.efficiency(self.mean_information)
+
+    @property
+    def family_efficiency(self) -> float | None:
+        """Information efficiency relative to the bound for motions with these harmonics."""
+        bound = self.family_bound
+        return None if bound is None else bound.efficiency(self.mean_information)
+
+    @property
+    def information(self) -> Array:
+        """Information of the whole motion (p, p), without the prior."""
+        return self.n_samples * self.mean_information
+
+    @property
+    def log_det(self) -> float:
+        """`log det` of the information of the whole motion."""
+        return float(np.linalg.slogdet(self.information)[1])
+
+    @property
+    def condition_number(self) -> float:
+        """Condition number of the weighted observation matrix."""
+        return float(np.sqrt(np.linalg.cond(self.mean_information)))
+
+    @property
+    def scaled_condition_number(self) -> float:
+        """Condition number of the weighted observation matrix with columns of unit length."""
+        size = 1.0 / np.sqrt(np.diag(self.mean_information))
+        return float(np.sqrt(np.linalg.cond(self.mean_information * np.outer(size, size))))
+
+    @property
+    def std_errors(self) -> Array:
+        """Predicted standard errors of the base parameters (p,), prior included.
+
+        Infinite for parameters that remain undetermined.
+        """
+        total = self.information if self.prior is None else self.information + self.prior
+        size = 1.0 / np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
+        eigenvalues, vectors = np.linalg.eigh(total * np.outer(size, size))
+        kept = eigenvalues > len(eigenvalues) * np.finfo(float).eps * eigenvalues[-1]
+        errors = size * np.sqrt((vectors[:, kept] ** 2 / eigenvalues[kept]).sum(axis=1))
+        outside = (vectors[:, ~kept] ** 2).sum(axis=1)
+        return np.where(outside > UNDETERMINED, np.inf, errors)
+
+    @cached_property
+    def torque_effects(self) -> Array:
+        """`std_i rms(column_i) / rms(torque)` of every base parameter (p,).
+
+        Torques are those of the description in units of the noise; NaN if it gives no masses.
+        Unlike a relative error it is defined for parameters near zero.
+        """
+        drive, values = described_drive(self.model)
+        state = self.motion.at(self.motion.sample_times(EFFECT_RATE))
+        rigid = inverse_dynamics(self.model, *state)
+        shares = self.model.motor_shares
+        friction = drive_torque(drive, values, *state, load=rigid, shares=shares)
+        torque = (rigid + friction) / self.noise
+        size = float(np.sqrt(np.mean((torque**2).sum(axis=1))))
+        effects: Array = self.std_errors * np.sqrt(np.diag(self.mean_information))
+        return effects / size if size > 0 else np.full_like(effects, np.nan)
+
+    @property
+    def precision(self) -> float:
+        """Largest of `torque_effects`, over the parameters in focus if there is a focus.
+
+        Raises `UsageError` if the description gives no masses.
+        """
+        effects = self.torque_effects
+        if np.any(np.isnan(effects)):
+            raise UsageError(
+                f"the description of {self.model.name} gives no masses, so a precision relative to"
+                " its torque is not defined"
+            )
+        chosen = [position_of(self.base, name) for name in self.options.focus] or slice(None)
+        return float(effects[chosen].max())
+
+
+def describe_design(
+    model: RobotModel,
+    base: BaseParameters,
+    options: DesignOptions,
+    family: Parametrisation,
+    motion: Motion,
+    objective: Objective,
+    *,
+    constraints: Sequence[StateConstraint] = (),
+    bound: InformationBound | None = None,
+    family_bound: InformationBound | None = None,
+    value: float | None = None,
+    candidates: tuple[float, ...] = (),
+    seconds: float = 0.0,
+    interrupted: bool = False,
+    notes: tuple[str, ...] = (),
+) -> Design:
+    """Return the design of this motion, evaluated at 1 kHz with exact drive columns."""
+    limited, assumed = limited_model(model)
+    count = max(1, int(motion.duration * CHECK_RATE))
+    states = motion.at((np.arange(count) + 0.5) * motion.duration / count)
+    mean = mean_information(objective.information, *states)
+    checked = [*constraints]
+    if options.power:
+        checked.insert(0, PowerLimit(model, limit_array(options.power, model.n_joints, "power")))
+    return Design(
+        model=model,
+        base=base,
+        options=replace(options, duration=motion.duration),
+        motion=motion,
+        noise=objective.information.noise,
+        size=family.size,
+        size_name=family.size_name,
+        mean_information=mean,
+        bound=bound,
+        family_bound=family_bound,
+        prior=objective.prior,
+        limits=check_motion(limited, motion, CHECK_RATE),
+        assumed=assumed,
+        collision_distance=smallest_distance(constraints, states[0]),
+        value=objective.value(mean) if value is None else value,
+        candidates=candidates,
+        solve_seconds=seconds,
+        interrupted=interrupted,
+        notes=(*notes, *(note for each in checked for note in each.notes(*states))),
+    )
+
+
+def position_of(base: BaseParameters, name: str) -> int:
+    """Return the position of a base parameter by name or id; raises `UsageError` if unknown."""
+    text = name.strip()
+    if text in base.names:
+        return base.names.index(text)
+    if text.isdigit() and int(text) in base.ids:
+        return int(np.flatnonzero(base.ids == int(text))[0])
+    raise UsageError(
+        f"{base.robot} has no base parameter {text!r}; available:"
+        f" {', '.join(f'{i} {n}' for i, n in zip(base.ids, base.names, strict=True))}"
+    )

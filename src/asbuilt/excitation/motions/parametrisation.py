@@ -1,0 +1,117 @@
+"""Families of motions that are linear in their coefficients, and their registry."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.motions.motion import Motion
+from asbuilt.registry import Registry
+
+
+@dataclass(frozen=True)
+class Richness:
+    """Bound the number of harmonics or points of a motion where the user asks for none.
+
+    | field | meaning and source |
+    |---|---|
+    | `frequency` | highest frequency without limits [Hz]; arms follow it without vibrating |
+    | `harmonics` | fewest and most harmonics of a period; beyond, a search gains nothing |
+    | `points` | fewest and most points; beyond, a search gains nothing |
+    | `points_per_wave` | control points per wave of the useful frequency (2 is Nyquist's) |
+    """
+
+    frequency: float = 0.25
+    harmonics: tuple[int, int] = (4, 16)
+    points: tuple[int, int] = (4, 49)
+    points_per_wave: float = 3.2
+
+
+RICHNESS = Richness()
+
+
+@dataclass(frozen=True)
+class Parametrisation(ABC):
+    """Map coefficients (n_basis, n_joints) linearly to a motion of `duration` seconds.
+
+    A subclass names itself with `key` and what `size` counts with `size_name`, and registers
+    itself: `PARAMETRISATIONS.register(key, class)`.
+
+    Parameters
+    ----------
+    duration
+        Duration of the motion [s].
+    size
+        Number of harmonics, control points, way points or poses.
+    """
+
+    duration: float
+    size: int
+    key: ClassVar[str]
+    size_name: ClassVar[str]
+    density: ClassVar[float] = 0.0
+    """Points per control point of a B-spline of equal richness; 0: as few as the duration asks."""
+    band_limited: ClassVar[bool] = False
+    """Whether no frequency exceeds `1 / shortest_wave`."""
+
+    @classmethod
+    def of(cls, duration: float, size: int, periods: int = 1) -> Self:
+        """Build the family; only a periodic one uses `periods`."""
+        return cls(duration, size)
+
+    @classmethod
+    def usual_size(
+        cls, duration: float, periods: int | None, bounds: MotionBounds | None = None
+    ) -> tuple[int, int | None]:
+        """Return size and periods that suit these limits, where the user asks for no size."""
+        useful = RICHNESS.frequency if bounds is None else useful_frequency(bounds)
+        (least, most), wave = RICHNESS.points, RICHNESS.points_per_wave
+        slow = max(least, round(wave * RICHNESS.frequency * duration) + 1)
+        quick = min(round(cls.density * (most - 1)), round(cls.density * wave * useful * duration))
+        return max(slow, quick + 1), periods
+
+    @abstractmethod
+    def basis(self, t: Array, order: int) -> Array:
+        """Return this derivative of the basis functions at the times `t` (N,), (N, n_basis)."""
+
+    @abstractmethod
+    def motion(self, coefficients: Array) -> Motion:
+        """Return the motion with these coefficients."""
+
+    @property
+    @abstractmethod
+    def shortest_wave(self) -> float:
+        """Shortest time, about, in which a motion of the family goes there and back [s]."""
+
+    @property
+    @abstractmethod
+    def constant(self) -> Array:
+        """Coefficients (n_basis,) of the constant 1."""
+
+    @property
+    def span(self) -> float:
+        """Time after which the motion ends or repeats [s]."""
+        return self.duration
+
+    def random(self, rng: np.random.Generator, n_joints: int) -> Array:
+        """Return random coefficients that move every joint about 0, at no particular scale."""
+        return rng.normal(size=(self.constant.size, n_joints))
+
+
+PARAMETRISATIONS: Registry[type[Parametrisation]] = Registry(
+    "parametrisation", "asbuilt.excitation.motions.parametrisations", "asbuilt.motions"
+)
+"""Families of motions by key."""
+
+
+def useful_frequency(bounds: MotionBounds) -> float:
+    """Return a tenth of the median of acceleration limit over velocity limit [Hz].
+
+    Below it a joint moves at its velocity limit most of the time.
+    """
+    return float(np.median(bounds.acceleration / bounds.velocity)) / 10

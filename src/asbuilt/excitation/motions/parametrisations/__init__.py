@@ -1,0 +1,1 @@
+"""Families of motions, one per file; each registers itself in `PARAMETRISATIONS`."""

@@ -1,0 +1,131 @@
+"""Page of a designed motion: joints against their limits, path of the tool, margins, information."""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.excitation.design.designed_motion import Design
+from asbuilt.excitation.design.static_poses import StaticDesign
+from asbuilt.excitation.design_findings import design_findings
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.excitation.state_bounds import limited_model
+from asbuilt.writers.figures.figure_style import blank_figure, figure_address
+from asbuilt.writers.files import atomic_write
+from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.skeleton import skeleton_figure
+from asbuilt.writers.reports.page import page, table_markup
+from asbuilt.writers.tables.design_tables import design_facts, parameter_table, pose_table
+from asbuilt.writers.tables.limit_tables import margin_table, verdict
+
+POINTS = 400
+"""Points of a curve; the page stays below 2 MB."""
+
+CURVE, LIMIT, PATH_SIZE = "#0072b2", "#b3261e", (900, 675)
+
+
+def write_motion_report(path: str | os.PathLike[str], design: Design | StaticDesign) -> Path:
+    """Write the page of a designed motion as a self-contained HTML file."""
+    return atomic_write(path, motion_html(design))
+
+
+def motion_html(design: Design | StaticDesign) -> str:
+    """Return the page of a designed motion; it needs no network, and every name is escaped."""
+    is_motion, findings = isinstance(design, Design), design_findings(design)
+    return page(
+        "motion.html.j2",
+        title=f"{design.model.name}: designed motion",
+        robot=design.model.name,
+        what=(
+            f"{design.options.parametrisation} motion of {design.motion.duration:.4g} s,"
+            f" {design.size} {design.size_name}"
+            if isinstance(design, Design)
+            else f"{len(design.poses)} static poses, {design.motion.duration:.4g} s"
+        ),
+        verdict=verdict(design.limits),
+        kept=design.limits.is_respected,
+        findings=findings,
+        facts=design_facts(design) if isinstance(design, Design) else _static_facts(design),
+        margins=table_markup(margin_table(design.limits), "margins"),
+        path_image=_path_address(design),
+        joints=[
+            (name, figure_address(figure))
+            for name, figure in zip(design.model.joint_names, joint_figures(design), strict=True)
+        ],
+        rows_title="Predicted standard errors" if is_motion else "Poses",
+        rows=table_markup(
+            parameter_table(design) if isinstance(design, Design) else pose_table(design), "rows"
+        ),
+    )
+
+
+def joint_figures(design: Design | StaticDesign) -> list[Figure]:
+    """Draw position, velocity, acceleration and torque of each joint against their limits."""
+    model, motion = design.model, design.motion
+    bounds = MotionBounds.of(limited_model(model)[0])
+    t = np.linspace(0.0, motion.duration, POINTS)
+    q, qd, qdd = motion.at(t)
+    drive, values = described_drive(model)
+    rigid = inverse_dynamics(model, q, qd, qdd)
+    torque = rigid + drive_torque(
+        drive, values, q, qd, qdd, load=rigid, shares=model.motor_shares
+    )
+    upper = (bounds.upper, bounds.velocity, bounds.acceleration, bounds.torque)
+    lower = (bounds.lower, *(-limit for limit in upper[1:]))
+    figures = []
+    for j, joint in enumerate(model.joints):
+        unit = "rad" if joint.is_revolute else "m"
+        names = (
+            f"position\n{unit}",
+            f"velocity\n{unit}/s",
+            f"acceleration\n{unit}/s\u00b2",
+            f"torque\n{'N m' if joint.is_revolute else 'N'}",
+        )
+        figure = blank_figure(4.6, 5.4)
+        all_axes = figure.subplots(4, 1, sharex=True)
+        for k, (axes, x) in enumerate(zip(all_axes, (q, qd, qdd, torque), strict=True)):
+            _draw(axes, t, x[:, j], float(lower[k][j]), float(upper[k][j]), names[k])
+        all_axes[-1].set_xlabel("time [s]")
+        figure.align_ylabels(all_axes)
+        figures.append(figure)
+    return figures
+
+
+def _draw(axes: Axes, t: Array, x: Array, low: float, high: float, name: str) -> None:
+    axes.plot(t, x, color=CURVE, linewidth=1.1)
+    for limit in (low, high):
+        if np.isfinite(limit):
+            axes.axhline(limit, color=LIMIT, linewidth=0.9, linestyle=(0, (4, 2)))
+    axes.set_ylabel(name)
+    axes.margins(x=0.0)
+
+
+def _path_address(design: Design | StaticDesign) -> str:
+    """Return the skeleton at the start and the path of the tool as a data address."""
+    view = MotionView.of_motion(design.model, design.motion, most=2)
+    figure = skeleton_figure(view, 0, *PATH_SIZE)
+    stream = io.BytesIO()
+    FigureCanvasAgg(figure).print_png(stream)
+    return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def _static_facts(design: StaticDesign) -> list[tuple[str, str]]:
+    return [
+        ("parameters", f"{design.n_parameters} determined by gravity"),
+        ("log det", f"{design.log_det:.2f}"),
+        (
+            "condition number",
+            f"{design.condition_number:.2f} (scaled {design.scaled_condition_number:.2f})",
+        ),
+        ("route", f"{design.route_time:.1f} s, {design.turns} turning poses"),
+    ]
