@@ -14,6 +14,7 @@ from asbuilt.dynamics.kernels import rigid_body
 from asbuilt.dynamics.kernels.joint_space import joint_space_matrices
 from asbuilt.dynamics.kernels.recursion import layout_of
 from asbuilt.dynamics.kinematics import link_poses
+from asbuilt.dynamics.one_sample import rigid_bodies
 from asbuilt.errors import InertiaError
 
 
@@ -81,6 +82,10 @@ def inverse_dynamics(
     inputs; the result does not depend on it. Raises UsageError for shapes that do not fit and for
     values that are not finite. Source: Luh, Walker and Paul (1980).
     """
+    if parameters is None and type(q) is np.ndarray and q.ndim == 1:
+        one = rigid_bodies(model).torque(q, qd, qdd)
+        if one is not None:
+            return one
     qs, qds, qdds = joint_samples(model, q=q, qd=qd, qdd=qdd)
     return _torques(
         model, qs, qds, qdds, inertial_parameters(model, parameters), model.gravity, threads
@@ -91,6 +96,10 @@ def gravity_torque(
     model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None
 ) -> Array:
     """Return `g(q)`, the torque that holds the robot at rest, shape of `q`."""
+    if parameters is None and type(q) is np.ndarray and q.ndim == 1:
+        one = rigid_bodies(model).gravity(q)
+        if one is not None:
+            return one
     (qs,) = joint_samples(model, q=q)
     rest = np.zeros_like(qs)
     return _torques(
@@ -112,6 +121,10 @@ def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None
     """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples,
     n_joints, n_joints) for many samples.
     """
+    if parameters is None and type(q) is np.ndarray and q.ndim == 1:
+        one = rigid_bodies(model).mass_matrix(q)
+        if one is not None:
+            return one
     (qs,) = joint_samples(model, q=q)
     return _joint_space(
         model, qs, qs, inertial_parameters(model, parameters), coriolis=False

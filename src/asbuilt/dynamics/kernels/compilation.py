@@ -1,6 +1,4 @@
-"""Machine code kept on disk from run to run, and made anew when any of the source it was made from
-changes.
-"""
+"""Machine code kept on disk until any of the sources that it was made from changes."""
 
 # mypy: allow-untyped-calls
 
@@ -15,21 +13,29 @@ from typing import Any
 from numba import njit
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on first call, release the interpreter lock, keep the machine code on disk where any
-    folder can be written.
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile on first call, release the interpreter lock, keep the machine code on disk.
 
     Numba takes kept code for current as long as the file of the function itself is unchanged,
     though functions of other files are inlined into it. Here the sources of all compiled functions
     beside this file count too; where Numba does not let them, nothing is kept.
     """
+    return _compiled(function, nogil=True)
+
+
+def compiled_with_lock(function: Callable[..., Any]) -> Any:
+    """Compile as `compiled` does, but keep the interpreter lock, which makes short calls faster."""
+    return _compiled(function, nogil=False)
+
+
+def _compiled(function: Callable[..., Any], *, nogil: bool) -> Any:
     try:
-        made: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+        made: Any = njit(cache=True, nogil=nogil, error_model="numpy")(function)
         index = made._cache._cache_file
         index._source_stamp = (index._source_stamp, source_digest(Path(__file__).parent))
     except (RuntimeError, AttributeError):
-        made = njit(nogil=True, error_model="numpy")(function)
-    return made  # type: ignore[no-any-return]
+        made = njit(nogil=nogil, error_model="numpy")(function)
+    return made
 
 
 @cache

@@ -1,0 +1,412 @@
+"""Torque and mass matrix of one sample, with the least work per call.
+
+A robot comes as two flat arrays: `codes`, 7 per link as in its `Layout`, then the drive program,
+rows of operation, joint and constant; and `numbers`, per link its placements (24) and inertial
+parameters (10), then gravity (3), then the constants of the program, then `work_size(n)` numbers
+for intermediate results. The functions return False, with `out` unspecified, unless every input has
+n finite values. They keep the interpreter lock, since calls for one robot share its work space.
+"""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from asbuilt.dynamics.kernels.compilation import compiled, compiled_with_lock
+from asbuilt.dynamics.kernels.operations import (
+    ABS,
+    ACT,
+    ADD,
+    ATAN,
+    COS,
+    DIVIDE,
+    EXP,
+    LOAD,
+    LOG,
+    MAXIMUM,
+    MINIMUM,
+    MULTIPLY,
+    NEGATIVE,
+    NUMBER,
+    POWER,
+    QD,
+    QDD,
+    SIGN,
+    SIN,
+    SPEND,
+    SQRT,
+    STACK,
+    SUBTRACT,
+    TANH,
+    Q,
+)
+from asbuilt.dynamics.kernels.recursion import (
+    AFTER,
+    BEFORE,
+    GENERAL,
+    NOTHING,
+    PARENT,
+    REVOLUTE,
+    accelerated,
+    cross,
+    into,
+    out_of,
+)
+
+PER_LINK = 34
+"""Numbers of a link: placements and inertial parameters."""
+CHI = 24
+"""Place of the inertial parameters among them."""
+CODES = 7
+"""Codes of a link."""
+STATE, WRENCH = 9, 6
+"""Numbers per link of the recursion: w, dw, a; force, moment."""
+
+
+@compiled
+def work_size(n):
+    """Return the size of the work space for n joints."""
+    return 30 * n + 12 + STACK
+
+
+@compiled
+def _move(codes, i, p, o, q, c, s, v, dv, x):
+    """Return w, dw, a of a link from those of its parent, `x`."""
+    wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    kind = codes[i + BEFORE]
+    if kind != NOTHING:
+        ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 9], p[o + 10], p[o + 11])
+        wx, wy, wz = into(kind, p, o, wx, wy, wz)
+        dx, dy, dz = into(kind, p, o, dx, dy, dz)
+        ax, ay, az = into(kind, p, o, ax, ay, az)
+    if codes[i + REVOLUTE]:
+        wx, wy = wx * c + wy * s, wy * c - wx * s
+        dx, dy = dx * c + dy * s, dy * c - dx * s
+        ax, ay = ax * c + ay * s, ay * c - ax * s
+        dx, dy, dz = dx + wy * v, dy - wx * v, dz + dv
+        wz = wz + v
+    else:
+        ax, ay, az = accelerated(wx, wy, wz, dx, dy, dz, ax, ay, az, 0.0, 0.0, q)
+        ax, ay, az = ax + 2.0 * wy * v, ay - 2.0 * wx * v, az + dv
+    kind = codes[i + AFTER]
+    if kind != NOTHING:
+        ax, ay, az = accelerated(
+            wx, wy, wz, dx, dy, dz, ax, ay, az, p[o + 21], p[o + 22], p[o + 23]
+        )
+        wx, wy, wz = into(kind, p, o + 12, wx, wy, wz)
+        dx, dy, dz = into(kind, p, o + 12, dx, dy, dz)
+        ax, ay, az = into(kind, p, o + 12, ax, ay, az)
+    return wx, wy, wz, dx, dy, dz, ax, ay, az
+
+
+@compiled
+def _wrench_of(p, o, x):
+    """Return force and moment about the link origin that the motion `x` of a link requires."""
+    wx, wy, wz, dx, dy, dz, ax, ay, az = x
+    hx, hy, hz, m = p[o + 6], p[o + 7], p[o + 8], p[o + 9]
+    fx, fy, fz = accelerated(wx, wy, wz, dx, dy, dz, ax * m, ay * m, az * m, hx, hy, hz)
+    lx = wx * p[o] + wy * p[o + 1] + wz * p[o + 2]
+    ly = wx * p[o + 1] + wy * p[o + 3] + wz * p[o + 4]
+    lz = wx * p[o + 2] + wy * p[o + 4] + wz * p[o + 5]
+    gx, gy, gz = cross(wx, wy, wz, lx, ly, lz)
+    ex, ey, ez = cross(hx, hy, hz, ax, ay, az)
+    return (
+        fx,
+        fy,
+        fz,
+        dx * p[o] + dy * p[o + 1] + dz * p[o + 2] + gx + ex,
+        dx * p[o + 1] + dy * p[o + 3] + dz * p[o + 4] + gy + ey,
+        dx * p[o + 2] + dy * p[o + 4] + dz * p[o + 5] + gz + ez,
+    )
+
+
+@compiled
+def _to_joint(codes, i, p, o, f):
+    """Return a wrench in link axes about the link origin as one in the axes of the joint."""
+    fx, fy, fz, nx, ny, nz = f
+    if codes[i + AFTER] != NOTHING:
+        fx, fy, fz = out_of(codes[i + AFTER], p, o + 12, fx, fy, fz)
+        nx, ny, nz = out_of(codes[i + AFTER], p, o + 12, nx, ny, nz)
+        cx, cy, cz = cross(p[o + 21], p[o + 22], p[o + 23], fx, fy, fz)
+        nx, ny, nz = nx + cx, ny + cy, nz + cz
+    return fx, fy, fz, nx, ny, nz
+
+
+@compiled
+def _to_parent(codes, i, p, o, q, c, s, f):
+    """Return a wrench in axes of the joint as one in axes of the parent link."""
+    fx, fy, fz, nx, ny, nz = f
+    if codes[i + REVOLUTE]:
+        fx, fy = fx * c - fy * s, fy * c + fx * s
+        nx, ny = nx * c - ny * s, ny * c + nx * s
+    else:
+        nx, ny = nx - fy * q, ny + fx * q
+    if codes[i + BEFORE] != NOTHING:
+        fx, fy, fz = out_of(codes[i + BEFORE], p, o, fx, fy, fz)
+        nx, ny, nz = out_of(codes[i + BEFORE], p, o, nx, ny, nz)
+        cx, cy, cz = cross(p[o + 9], p[o + 10], p[o + 11], fx, fy, fz)
+        nx, ny, nz = nx + cx, ny + cy, nz + cz
+    return fx, fy, fz, nx, ny, nz
+
+
+@compiled
+def _finite(n, q, qd, qdd):
+    if q.size != n or qd.size != n or qdd.size != n:
+        return False
+    total = 0.0
+    for k in range(n):
+        total += 0.0 * (q[k] + qd[k] + qdd[k])
+    return total == 0.0
+
+
+@compiled
+def _trigonometry(n, q, cosines, sines):
+    """Write cosines and sines of all positions.
+
+    Not by `sine_cosine`: after a single 512-bit instruction some processors run slower for a while.
+    """
+    for k in range(n):
+        cosines[k], sines[k] = math.cos(q[k]), math.sin(q[k])
+
+
+@compiled_with_lock
+def torque(codes, numbers, q, qd, qdd, out):
+    """Write the joint torques of rigid bodies and drives (Luh, Walker and Paul, 1980)."""
+    n = out.size
+    if not _finite(n, q, qd, qdd):
+        return False
+    work = numbers[numbers.size - work_size(n) :]
+    cosines, sines, states = work, work[n:], work[2 * n :]
+    wrenches = states[STATE * n :]
+    _trigonometry(n, q, cosines, sines)
+    g = PER_LINK * n
+    root = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -numbers[g], -numbers[g + 1], -numbers[g + 2])
+    for i in range(n):
+        o, x = PER_LINK * i, root
+        if codes[CODES * i + PARENT] >= 0:
+            r = STATE * codes[CODES * i + PARENT]
+            x = (
+                states[r],
+                states[r + 1],
+                states[r + 2],
+                states[r + 3],
+                states[r + 4],
+                states[r + 5],
+                states[r + 6],
+                states[r + 7],
+                states[r + 8],
+            )
+        c, s = cosines[i], sines[i]
+        x = _move(codes, CODES * i, numbers, o, q[i], c, s, qd[i], qdd[i], x)
+        for k in range(STATE):
+            states[STATE * i + k] = x[k]
+        f = _wrench_of(numbers, o + CHI, x)
+        for k in range(WRENCH):
+            wrenches[WRENCH * i + k] = f[k]
+    for i in range(n - 1, -1, -1):
+        o, r = PER_LINK * i, WRENCH * i
+        f = (
+            wrenches[r],
+            wrenches[r + 1],
+            wrenches[r + 2],
+            wrenches[r + 3],
+            wrenches[r + 4],
+            wrenches[r + 5],
+        )
+        f = _to_joint(codes, CODES * i, numbers, o, f)
+        out[i] = f[5] if codes[CODES * i + REVOLUTE] else f[2]
+        if codes[CODES * i + PARENT] >= 0:
+            f = _to_parent(codes, CODES * i, numbers, o, q[i], cosines[i], sines[i], f)
+            r = WRENCH * codes[CODES * i + PARENT]
+            for k in range(WRENCH):
+                wrenches[r + k] += f[k]
+    if codes.size > CODES * n:
+        loads, stack = wrenches[WRENCH * n :], wrenches[(WRENCH + 1) * n :]
+        loads[:n] = out
+        _run(codes, CODES * n, numbers, g + 3, q, qd, qdd, loads, stack, out)
+    return True
+
+
+@compiled
+def _run(program, first, numbers, constants, q, qd, qdd, load, stack, out):
+    """Add the torques of a drive program, `program[first:]`."""
+    top = -1
+    for row in range(first, program.size, 3):
+        operation, joint = program[row], program[row + 1]
+        if operation == SPEND:
+            out[joint] += stack[top] * numbers[constants + program[row + 2]]
+            top -= 1
+        elif operation == ACT:
+            out[joint] += stack[top] * numbers[constants + program[row + 2]]
+        elif operation == NUMBER:
+            top += 1
+            stack[top] = numbers[constants + program[row + 2]]
+        elif operation == Q:
+            top += 1
+            stack[top] = q[joint]
+        elif operation == QD:
+            top += 1
+            stack[top] = qd[joint]
+        elif operation == QDD:
+            top += 1
+            stack[top] = qdd[joint]
+        elif operation == LOAD:
+            top += 1
+            stack[top] = load[joint]
+        elif operation < NEGATIVE:
+            top -= 1
+            stack[top] = _binary(operation, stack[top], stack[top + 1])
+        else:
+            stack[top] = _unary(operation, stack[top])
+
+
+@compiled
+def _binary(operation, a, b):
+    if operation == ADD:
+        return a + b
+    if operation == SUBTRACT:
+        return a - b
+    if operation == MULTIPLY:
+        return a * b
+    if operation == DIVIDE:
+        return a / b
+    if operation == POWER:
+        return a * a if b == 2.0 else a**b
+    if operation == MINIMUM:
+        return min(a, b)
+    if operation == MAXIMUM:
+        return max(a, b)
+    return np.nan
+
+
+@compiled
+def _unary(operation, x):
+    if operation == NEGATIVE:
+        return -x
+    if operation == ABS:
+        return abs(x)
+    if operation == SIGN:
+        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else 0.0
+    if operation == EXP:
+        return math.exp(x)
+    if operation == LOG:
+        return math.log(x)
+    if operation == SQRT:
+        return math.sqrt(x)
+    if operation == SIN:
+        return math.sin(x)
+    if operation == COS:
+        return math.cos(x)
+    if operation == TANH:
+        return math.tanh(x)
+    if operation == ATAN:
+        return math.atan(x)
+    return np.nan
+
+
+@compiled
+def _turned(p, o, b, at):
+    """Return inertial parameters b[at:at+10] in axes turned by R = p[o:o+9]: `R I R^T`, `R h`, m."""
+    ax, ay, az = out_of(GENERAL, p, o, b[at], b[at + 1], b[at + 2])
+    bx, by, bz = out_of(GENERAL, p, o, b[at + 1], b[at + 3], b[at + 4])
+    cx, cy, cz = out_of(GENERAL, p, o, b[at + 2], b[at + 4], b[at + 5])
+    xx, xy, xz = out_of(GENERAL, p, o, ax, bx, cx)
+    _, yy, yz = out_of(GENERAL, p, o, ay, by, cy)
+    _, _, zz = out_of(GENERAL, p, o, az, bz, cz)
+    hx, hy, hz = out_of(GENERAL, p, o, b[at + 6], b[at + 7], b[at + 8])
+    return xx, xy, xz, yy, yz, zz, hx, hy, hz, b[at + 9]
+
+
+@compiled
+def _shifted(x, y, z, b):
+    """Return inertial parameters about an origin from which the old one lies at t = (x, y, z).
+
+    `I + 2 (h . t) 1 - h t^T - t h^T + m (|t|^2 1 - t t^T)` and `h + m t`.
+    """
+    m, ux, uy, uz = b[9], b[6] + 0.5 * b[9] * x, b[7] + 0.5 * b[9] * y, b[8] + 0.5 * b[9] * z
+    return (
+        b[0] + 2.0 * (uy * y + uz * z),
+        b[1] - ux * y - uy * x,
+        b[2] - ux * z - uz * x,
+        b[3] + 2.0 * (ux * x + uz * z),
+        b[4] - uy * z - uz * y,
+        b[5] + 2.0 * (ux * x + uy * y),
+        b[6] + m * x,
+        b[7] + m * y,
+        b[8] + m * z,
+        m,
+    )
+
+
+@compiled
+def _place(code, i, p, o, q, c, s, parent, frames, f, screw):
+    """Write rotation and origin of a link in the root frame and the screw (z, m) of its joint."""
+    for k in range(3):
+        r = parent + 3 * k
+        x, y, z, at = frames[r], frames[r + 1], frames[r + 2], frames[parent + 9 + k]
+        if code[i + BEFORE] != NOTHING:
+            at += x * p[o + 9] + y * p[o + 10] + z * p[o + 11]
+            x, y, z = into(code[i + BEFORE], p, o, x, y, z)
+        screw[k], screw[3 + k] = z, at
+        if code[i + REVOLUTE]:
+            x, y = x * c + y * s, y * c - x * s
+        else:
+            at += z * q
+        if code[i + AFTER] != NOTHING:
+            at += x * p[o + 21] + y * p[o + 22] + z * p[o + 23]
+            x, y, z = into(code[i + AFTER], p, o + 12, x, y, z)
+        frames[f + 3 * k], frames[f + 3 * k + 1], frames[f + 3 * k + 2] = x, y, z
+        frames[f + 9 + k] = at
+    zx, zy, zz = screw[0], screw[1], screw[2]
+    if code[i + REVOLUTE]:
+        screw[3], screw[4], screw[5] = cross(screw[3], screw[4], screw[5], zx, zy, zz)
+    else:
+        screw[0] = screw[1] = screw[2] = 0.0
+        screw[3], screw[4], screw[5] = zx, zy, zz
+
+
+@compiled_with_lock
+def mass_matrix(codes, numbers, q, out):
+    """Write `M_ij = s_i . I_j s_j` into zeros, I_j the bodies moved by joint j, i above j.
+
+    Screws and composite inertias are those about the root origin (Walker and Orin, 1982).
+    """
+    n = out.shape[0]
+    if not _finite(n, q, q, q):
+        return False
+    work = numbers[numbers.size - work_size(n) :]
+    cosines, sines, frames = work, work[n:], work[2 * n :]
+    bodies, screws = frames[12 * n + 12 :], frames[22 * n + 12 :]
+    _trigonometry(n, q, cosines, sines)
+    for k in range(12):
+        frames[k] = 1.0 if k % 4 == 0 and k < 9 else 0.0
+    for i in range(n):
+        o, f = PER_LINK * i, 12 * i + 12
+        above, c, s = 12 * codes[CODES * i + PARENT] + 12, cosines[i], sines[i]
+        _place(codes, CODES * i, numbers, o, q[i], c, s, above, frames, f, screws[6 * i :])
+        b = _turned(frames, f, numbers, o + CHI)
+        b = _shifted(frames[f + 9], frames[f + 10], frames[f + 11], b)
+        for k in range(10):
+            bodies[10 * i + k] = b[k]
+    for i in range(n - 1, -1, -1):
+        b, z = bodies[10 * i :], screws[6 * i :]
+        fx, fy, fz = cross(z[0], z[1], z[2], b[6], b[7], b[8])
+        nx, ny, nz = cross(b[6], b[7], b[8], z[3], z[4], z[5])
+        fx, fy, fz = fx + b[9] * z[3], fy + b[9] * z[4], fz + b[9] * z[5]
+        nx += b[0] * z[0] + b[1] * z[1] + b[2] * z[2]
+        ny += b[1] * z[0] + b[3] * z[1] + b[4] * z[2]
+        nz += b[2] * z[0] + b[4] * z[1] + b[5] * z[2]
+        j = i
+        while j >= 0:
+            z = screws[6 * j :]
+            moment = z[0] * nx + z[1] * ny + z[2] * nz
+            out[i, j] = out[j, i] = moment + z[3] * fx + z[4] * fy + z[5] * fz
+            j = codes[CODES * j + PARENT]
+        parent = codes[CODES * i + PARENT]
+        if parent >= 0:
+            for k in range(10):
+                bodies[10 * parent + k] += b[k]
+    return True
