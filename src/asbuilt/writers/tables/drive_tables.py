@@ -7,16 +7,23 @@ from collections.abc import Sequence
 from typing import Any
 
 from asbuilt.dynamics.drives.selection import available_terms
+from asbuilt.findings import joined
 from asbuilt.identification.calibration.torque_gains import TorqueGains
 from asbuilt.identification.calibration.two_channels import TwoChannelEstimate
 from asbuilt.identification.drives.motor_side import MotorSideParameter
 from asbuilt.tables import Column, Table, percent, plus_minus, stacked
 
-USE = """\
-Terms are chosen as --drive viscous,coulomb,offset; armature is added by default for torques from motors and currents.
-Options follow colons: stribeck:velocity=0.05 for all joints, smooth_coulomb:width=0.02/0.01/0.02 one per joint, spring:joints=2/5 at some joints.
-An option in brackets that is not stated is fitted to the recording, joint by joint, within what is credible. --drive auto chooses among the terms marked *
-where they are credible and lower the error on held-out time blocks; --drive auto,spring:joints=2 has a spring besides."""
+MOST_NOTES, MOST_ROWS = 3, 14
+"""Notes and rows of a short text."""
+USE = (
+    "Terms are listed as viscous,coulomb,offset; armature is a default for torques from motors and"
+    " currents.",
+    "Options follow colons: stribeck:velocity=0.05 for all joints,"
+    " smooth_coulomb:width=0.02/0.01/0.02 for each joint, spring:joints=2/5 for some joints.",
+    "An option in brackets is fitted to the recording of each joint unless it is stated.",
+    "auto chooses among the terms marked *: those that lower the error on held-out time blocks."
+    " auto,spring:joints=2 adds a spring.",
+)
 
 
 def drives_document() -> dict[str, Any]:
@@ -51,8 +58,8 @@ def drives_document() -> dict[str, Any]:
     }
 
 
-def drives_text() -> str:
-    """Return the drive terms as a table, with how to choose them."""
+def drives_text(full: bool = False) -> str:
+    """Return the drive terms as a table, and how to choose them; with units if `full`."""
     rows = []
     for term in available_terms().values():
         options = ", ".join(
@@ -70,19 +77,16 @@ def drives_text() -> str:
         )
     columns = (
         Column("term"),
-        Column("parameters"),
+        Column("parameters", detail=True),
         Column("torque"),
         Column("options"),
-        Column("units"),
+        Column("units", detail=True),
     )
-    return Table(columns, tuple(rows)).as_text() + "\n" + USE
+    return Table(columns, tuple(rows), notes=USE).as_text(full)
 
 
 def gains_document(found: TorqueGains) -> dict[str, Any]:
-    """Return gains as plain data.
-
-    `gain` is the list that stands in place of those in use, `option` and `sheet` the same as text.
-    """
+    """Return gains as plain data; `option` and `sheet` are the gains to use as text."""
     return {
         "joints": list(found.joint_names),
         "gains": [_number(value) for value in found.gains],
@@ -103,20 +107,26 @@ def gains_document(found: TorqueGains) -> dict[str, Any]:
     }
 
 
-def gains_text(found: TorqueGains) -> str:
-    """Return gains as a table with what they rest on, and the option and the line of a recording
-    sheet that put them to use.
-    """
+def gains_text(found: TorqueGains, full: bool = False) -> str:
+    """Return gains as a table, and the option and the line of a recording sheet that use them."""
+    columns = (
+        Column("joint"),
+        Column("gain in use", align="right", style="g"),
+        Column("factor"),
+        Column("torque per logged unit"),
+        Column("payload", "% of torque", "right"),
+        Column("determined"),
+    )
     rows = [
         (
             name,
-            f"{used:g}",
+            float(used),
             plus_minus(float(factor), float(factor_error)),
             plus_minus(float(gain), float(error)),
             f"{100 * share:.0f}" if share >= 0.0 else "-",
-            "yes" if told else "NO",
+            "yes" if determined else "NO",
         )
-        for name, used, factor, factor_error, gain, error, share, told in zip(
+        for name, used, factor, factor_error, gain, error, share, determined in zip(
             found.joint_names,
             found.in_use,
             found.factors,
@@ -128,26 +138,20 @@ def gains_text(found: TorqueGains) -> str:
             strict=True,
         )
     ]
-    columns = (
-        Column("joint"),
-        Column("gain in use", align="right"),
-        Column("off by"),
-        Column("torque per logged unit"),
-        Column("payload in torque", "%", "right"),
-        Column("told"),
-    )
-    lines = [Table(columns, tuple(rows)).as_text().rstrip()]
-    lines += [
-        f"[{number}] {sentence[0].upper()}{sentence[1:]}."
-        for number, sentence in enumerate(found.sentences(), start=1)
-    ]
-    if found.determined.any():
-        lines += [
-            "In place of the gains in use, give the next command",
+    notes = tuple(f"{text[0].upper()}{text[1:]}." for text in found.sentences())
+    shown = notes if full else notes[:MOST_NOTES]
+    text = Table(columns, tuple(rows), title="Torque gains", notes=shown).as_text(full)
+    if not found.determined.any():
+        return text
+    return "\n".join(
+        [
+            text,
+            "Instead of the gains in use:",
             f"  --gain={_listed(found)}",
+            "or in the recording sheet:",
+            f"  {_sheet_line(found)}\n",
         ]
-        lines += ["or write into the recording sheet", f"  {_sheet_line(found)}"]
-    return "\n".join(lines)
+    )
 
 
 def _listed(found: TorqueGains) -> str:
@@ -194,7 +198,7 @@ def channels_document(found: TwoChannelEstimate) -> dict[str, Any]:
     }
 
 
-def channels_text(found: TwoChannelEstimate) -> str:
+def channels_text(found: TwoChannelEstimate, full: bool = False) -> str:
     """Return an estimate from sensors and motors together as tables."""
     rows = [
         (name, unit, "motor" if motor else "link", plus_minus(value, error), percent(value, error))
@@ -207,15 +211,19 @@ def channels_text(found: TwoChannelEstimate) -> str:
             strict=True,
         )
     ]
+    values = list(zip(found.values.tolist(), found.std_errors.tolist(), strict=True))
     errors = tuple(
         zip(found.joint_names, found.rms_sensor.tolist(), found.rms_motor.tolist(), strict=True)
     )
     notes = [
-        "Side link: felt by sensors and motors alike; side motor: by the motors alone, named with"
-        " an m. Standard errors allow for residual correlation."
+        f"UNDETERMINED by this motion: {text}."
+        for text in [joined(found.estimate.undetermined)]
+        if found.estimate.undetermined
     ]
-    if found.estimate.undetermined:
-        notes.append(f"NOT TOLD by this motion: {'; '.join(found.estimate.undetermined)}.")
+    details = (
+        "Side link: torque that sensors and motors measure; side motor (names with m): torque that"
+        " motors alone measure. Standard errors allow for residual correlation.",
+    )
     columns = (
         Column("parameter"),
         Column("unit"),
@@ -223,26 +231,26 @@ def channels_text(found: TwoChannelEstimate) -> str:
         Column("value"),
         Column("%", align="decimal"),
     )
+    n_motor = int(found.of_motor_side.sum())
     title = (
-        f"{found.robot}: sensors and motors together, {len(found.names)} parameters,"
-        f" {int(found.of_motor_side.sum())} of them of the motor side"
+        f"{found.robot}: sensors and motors together, {len(found.names)} parameters, {n_motor} of"
+        " them of the motor side"
     )
-    tables = (
-        Table(columns, tuple(rows), title=title, notes=tuple(notes)),
-        Table(
-            (
-                Column("joint"),
-                Column("RMS sensor", "N m", "decimal", ".3g"),
-                Column("RMS motor", "N m", "decimal", ".3g"),
-            ),
-            errors,
-        ),
+    size = [abs(value) / error if error > 0 else 0.0 for value, error in values]
+    order = sorted(range(len(size)), key=lambda k: -size[k])[:MOST_ROWS]
+    parameters = Table(
+        columns, tuple(rows), title, tuple(notes), details, important=tuple(sorted(order))
     )
-    return stacked(tables)
+    heads = (
+        Column("joint"),
+        Column("RMS sensor", "N m", "decimal", ".3g"),
+        Column("RMS motor", "N m", "decimal", ".3g"),
+    )
+    return stacked((Table(heads, errors), parameters), full)
 
 
 def motor_side_table(parameters: Sequence[MotorSideParameter]) -> Table:
-    """List drive parameters at the joint and at the motor's shaft."""
+    """Return drive parameters at the joint and at the shaft of the motor."""
     rows = [
         (
             each.name,

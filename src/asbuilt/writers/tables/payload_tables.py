@@ -1,4 +1,4 @@
-"""What the flange carries, in print and as a document."""
+"""Payload in tables and as a document."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.findings import joined
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.tables import Column, Shown, Table, percent, rounded, share, significant, stacked
 from asbuilt.validation.comparison.comparison import recording_name
@@ -23,24 +24,20 @@ _SOURCES = {
 UNITS = ("kg", "m", "m", "m", *("kg m^2",) * 6)
 
 
-def payload_text(payload: Payload) -> str:
+def payload_text(payload: Payload, full: bool = False) -> str:
     """Return what `asbuilt payload` prints."""
-    return stacked((payload_table(payload), payload_torque_table(payload)))
+    return stacked((payload_table(payload), payload_torque_table(payload)), full)
 
 
 def payload_table(payload: Payload) -> Table:
-    """Return mass, centre of mass and inertia about it with standard errors, and whether this
-    motion tells them.
-    """
-    rows = []
+    """Return mass, centre of mass and inertia about it, with standard errors."""
     split = bool(np.any(payload.gain_uncertainty > 0.0))
     parts = (payload.values, payload.std_errors, payload.noise_errors, payload.gain_errors)
+    rows = []
     for name, unit, value, error, noise, gain in zip(
         payload.names, UNITS, *(each.tolist() for each in parts), strict=True
     ):
         shown, uncertainty = rounded(value, error)
-        told = "yes" if name in payload.determined else "NO"
-        of_these = (significant(noise, 2), significant(gain, 2)) if split else ()
         rows.append(
             (
                 name,
@@ -48,8 +45,8 @@ def payload_table(payload: Payload) -> Table:
                 Shown(value, shown),
                 Shown(error, uncertainty),
                 percent(value, error),
-                *of_these,
-                told,
+                *((significant(noise, 2), significant(gain, 2)) if split else ()),
+                "yes" if name in payload.determined else "NO",
             )
         )
     columns = (
@@ -58,89 +55,79 @@ def payload_table(payload: Payload) -> Table:
         Column("estimate", align="decimal"),
         Column("std err", align="decimal"),
         Column("%", align="decimal"),
-        *(
-            (Column("of noise", align="decimal"), Column("of gains", align="decimal"))
-            if split
-            else ()
-        ),
-        Column("told"),
+        *((Column(f"of {part}", align="decimal") for part in ("noise", "gains")) if split else ()),
+        Column("determined"),
     )
-    notes = [
-        f"Centre of mass and inertia about it in the axes of {payload.frame}; standard errors allow"
-        " for residual correlation."
-    ]
-    if payload.projected:
-        notes.append(
-            "The least-squares estimate is impossible for a body; the nearest possible one is given"
-            " (inertias at their bound are not to be trusted)."
-        )
-    notes += _gain_notes(payload)
+    projected = (
+        "The least-squares estimate is physically inconsistent; this is the nearest consistent one,"
+        " and inertias at a bound are unreliable."
+    )
     return Table(
         columns,
         tuple(rows),
         title=f"{payload.robot}: payload at {payload.frame}, {payload.n_samples} samples",
-        notes=tuple(notes),
+        notes=(*([projected] if payload.projected else []), *_gain_notes(payload)),
+        details=(
+            f"Centre of mass and inertia in the axes of {payload.frame}; standard errors allow for"
+            " residual correlation.",
+        ),
     )
 
 
-def _gain_notes(payload: Payload) -> list[str]:
-    """Say what gains were taken to be known to, and which of them the mass hangs on."""
+def _gain_notes(payload: Payload) -> tuple[str, ...]:
+    """Return how well the torque gains are known, and what follows for the mass."""
     if not np.any(payload.gain_uncertainty > 0.0):
         if payload.torque_source in ("sensor", "unknown"):
-            return []
-        return [
-            f"Torques come from {_SOURCES[payload.torque_source]} whose gains were taken as exact."
-        ]
+            return ()
+        return (f"Torque gains of {_SOURCES[payload.torque_source]} are taken as exact.",)
     joints = payload.metrics[0].joint_names
     known = sorted({100.0 * value for value in payload.gain_uncertainty.tolist()})
     spread = f"{known[0]:g} %" if len(known) == 1 else f"{known[0]:.2g} to {known[-1]:.2g} %"
     weight = np.abs(payload.gain_slopes[0] * payload.gain_uncertainty)
-    doubt = (
-        ""
+    leading = [joints[k] for k in np.argsort(-weight)[:3] if weight[k] > 0.25 * weight.max()]
+    noise, gains = (
+        100 * errors[0] / payload.values[0]
+        for errors in (payload.noise_errors, payload.gain_errors)
+    )
+    known_by = (
+        ()
         if payload.gains_by_evidence
         else (
-            " The result kept no cause data, so what gains do to the centre may come out too small."
+            "The result has no cause data, so the effect of gains on the centre of mass may be"
+            " underestimated.",
         )
     )
-    leading = [joints[k] for k in np.argsort(-weight)[:3] if weight[k] > 0.25 * weight.max()]
-    return [
-        f"Torques come from {_SOURCES[payload.torque_source]}, whose gains are known to {spread} at"
-        " each joint (standard deviation, a third of the variance common to all;"
-        " --gain-uncertainty states another). That leaves"
-        f" {100 * payload.gain_errors[0] / payload.values[0]:.1f} % of the mass open, noise"
-        f" {100 * payload.noise_errors[0] / payload.values[0]:.1f} %. The mass hangs on the gains"
-        f" of {', '.join(leading)}. A payload of known mass calibrates them (asbuilt gains).{doubt}"
-    ]
+    return (
+        f"Torque gains of {_SOURCES[payload.torque_source]} are taken as known to {spread}"
+        f" (standard deviation): they leave {gains:.1f} % of the mass uncertain, most by {joined(leading)},"
+        f" noise {noise:.1f} %. A payload of known mass calibrates them.",
+        *known_by,
+    )
 
 
 def payload_torque_table(payload: Payload) -> Table:
-    """Return the RMS torque error of each joint with the payload and for the bare arm."""
-    rows = []
-    for bare, carried in zip(payload.metrics_bare, payload.metrics, strict=True):
-        rows.append(
-            (
-                recording_name(bare.source),
-                "arm alone",
-                *(significant(float(x)) for x in bare.rms),
-                share(bare.relative_error),
-            )
-        )
-        rows.append(
-            (
-                recording_name(carried.source),
-                "with payload",
-                *(significant(float(x)) for x in carried.rms),
-                share(carried.relative_error),
-            )
-        )
+    """Return the RMS torque errors with the payload and of the bare arm, a row per joint."""
+    pairs = list(zip(payload.metrics_bare, payload.metrics, strict=True))
+    columns = [Column("joint", width=24)]
+    for k in range(len(pairs)):
+        number = f" [{k + 1}]" if len(pairs) > 1 else ""
+        columns += [
+            Column(f"{what}{number}", align="decimal", detail=k > 1)
+            for what in ("bare arm", "with payload")
+        ]
+    metrics = [each for pair in pairs for each in pair]
     names = payload.metrics[0].joint_names
-    columns = (
-        Column("recording", width=60),
-        Column("prediction"),
-        *(Column(name, align="decimal", width=16) for name in names),
-        Column("relative error", align="decimal"),
-    )
-    return Table(columns, tuple(rows), title="RMS torque error")
+    rows = [
+        (name, *(Shown(float(each.rms[j]), significant(float(each.rms[j]))) for each in metrics))
+        for j, name in enumerate(names)
+    ]
+    relative = (Shown(each.relative_error, share(each.relative_error)) for each in metrics)
+    rows.append(("relative error", *relative))
+    sources = tuple(recording_name(carried.source) for _, carried in pairs)
+    title = "RMS torque error"
+    if len(sources) == 1:
+        return Table(tuple(columns), tuple(rows), title=f"{title} on {sources[0]}")
+    return Table(tuple(columns), tuple(rows), title=title, notes=sources)
 
 
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
@@ -184,9 +171,7 @@ def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) 
 
 
 def _symmetric(upper: Array) -> list[list[float]]:
-    """Return the symmetric 3 x 3 matrix with these six entries on and above its diagonal, row by
-    row.
-    """
+    """Return the symmetric 3 x 3 matrix with these six entries on and above its diagonal."""
     matrix = np.zeros((3, 3))
     matrix[np.triu_indices(3)] = upper
     return [row.tolist() for row in matrix + np.triu(matrix, 1).T]

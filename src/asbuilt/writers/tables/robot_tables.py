@@ -14,6 +14,8 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.tables import Cell, Column, Table, stacked, wrapped
 
+MOST_ROWS = 24
+"""Base parameters in a short text."""
 ROUNDING = 1e-12
 """Products of inertia below this part of the largest moment are rounding, and shown as zero."""
 
@@ -114,7 +116,7 @@ def joints_table(model: RobotModel) -> Table:
 
 
 def _further_terms(drive: DriveValues) -> str:
-    """Return further drive terms with their parameters and nonlinear parameters, `stribeck Fs 0.3 velocity 0.05`."""
+    """Return further drive terms with all parameters, such as `stribeck Fs 0.3 velocity 0.05`."""
     return "; ".join(
         " ".join([key, *(f"{name} {value:.4g}" for name, value in numbers.items())])
         for key, numbers in drive.terms.items()
@@ -197,7 +199,8 @@ def base_table(base: BaseParameters, model: RobotModel) -> Table:
         Column("value", align="decimal", style=".6g"),
     )
     title = f"{base.robot}: {base.n_base} base parameters of {base.n_standard} standard parameters"
-    return Table(columns, rows, title=title)
+    important = None if len(rows) <= 1.2 * MOST_ROWS else tuple(range(MOST_ROWS))
+    return Table(columns, rows, title=title, important=important)
 
 
 def identifiability_table(base: BaseParameters) -> Table:
