@@ -99,7 +99,8 @@ def _gain_notes(payload: Payload) -> tuple[str, ...]:
     )
     return (
         f"Torque gains of {_SOURCES[payload.torque_source]} are taken as known to {spread}"
-        f" (standard deviation): they leave {gains:.1f} % of the mass uncertain, most by {joined(leading)},"
+        f" (standard deviation): they leave {gains:.1f} % of the mass uncertain, most by"
+        f" {joined(leading)},"
         f" noise {noise:.1f} %. A payload of known mass calibrates them.",
         *known_by,
     )
