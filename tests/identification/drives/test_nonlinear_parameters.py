@@ -70,7 +70,7 @@ def test_a_stribeck_velocity_comes_back_joint_by_joint():
     found = fit_nonlinear(model, DriveSet.parse("viscous,coulomb,stribeck,offset"), [samples])
     assert found.drive.is_linear
     np.testing.assert_allclose(found.nonlinear[0].values, [0.05, 0.1, 0.2], rtol=0.1)
-    assert np.all(found.nonlinear[0].told)
+    assert np.all(found.nonlinear[0].determined)
     assert "fitted by variable projection" in found.sentences(model.joint_names)[0]
 
 
@@ -88,7 +88,7 @@ def test_a_nonlinear_parameter_that_the_data_do_not_tell_keeps_its_default():
     model = elbow()
     samples = recorded(model, PLAIN, np.tile([0.5, 1.0, 0.2], 3))
     found = fit_nonlinear(model, PLAIN.with_term(DriveSet.parse("stribeck").terms[0]), [samples])
-    assert not found.nonlinear[0].told.any()
+    assert not found.nonlinear[0].determined.any()
     assert found.nonlinear[0].values == (0.1, 0.1, 0.1)
     judged = settle_drive(model, [samples], DriveSet.parse("viscous,coulomb,stribeck,offset"))
     assert any("held-out blocks" in sentence for sentence in judged.sentences)
@@ -152,8 +152,8 @@ def test_a_recording_shorter_than_the_filter_determines_no_nonlinear_parameters(
     with pytest.raises(
         IdentifiabilityError,
         match=(
-            rf"no samples of elbow are left to fit the nonlinear parameters of coulomb,{key},offset to: .* or"
-            r" state the nonlinear parameters"
+            rf"are left to fit the nonlinear parameters of coulomb,{key},offset: .* or state the"
+            r" nonlinear parameters"
         ),
     ):
         settle_drive(model, [few], drive)
@@ -166,11 +166,11 @@ def test_what_fades_at_speed_is_no_stribeck_friction(velocity, at_bound):
     truth = DriveSet.parse(f"viscous,coulomb,stribeck:velocity={velocity},offset")
     samples = recorded(model, truth, np.tile([0.5, 1.0, 1.5, 0.2], 3))
     found = fit_nonlinear(model, asked, [samples]).nonlinear[0]
-    assert not found.told.any()
+    assert not found.determined.any()
     assert found.at_bound.all() == at_bound
     np.testing.assert_allclose(found.highest, 0.3)
-    warnings = settle_drive(model, [samples], asked).warnings
-    assert any("friction there is of another kind" in warning for warning in warnings) == at_bound
+    findings = settle_drive(model, [samples], asked).findings
+    assert any("friction there is of another kind" in each.message for each in findings) == at_bound
     assert "stribeck" not in choose_drive(model, [samples]).drive.keys
 
 
@@ -251,7 +251,7 @@ def test_friction_that_drives_is_not_believed(seed):
     )
     assert "load_friction" not in choice.drive.keys
     assert any(
-        "do not come out positive" in (addition.objection or "") for addition in choice.additions
+        "are not positive" in (addition.objection or "") for addition in choice.additions
     )
 
 
@@ -264,7 +264,9 @@ def test_friction_under_load_is_found_on_whole_arms(robot):
     choice = choose_drive(model, [train])
     assert choice.drive.keys == truth.keys
     np.testing.assert_allclose(
-        validate_samples(identify_samples(model, train, drive=choice.drive), judged).metrics_as_built.rms,
+        validate_samples(
+            identify_samples(model, train, drive=choice.drive), judged
+        ).metrics_as_built.rms,
         0.02,
         rtol=0.3,
     )
@@ -315,7 +317,9 @@ def test_parameters_at_the_motor():
         "Fo": -1.0,
     }
     with pytest.raises(DescriptionError, match="gear_ratio"):
-        motor_side_parameters(identify_samples(model, recorded(model, PLAIN, np.ones(9)), drive=PLAIN))
+        motor_side_parameters(
+            identify_samples(model, recorded(model, PLAIN, np.ones(9)), drive=PLAIN)
+        )
 
 
 def test_load_friction_pays_on_a_recorded_ur10e(shared, tmp_path):

@@ -1,6 +1,4 @@
-"""Drive terms that might be added to a robot's, with every nonlinear parameter tried, as columns beside its
-regressor.
-"""
+"""Candidate drive terms with trial values of nonlinear parameters, as columns of a regressor."""
 
 from __future__ import annotations
 
@@ -22,23 +20,18 @@ if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 Placed = tuple[int, int]
-"""A joint (from 0) and the candidate that it is given (its place in the list)."""
+"""A joint (from 0) and the index of its candidate."""
 Choice = tuple[Placed, ...]
 
 POINTS = 8
-"""Values of a nonlinear parameter that are tried, ends of the credible range included."""
+"""Trial values of a nonlinear parameter, ends of the credible range included."""
 RIDGE = 1e-9
-"""Added to the diagonal of normal equations in columns of unit length, so that columns which repeat
-others stay small.
-"""
+"""Added to the diagonal of normal equations of unit columns, against collinear columns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A term with its nonlinear parameter stated, one value per joint.
-
-    `at_bound` where that value is an end of its credible range.
-    """
+    """A term with its nonlinear parameter per joint, `at_bound` at an end of its range."""
 
     term: DriveTerm
     at_bound: bool
@@ -52,9 +45,7 @@ class Candidate:
 def candidates(
     model: RobotModel, start: DriveSet, source: str, samples: Sequence[Samples]
 ) -> tuple[Candidate, ...]:
-    """Return the terms that are tried beside `start` for torques of this source, a nonlinear parameter at values
-    spread over its credible range.
-    """
+    """Return the candidates beside `start` for torques of this source."""
     found = []
     speeds = [np.abs(each.qd) for each in samples]
     for term in available_terms().values():
@@ -74,33 +65,27 @@ def candidates(
 
 
 def _spread(model: RobotModel, parameter: NonlinearParameter, speeds: Sequence[Array]) -> Array:
-    """Return values (POINTS, n) in equal ratios from one end of the credible range to the other."""
+    """Return values (POINTS, n) in equal ratios over the credible range."""
     lowest, highest = credible_range(model, parameter, speeds)
     return np.asarray(np.geomspace(np.maximum(lowest, 1e-9), np.maximum(highest, 1e-9), POINTS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """What a choice makes of blocks held out.
-
-    Squared error per sample of each fold and joint (folds, n), and the parameters (folds, P) learnt
-    without each fold.
-    """
+    """Hold squared errors per held-out sample (folds, n) and the fitted parameters (folds, P)."""
 
     held_out: Array
     parameters: Array
 
 
 class CandidateColumns:
-    """The normal equations of each joint and time block in `[W_k | candidates of joint k | tau_k]`,
-    in one pass over the samples.
+    """Hold normal equations of `[W_k | candidates of joint k | tau_k]` by joint and time block.
 
-    They answer for any choice of candidates, joint by joint, what is left of the torque, learnt
-    from some blocks and judged on others. The p base parameters of `base` come first in the vector
-    of parameters, then the candidates' joint by joint, P in all; `drive_places` says where the
-    drive parameters of each joint are among the first. `weights` (n,) multiply the rows of each
-    joint. The load of load-dependent terms is that of `model`. Normal equations square the
-    condition of the problem, which must be small.
+    One pass over the samples serves any choice of candidates, training and held-out blocks. The
+    vector of P parameters has the p of `base`, then those of the candidates joint by joint;
+    `drive_places` has the positions of each joint's drive parameters among the first. `weights`
+    (n,) multiply the rows of each joint. The load of load-dependent terms is that of `model`.
+    Normal equations square the condition number, which must be small.
     """
 
     def __init__(
@@ -139,9 +124,7 @@ class CandidateColumns:
         counts = []
         for part in thinned(model, samples):
             block = [np.zeros((len(positions), len(positions))) for positions in self._positions]
-            for base_rows, *extra_rows in zip(
-                *(part.chunks(plan) for plan in plans), strict=True
-            ):
+            for base_rows, *extra_rows in zip(*(part.chunks(plan) for plan in plans), strict=True):
                 for k in range(n):
                     rows = np.vstack(
                         [
@@ -162,18 +145,16 @@ class CandidateColumns:
         return np.arange(len(self.counts))
 
     def own_places(self, placed: Placed) -> Indices:
-        """Return where the parameters of a candidate at a joint stand in the vector of parameters."""
+        """Return the positions of a candidate's parameters at a joint."""
         return self._places[placed]
 
-    def learnt(self, choice: Choice, blocks: Indices) -> Array:
-        """Return the parameters (P,) that fit these blocks best, zero for those that the choice
-        does not have.
-        """
+    def fitted(self, choice: Choice, blocks: Indices) -> Array:
+        """Return the parameters (P,) fitted to these blocks, zero for those outside the choice."""
         return self.solved(self.normal_equations(self.summed(blocks)), self.indices(choice))
 
     def squared_error(self, parameters: Array, blocks: Indices) -> Array:
         """Return the squared error per sample of each joint on these blocks, shape (n,)."""
-        return self.judged(self.summed(blocks), parameters) / int(self.counts[blocks].sum())
+        return self.error_energy(self.summed(blocks), parameters) / int(self.counts[blocks].sum())
 
     def summed(self, blocks: Indices) -> list[Array]:
         """Return the normal equations of each joint over these blocks."""
@@ -187,10 +168,7 @@ class CandidateColumns:
         return total
 
     def indices(self, choice: Choice) -> Indices:
-        """Return which parameters a choice has.
-
-        A candidate that stands for a simpler term takes its place at that joint.
-        """
+        """Return the parameters of a choice; candidates replace their simpler terms."""
         kept = np.ones(self.base.n_base, dtype=bool)
         for k, c in choice:
             for term, places in self.drive_places[k]:
@@ -199,9 +177,7 @@ class CandidateColumns:
         return np.concatenate([np.flatnonzero(kept), *(self._places[placed] for placed in choice)])
 
     def solved(self, total: Array, indices: Indices) -> Array:
-        """Return the parameters (P,) that solve normal equations, those outside `indices` being
-        zero.
-        """
+        """Return the solution (P,) of normal equations, zero outside `indices`."""
         matrix = total[np.ix_(indices, indices)]
         sizes = np.sqrt(np.diag(matrix))
         sizes[sizes == 0.0] = 1.0
@@ -213,11 +189,8 @@ class CandidateColumns:
         parameters[indices] = solution / sizes
         return parameters
 
-    def judged(self, grams: Sequence[Array], parameters: Array) -> Array:
-        """Return the squared error of each joint, (n,), no less than the rounding of its torque's.
-
-        Normal equations tell no smaller one, and may say below zero.
-        """
+    def error_energy(self, grams: Sequence[Array], parameters: Array) -> Array:
+        """Return the squared error of each joint, (n,), at least the rounding of its torque's."""
         left = np.append(-parameters, 1.0)
         errors = [
             left[positions] @ gram @ left[positions]
@@ -230,9 +203,7 @@ class CandidateColumns:
 
 
 def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Indices]]:
-    """Return the drive terms of a joint with the places of their parameters among the base
-    parameters.
-    """
+    """Return the drive terms of a joint with the positions of their base parameters."""
     found = []
     for term in base.drive.terms:
         names = [f"{symbol}{joint + 1}" for symbol in term.symbols]
@@ -248,10 +219,7 @@ def _drive_places(base: BaseParameters, joint: int) -> list[tuple[DriveTerm, Ind
 
 
 class Folds:
-    """Blocks cut into folds of neighbours, so that residuals which last do not leak.
-
-    Each is judged by what is learnt from the others.
-    """
+    """Hold folds of neighbouring blocks, each held out in turn."""
 
     def __init__(self, columns: CandidateColumns, blocks: Indices, n_folds: int) -> None:
         self._columns = columns
@@ -267,28 +235,24 @@ class Folds:
         self._known: dict[Choice, Fit] = {}
 
     def fit(self, choice: Choice) -> Fit:
-        """Return what a choice makes of each fold."""
+        """Return the fit of a choice for each fold."""
         key = tuple(sorted(choice))
         if key not in self._known:
             columns = self._columns
             indices = columns.indices(key)
-            learnt = [columns.solved(total, indices) for total in self._training]
+            fitted = [columns.solved(total, indices) for total in self._training]
             errors = [
-                columns.judged(held, parameters) / count
-                for held, parameters, count in zip(self._held, learnt, self._counts, strict=True)
+                columns.error_energy(held, parameters) / count
+                for held, parameters, count in zip(self._held, fitted, self._counts, strict=True)
             ]
-            self._known[key] = Fit(np.array(errors), np.array(learnt))
+            self._known[key] = Fit(np.array(errors), np.array(fitted))
         return self._known[key]
 
 
 def chosen_drive(
     start: DriveSet, tried: Sequence[Candidate], choice: Choice, n_joints: int
 ) -> DriveSet:
-    """Return the drive set of a choice.
-
-    Each term at the joints that have it, with the nonlinear parameters they have there, simpler terms at the
-    other joints.
-    """
+    """Return the drive set of a choice, with simpler terms at joints without the chosen ones."""
     drive = start
     for key in dict.fromkeys(tried[c].key for _, c in choice):
         at = {k: tried[c].term for k, c in choice if tried[c].key == key}

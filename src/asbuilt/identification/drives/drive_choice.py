@@ -1,7 +1,4 @@
-"""Which drive terms a recording supports.
-
-Credible as physics, and worth it on time blocks held out.
-"""
+"""Choice of drive terms that a recording supports: credible, and better on held-out blocks."""
 
 from __future__ import annotations
 
@@ -47,29 +44,23 @@ if TYPE_CHECKING:
 AUTO = "auto"
 FOLDS = 8
 OUTER_FOLDS = 6
-"""Folds on which the whole choice is repeated and judged."""
+"""Folds of the nested validation, on which the whole choice is repeated."""
 FEWEST_BLOCKS = 6
-"""With fewer time blocks nothing can be held out twice and the defaults stay."""
+"""Time blocks below which the defaults stay."""
 WORTH = 0.005
-"""A term is worth taking at a joint where it lowers the joint's held-out error by this fraction,"""
+"""Least fraction by which a term lowers the held-out error of its joint."""
 CERTAIN = 2.0
-"""and by this many standard errors from fold to fold, at the joint and over all joints;"""
+"""Least gain of a term in standard errors over folds, at the joint and over all joints."""
 CERTAIN_TOGETHER = 1.0
-"""all terms together are worth taking where the choice, repeated without blocks that then judge it,
-lowers the error by one standard error.
-"""
+"""Least gain of the whole choice in standard errors of the nested validation."""
 MOST_PER_JOINT = 4
 LOADS = 3
-"""Times that the load, of which friction may depend, is taken from the arm as fitted so far."""
+"""Iterations of the load of load-dependent friction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gain:
-    """By how much something lowers the torque error on blocks held out.
-
-    The fall of the logarithm of the RMS error, its mean over folds (and joints) and the standard
-    error from fold to fold.
-    """
+    """Hold the decrease of the log RMS error on held-out blocks, with standard error over folds."""
 
     log: float
     std_error: float
@@ -82,11 +73,11 @@ class Gain:
 
     @property
     def fraction(self) -> float:
-        """Part of the error that it takes away."""
+        """Fraction of the error."""
         return -float(np.expm1(-self.log))
 
     def exceeds(self, errors: float) -> bool:
-        """Whether the gain is larger than so many of its standard errors."""
+        """Return whether the gain exceeds so many of its standard errors."""
         return self.log > errors * self.std_error
 
     def __str__(self) -> str:
@@ -95,9 +86,7 @@ class Gain:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Addition:
-    """A term at a joint (from 0) that was looked at, what it gains the joint there, and why it is
-    not credible, if so; `taken` says whether it was.
-    """
+    """Hold a tried term at a joint (from 0), its gain there, any objection, and if it was taken."""
 
     joint: int
     term: str
@@ -108,13 +97,20 @@ class Addition:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveChoice:
-    """The drive terms chosen, with nonlinear parameters stated.
+    """Hold chosen drive terms with values of all nonlinear parameters.
 
-    `sentences` say why, `findings` what is wrong with them.
-
-    `gain` is what the choice as a whole gains on blocks that had no part in it, None where nothing
-    was chosen among; `additions` are the terms that were looked at beside the defaults and seemed
-    to help; `fitted` are the nonlinear parameters whose values the data told.
+    Parameters
+    ----------
+    drive
+        The chosen terms.
+    sentences, findings
+        Reasons, and what is wrong with the choice.
+    gain
+        Gain of the whole choice in nested validation; None without choice.
+    additions
+        Terms that were tried beside the defaults and lowered the error.
+    fitted
+        Nonlinear parameters that the data determine.
     """
 
     drive: DriveSet
@@ -130,12 +126,14 @@ def settle_drive(
 ) -> DriveChoice:
     """Return the drive terms to identify with.
 
-    The usual ones of robot and torque source where `drive` is None, as given with its nonlinear parameters
-    fitted, or chosen where it is text such as "auto".
-
-    "auto,spring:joints=2" has the terms beside auto in any case. Fitted nonlinear parameters are judged on
-    held-out blocks against the set without them, and stay whatever comes of it; a warning says
-    where they are worse.
+    Parameters
+    ----------
+    model, samples
+        Robot and recordings.
+    drive
+        None for the usual terms of robot and torque source; a set, whose free nonlinear parameters
+        are fitted and compared on held-out blocks with the set without them; or text such as
+        "auto" or "auto,spring:joints=2" to choose, with the listed terms in any case.
     """
     default = usual_drive(model, samples[0].torque_source)
     if drive is None:
@@ -146,19 +144,16 @@ def settle_drive(
 
 
 def is_auto(text: str) -> bool:
-    """Whether a list of drive terms leaves the choice to the recording."""
+    """Return whether a list of drive terms contains "auto"."""
     return AUTO in [part.strip().lower() for part in text.split(",")]
 
 
 def default_with(default: DriveSet, text: str) -> DriveSet:
-    """Return the default set with the terms that stand beside auto in a list.
-
-    Raises UsageError where the list is not one of auto.
-    """
+    """Return the default set with the terms listed beside auto; `UsageError` without auto."""
     parts = [part.strip() for part in text.split(",")]
     if not is_auto(text):
         raise UsageError(
-            f"drive terms {text!r} do not leave a choice; give a DriveSet, or {AUTO!r}"
+            f"drive terms {text!r} do not leave a choice; expected a DriveSet, or {AUTO!r} in it"
         )
     for term in DriveSet.parse([part for part in parts if part.lower() != AUTO]).terms:
         default = default.with_term(term)
@@ -168,45 +163,39 @@ def default_with(default: DriveSet, text: str) -> DriveSet:
 def choose_drive(
     model: RobotModel, samples: Sequence[Samples], *, default: DriveSet | None = None
 ) -> DriveChoice:
-    """Choose drive terms joint by joint.
+    """Choose drive terms joint by joint, beside those usual for the torque source.
 
-    Those that are credible there and lower the error on held-out time blocks, beside those the
-    torque source calls for.
-
-    Credible are the terms that declare themselves so for the torque source (springs and balancers
-    never do: a robot has them or not), with nonlinear parameters inside their credible range (where the best
-    value lies at its end, the term is not what its name says) and friction that brakes: every
-    parameter of the term positive by two standard errors, and none of the others turned negative by
-    two. The term must lower the joint's error and that of all joints by two standard errors from
-    fold to fold. Then the whole choice is repeated without some blocks, which judge it: unless the
-    error falls by more than one standard error there, the defaults stay (the one-standard-error
-    rule: of models that cannot be told apart, the simplest). Where the motion hardly tells the
-    defaults apart (scaled condition number above 200), or the recording is too short, they stay
-    too.
+    A term is credible if it declares itself so for the torque source (springs and balancers never
+    do), its nonlinear parameter is inside its credible range, and its friction is dissipative:
+    every parameter positive by two standard errors, and no other one made negative by two. It must
+    lower the held-out error of the joint and of all joints by two standard errors over folds. In a
+    nested validation the whole choice must lower the error by more than one standard error, or the
+    defaults stay (one-standard-error rule: the simplest of equivalent models). They also stay if
+    the motion hardly separates them (scaled condition number above 200), or the recording is too
+    short.
 
     Source: Breiman, Friedman, Olshen and Stone, Classification and Regression Trees, 1984, section
     3.4 (one standard error); Varma and Simon, BMC Bioinformatics 7, 2006 (nested choice).
     """
     start = default if default is not None else usual_drive(model, samples[0].torque_source)
     fit = None if start.is_linear else fit_nonlinear(model, start, samples)
-    start, told = (start, ()) if fit is None else (fit.drive, fit.places)
+    start, determined = (start, ()) if fit is None else (fit.drive, fit.places)
     n_blocks = len(thinned(model, samples))
     if n_blocks < FEWEST_BLOCKS:
         said = (
-            f"drive terms {_named(start)} kept: {n_blocks} time blocks are too few to choose among"
-            " more by holding some out"
+            f"drive terms {_named(start)} kept: {n_blocks} time blocks are too few to choose"
+            f" others, {FEWEST_BLOCKS} are needed"
         )
-        return DriveChoice(start, (said,), fitted=told)
+        return DriveChoice(start, (said,), fitted=determined)
     plain = accumulate_stream(model, find_base_parameters(model, start), samples)
     fitted = fit_least_squares(plain, weights="joint", prior=np.zeros(plain.base.n_base))
     condition = fitted.solution.scaled_condition_number
     if not condition <= LARGE_CONDITION:
         said = (
-            f"drive terms {_named(start)} kept: the motion hardly tells these apart (scaled"
-            f" condition number {condition:.3g}, above {LARGE_CONDITION:g}), so richer sets were"
-            " not tried; record a richer motion"
+            f"drive terms {_named(start)} kept: the scaled condition number {condition:.3g} is"
+            f" above {LARGE_CONDITION:g}, so others were not tried; record more excitation"
         )
-        return DriveChoice(start, (said,), fitted=told)
+        return DriveChoice(start, (said,), fitted=determined)
     tried = candidates(model, start, samples[0].torque_source, samples)
     arm = fitted.beta
     choice: Choice = ()
@@ -223,13 +212,13 @@ def choose_drive(
             choice, additions = _chosen(columns, columns.blocks)
             if choice == before or not any(tried[c].term.needs_load for _, c in choice):
                 break
-            arm = columns.learnt(choice, columns.blocks)[: plain.base.n_base]
+            arm = columns.fitted(choice, columns.blocks)[: plain.base.n_base]
         gain = _nested_gain(columns) if choice else None
-    chosen, untold, refined = _refined(loaded, samples, start, columns, choice)
+    chosen, undetermined, refined = _refined(loaded, samples, start, columns, choice)
     additions = [
         (
-            replace(each, taken=False, objection="its nonlinear parameter is not told")
-            if (each.joint, each.term) in untold
+            replace(each, taken=False, objection="its nonlinear parameter is undetermined")
+            if (each.joint, each.term) in undetermined
             else each
         )
         for each in additions
@@ -237,20 +226,22 @@ def choose_drive(
     concluded = _concluded(
         loaded.joint_names, start, chosen, len(tried), gain if chosen != start else None, additions
     )
-    return replace(concluded, fitted=(*told, *refined) if concluded.drive == chosen else told)
+    return replace(
+        concluded, fitted=(*determined, *refined) if concluded.drive == chosen else determined
+    )
 
 
 def _chosen(columns: CandidateColumns, blocks: Indices) -> tuple[Choice, list[Addition]]:
-    """Return the candidates that these blocks support, and what was looked at on the way."""
+    """Return the candidates that these blocks support, and all that were tried."""
     folds = Folds(columns, blocks, FOLDS)
     choice: Choice = ()
-    looked: dict[tuple[int, str], Addition] = {}
+    tried_terms: dict[tuple[int, str], Addition] = {}
     open_joints = list(range(columns.model.n_joints))
     for _ in range(MOST_PER_JOINT):
-        found = [_best_at(columns, folds, choice, k, looked) for k in open_joints]
+        found = [_best_at(columns, folds, choice, k, tried_terms) for k in open_joints]
         added = tuple(placed for placed in found if placed is not None)
         choice, open_joints = (*choice, *added), [joint for joint, _ in added]
-    return choice, list(looked.values())
+    return choice, list(tried_terms.values())
 
 
 def _best_at(
@@ -258,11 +249,9 @@ def _best_at(
     folds: Folds,
     choice: Choice,
     joint: int,
-    looked: dict[tuple[int, str], Addition],
+    tried_terms: dict[tuple[int, str], Addition],
 ) -> Placed | None:
-    """Return the credible term that lowers the held-out error most at a joint, None where none is
-    worth it; what was looked at is noted.
-    """
+    """Return the credible term that lowers a joint's held-out error most, if any."""
     before = folds.fit(choice)
     there = [columns.tried[c].term for k, c in choice if k == joint]
     taken = {term.key for term in there} | {term.stands_for for term in there if term.stands_for}
@@ -282,7 +271,7 @@ def _best_at(
         if own.fraction < WORTH or not own.exceeds(CERTAIN_TOGETHER):
             continue
         objection = _objection(columns, before.parameters, after.parameters, placed)
-        looked[joint, key] = Addition(joint, key, own, objection, False)
+        tried_terms[joint, key] = Addition(joint, key, own, objection, False)
         if (
             objection is None
             and own.exceeds(CERTAIN)
@@ -292,23 +281,20 @@ def _best_at(
             best = (together.log, placed, key)
     if best is None:
         return None
-    looked[joint, best[2]] = replace(looked[joint, best[2]], taken=True)
+    tried_terms[joint, best[2]] = replace(tried_terms[joint, best[2]], taken=True)
     return best[1]
 
 
 def _objection(
     columns: CandidateColumns, before: Array, after: Array, placed: Placed
 ) -> str | None:
-    """Say why a term at a joint is not credible.
-
-    `before` and `after` (folds, P) are the parameters learnt without and with it.
-    """
+    """Return why a term is not credible, from parameters (folds, P) without and with it."""
     candidate = columns.tried[placed[1]]
     if candidate.at_bound:
         nonlinear = candidate.term.free_nonlinear or candidate.term.nonlinear
         return f"its best {nonlinear[0].name} lies at an end of the credible range"
     if not np.all(surely_positive(after[:, columns.own_places(placed)])):
-        return "its parameters do not come out positive"
+        return "its parameters are not positive"
     for term, places in columns.drive_places[placed[0]]:
         if term.non_negative and np.any(
             surely_positive(-after[:, places]) & ~surely_positive(-before[:, places])
@@ -318,24 +304,20 @@ def _objection(
 
 
 def surely_positive(parameters: Array) -> NDArray[np.bool_]:
-    """Return which parameters (folds, m), each learnt without one fold, are positive by two
-    standard errors of a jackknife over the folds.
-    """
+    """Return which parameters (folds, m) are positive by two jackknife standard errors."""
     folds, mean = len(parameters), parameters.mean(axis=0)
     errors = np.sqrt((folds - 1) / folds * np.sum((parameters - mean) ** 2, axis=0))
     return np.asarray(mean > CERTAIN * errors)
 
 
 def _nested_gain(columns: CandidateColumns) -> Gain:
-    """Return what the choice gains on blocks that have no part in it, the choice repeated on the
-    others.
-    """
+    """Return the gain on held-out blocks of the choice repeated on the others."""
     before: list[Array] = []
     after: list[Array] = []
     for fold in np.array_split(columns.blocks, OUTER_FOLDS):
         rest = np.setdiff1d(columns.blocks, fold)
-        before.append(columns.squared_error(columns.learnt((), rest), fold))
-        after.append(columns.squared_error(columns.learnt(_chosen(columns, rest)[0], rest), fold))
+        before.append(columns.squared_error(columns.fitted((), rest), fold))
+        after.append(columns.squared_error(columns.fitted(_chosen(columns, rest)[0], rest), fold))
     return Gain.between(np.array(before), np.array(after))
 
 
@@ -347,7 +329,7 @@ def _concluded(
     gain: Gain | None,
     additions: Sequence[Addition],
 ) -> DriveChoice:
-    """Return the choice with what is to be said of it; `gain` None where nothing was chosen."""
+    """Return the choice with its reasons; `gain` is None if nothing was chosen."""
     refused = [
         f"{each.term} at {names[each.joint]} ({each.gain}; {each.objection})"
         for each in additions
@@ -356,8 +338,8 @@ def _concluded(
     objections = (f"not credible, so left out: {'; '.join(refused)}",) if refused else ()
     if gain is None:
         said = (
-            f"drive terms {_named(start)} kept: of {n_tried} others none is credible and surely"
-            " lowers the torque error on held-out blocks"
+            f"drive terms {_named(start)} kept: none of {n_tried} others is credible and"
+            " significantly lowers the torque error on held-out blocks"
         )
         return DriveChoice(start, (said, *objections), (), None, tuple(additions))
     added = ", ".join(
@@ -367,8 +349,8 @@ def _concluded(
     )
     if not gain.exceeds(CERTAIN_TOGETHER):
         said = (
-            f"drive terms {_named(start)} kept: chosen anew without some blocks, richer ones lower"
-            f" the torque error there by {gain} only ({added})"
+            f"drive terms {_named(start)} kept: in nested validation others lower the torque error"
+            f" by only {gain} ({added})"
         )
         return DriveChoice(
             start,
@@ -378,13 +360,14 @@ def _concluded(
             tuple(replace(each, taken=False) for each in additions),
         )
     sentences = [
-        f"drive terms {_named(chosen)} chosen beside {_named(start)}; each lowers its joint's"
-        f" torque error on held-out blocks: {added}; the choice made anew without the blocks that"
-        f" judge it, all joints: {gain}"
+        f"drive terms {_named(chosen)} chosen beside {_named(start)}; decrease of the torque error"
+        f" on held-out blocks: {added}; of all joints in nested validation: {gain}"
     ]
     nonlinear = [
-        f"{parameter.name} of {term.key}"
-        f" {', '.join(_nonlinear_at(term, parameter, k, names) for k in range(len(names)) if term.is_at(k))}"
+        f"{parameter.name} of {term.key} "
+        + ", ".join(
+            _nonlinear_at(term, parameter, k, names) for k in range(len(names)) if term.is_at(k)
+        )
         for term in chosen.terms
         for parameter in term.nonlinear
     ]
@@ -395,10 +378,8 @@ def _concluded(
 def _nonlinear_at(
     term: DriveTerm, parameter: NonlinearParameter, joint: int, names: Sequence[str]
 ) -> str:
-    return (
-        f"{names[joint]}"
-        f" {term.at(joint).value(parameter.name):.3g}{f' {parameter.unit}' if parameter.unit else ''}"
-    )
+    value = f"{names[joint]} {term.at(joint).value(parameter.name):.3g}"
+    return f"{value} {parameter.unit}" if parameter.unit else value
 
 
 def _refined(
@@ -408,8 +389,10 @@ def _refined(
     columns: CandidateColumns,
     choice: Choice,
 ) -> tuple[DriveSet, set[tuple[int, str]], tuple[NonlinearPlace, ...]]:
-    """Return the set of a choice with its nonlinear parameters refined between the values tried, less the terms,
-    by joint and key, whose nonlinear parameter all blocks together do not tell; and the nonlinear parameters told.
+    """Return the set of a choice with refined nonlinear parameters.
+
+    Terms, by joint and key, whose nonlinear parameter is undetermined are left out and returned
+    too, then the determined nonlinear parameters.
     """
     n = loaded.n_joints
     rough = chosen_drive(start, columns.tried, choice, n)
@@ -427,16 +410,16 @@ def _refined(
         return rough, set(), ()
     found_all = fit_nonlinear(loaded, free, samples)
     fitted = found_all.nonlinear
-    untold = {
+    undetermined = {
         (k, found.term)
         for found in fitted
         for k, c in choice
-        if columns.tried[c].key == found.term and not found.told[k]
+        if columns.tried[c].key == found.term and not found.determined[k]
     }
     chosen = chosen_drive(
         start,
         columns.tried,
-        tuple((k, c) for k, c in choice if (k, columns.tried[c].key) not in untold),
+        tuple((k, c) for k, c in choice if (k, columns.tried[c].key) not in undetermined),
         n,
     )
     for found in fitted:
@@ -445,17 +428,15 @@ def _refined(
                 chosen = chosen.with_term(term.with_nonlinear({found.parameter.name: found.values}))
     return (
         chosen,
-        untold,
-        tuple(place for place in found_all.places if (place.joint, place.term) not in untold),
+        undetermined,
+        tuple(place for place in found_all.places if (place.joint, place.term) not in undetermined),
     )
 
 
 def _fitted_nonlinear(
     model: RobotModel, samples: Sequence[Samples], drive: DriveSet
 ) -> DriveChoice:
-    """Return a set with its nonlinear parameters fitted, and what held-out blocks say of that against the set
-    without these terms.
-    """
+    """Return a set with fitted nonlinear parameters, compared with the set without these terms."""
     nonlinear = [term for term in drive.terms if term.free_nonlinear]
     plain = drive.without(*(term.key for term in nonlinear))
     for term in nonlinear:
@@ -463,7 +444,7 @@ def _fitted_nonlinear(
             plain = plain.with_term(available_terms()[term.stands_for])
     found = fit_nonlinear(model, drive, samples)
     findings = found.findings(model.joint_names)
-    both = [_judged(model, samples, each) for each in (plain, found.drive)]
+    both = [_held_out(model, samples, each) for each in (plain, found.drive)]
     if both[0] is None or both[1] is None:
         return DriveChoice(
             found.drive, found.sentences(model.joint_names), findings, fitted=found.places
@@ -490,10 +471,8 @@ def _fitted_nonlinear(
     )
 
 
-def _judged(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:
-    """Return squared errors per sample on held-out folds, (folds, n), None where there are too few
-    blocks.
-    """
+def _held_out(model: RobotModel, samples: Sequence[Samples], drive: DriveSet) -> Array | None:
+    """Return squared errors per held-out sample (folds, n); None with too few blocks."""
     information = accumulate_stream(model, find_base_parameters(model, drive), samples)
     if information.n_blocks < FEWEST_BLOCKS:
         return None

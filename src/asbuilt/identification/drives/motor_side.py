@@ -1,4 +1,4 @@
-"""Drive parameters on the motor's side of the gear."""
+"""Drive parameters at the motor shaft."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MotorSideParameter:
-    """One drive parameter at the joint and, through the gear ratio, at the motor's shaft.
-
-    `std_error` and `unit` are those at the motor.
-    """
+    """Hold a drive parameter at the joint and at the motor, `std_error` and `unit` at the motor."""
 
     name: str
     gear_ratio: float
@@ -30,19 +27,18 @@ class MotorSideParameter:
 
 
 def motor_side_parameters(result: IdentificationResult) -> tuple[MotorSideParameter, ...]:
-    """Return the identified drive parameters of all joints whose gear ratio N the description
-    gives, as the motor feels them.
+    """Return the drive parameters at the motor of all joints with a known gear ratio N.
 
     With `theta_motor = N q` and `tau_joint = N tau_motor`: inertia, viscous friction and stiffness
     shrink by N^2, torques by N, `qd |qd|` by N^3, `qd^3` by N^4; for a power of speed with exponent
     a by N^(1 + a). A parameter that is regrouped with links is left out: its value is not the
-    drive's alone. Raises DescriptionError where no gear ratio is known.
+    drive's alone. Raises `DescriptionError` if no gear ratio is known.
     """
     ratios = gear_ratios(result.model)
     if not ratios:
         raise DescriptionError(
-            f"{result.robot} states no gear ratio; give drive = {{gear_ratio = 100.0}} to its links"
-            " in the robot file"
+            f"{result.robot} has no gear ratio; add drive = {{gear_ratio = 100.0}} to its links in"
+            " the robot file"
         )
     drive, found = result.base.drive, []
     alone = {

@@ -1,6 +1,4 @@
-"""Nonlinear parameters of drive terms - a Stribeck velocity, an exponent, the width of a sign - by variable
-projection over everything linear.
-"""
+"""Nonlinear parameters of drive terms, such as a Stribeck velocity, by variable projection."""
 
 from __future__ import annotations
 
@@ -28,45 +26,43 @@ if TYPE_CHECKING:
 
 
 MOST_SAMPLES = 20_000
-"""Filtered samples that a fit of nonlinear parameters looks at; of longer recordings every so many time blocks."""
+"""Filtered samples of a fit; evenly spread time blocks of longer recordings."""
 GRID = 24
-"""Values tried over the whole range of a nonlinear parameter,"""
+"""Values of the first search over the range of a nonlinear parameter."""
 REFINEMENTS = 10
-"""then so many golden sections about the best of each joint."""
-TOLD = 30.0
-"""A nonlinear parameter is told where it lowers the squared error of its joint by this fraction, divided by the
-number of filtered samples (an F of 30 for white residuals, of a few for correlated ones), and where
-the least error lies within the credible range; elsewhere it keeps its default.
+"""Golden sections around the best value of each joint."""
+LEAST_F = 30.0
+"""Least decrease of a joint's squared error, times the number of samples, for a determined value.
+
+An F of 30 for white residuals, of a few for correlated ones.
 """
 AT_BOUND = 0.02
-"""A value this share of the range from one of its ends is said to sit there."""
+"""Distance from an end of the range, as a fraction of the range, that counts as at the end."""
 SLOWEST_SHARE = 0.03
-"""A speed is looked for above the slowest samples of a joint, this share of those that move."""
+"""Share of slow moving samples of a joint below which no speed parameter is sought."""
 CYCLES = 10
-"""Most rounds over the nonlinear parameters, where there are several,"""
+"""Largest number of cycles over several nonlinear parameters."""
 SETTLED = 0.01
-"""which end when no nonlinear parameter moves by more than this fraction."""
+"""Largest relative change of any nonlinear parameter in the last cycle."""
 SAME_COLUMN = 1e-8
-"""What is left of a column beside all others, relative to its size, below which it is one of their
-sums.
-"""
+"""Relative singular value below which a column is a combination of others."""
 GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedNonlinear:
-    """The values of a nonlinear parameter, one per joint, the fraction of the squared error that the term takes
-    away there, and where the data told the value.
+    """Hold the values of a nonlinear parameter, one per joint.
 
-    `at_bound` says where the data would like a value at an end of the credible range, or beyond it,
-    `lowest` to `highest` (n,): there the term is not what its name says.
+    `reduction` (n,) is the fraction of the squared error that the term removes, `determined`
+    whether the data determine the value, and `at_bound` whether the best value is at an end of the
+    credible range `lowest` to `highest` (n,).
     """
 
     term: str
     parameter: NonlinearParameter
     values: tuple[float, ...]
     reduction: Array
-    told: NDArray[np.bool_]
+    determined: NDArray[np.bool_]
     at_bound: NDArray[np.bool_]
     lowest: Array
     highest: Array
@@ -74,33 +70,36 @@ class FittedNonlinear:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NonlinearFit:
-    """The drive with every nonlinear parameter stated, and how each was found."""
+    """Hold a drive with values of all nonlinear parameters, and how each was fitted."""
 
     drive: DriveSet
     nonlinear: tuple[FittedNonlinear, ...]
 
     @property
     def places(self) -> tuple[NonlinearPlace, ...]:
-        """The nonlinear parameters and joints where the data told a value."""
+        """The determined nonlinear parameters, joint by joint."""
         present = {term.key: term for term in self.drive.terms}
         return tuple(
             NonlinearPlace(found.term, found.parameter.name, k)
             for found in self.nonlinear
-            for k in np.flatnonzero(found.told).tolist()
+            for k in np.flatnonzero(found.determined).tolist()
             if present[found.term].is_at(k)
         )
 
     def sentences(self, joint_names: Sequence[str]) -> tuple[str, ...]:
-        """Say what was found, a sentence per nonlinear parameter."""
+        """Return a note per nonlinear parameter."""
         said = []
         for found in self.nonlinear:
             unit = f" {found.parameter.unit}" if found.parameter.unit else ""
             listed = ", ".join(
-                f"{name} {value:.3g}{'' if told else ' (not told, default)'}"
-                for name, value, told in zip(joint_names, found.values, found.told, strict=True)
+                f"{name} {value:.3g}{'' if determined else ' (undetermined, default)'}"
+                for name, value, determined in zip(
+                    joint_names, found.values, found.determined, strict=True
+                )
             )
             said.append(
-                f"{found.parameter.name} of {found.term}, fitted by variable projection: {listed}{unit}"
+                f"{found.parameter.name} of {found.term}, fitted by variable projection:"
+                f" {listed}{unit}"
             )
         return tuple(said)
 
@@ -131,18 +130,16 @@ class NonlinearFit:
 
 
 def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]) -> NonlinearFit:
-    """Fit the nonlinear parameters that are not stated, joint by joint, each to the least squared error that
-    remains after all linear parameters of its joint.
+    """Fit the free nonlinear parameters of a drive joint by joint.
 
-    For joint k and nonlinear parameter s, `min_s |P(s) tau_k|^2` with P the projection off the columns of joint
-    k, links free for each joint (a little freer than the robot is, so that no joint waits for
-    another). The parameter of the term is held positive, friction that brakes, unless the simpler
-    term that it stands for is beside it, of which it may take away. The credible range of the nonlinear parameter
-    is searched whole, then refined, because the error has several minima. The load of
+    For joint k and nonlinear parameter s, `min_s |P(s) tau_k|^2` with P the projection off the
+    linear columns of joint k, links independent for each joint. The linear parameter of the term is
+    non-negative (dissipative), unless the simpler term that it replaces is present. The credible
+    range is first searched on a grid, since the error has several minima. The load of
     load-dependent terms is that of `model`.
 
-    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973: variable projection. Raises
-    `IdentifiabilityError` where filtering leaves no samples.
+    Source: Golub and Pereyra, SIAM J. Numerical Analysis 10, 1973 (variable projection). Raises
+    `IdentifiabilityError` if filtering leaves no samples.
     """
     found: dict[tuple[str, str], FittedNonlinear] = {}
     current = drive
@@ -150,9 +147,9 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
     chosen = thinned(model, samples)
     if not chosen:
         raise IdentifiabilityError(
-            f"no samples of {model.name} are left to fit the nonlinear parameters of {drive} to: every contiguous"
-            " stretch is shorter than the filter needs; record longer, raise the cutoff, or state"
-            " the nonlinear parameters"
+            f"no samples of {model.name} are left to fit the nonlinear parameters of {drive}: every"
+            " contiguous segment is shorter than the filter needs",
+            cure=Cure("record longer, raise the cutoff, or state the nonlinear parameters"),
         )
     with one_blas_thread():
         for _ in range(CYCLES if len(free) > 1 else 1):
@@ -172,10 +169,7 @@ def fit_nonlinear(model: RobotModel, drive: DriveSet, samples: Sequence[Samples]
 
 
 def thinned(model: RobotModel, samples: Sequence[Samples]) -> list[SampleBlock]:
-    """Return the time blocks of samples that fits of drive terms look at.
-
-    All, or of long recordings every so many.
-    """
+    """Return the time blocks for fits of drive terms, evenly spread if there are many."""
     every = list(sample_blocks(model, samples))
     step = max(1, -(-sum(each.n_outputs for each in every) // MOST_SAMPLES))
     return every[::step]
@@ -233,24 +227,26 @@ def _fit_one(
     )
     margin = AT_BOUND * (last - first)
     placed = np.log(values) if logarithmic else values
-    lowers = reduction > TOLD / sum(each.n_outputs for each in chosen)
+    lowers = reduction > LEAST_F / sum(each.n_outputs for each in chosen)
     at_bound = lowers & ((placed < first + margin) | (placed > last - margin))
-    told = lowers & ~at_bound
-    stated = tuple(float(f"{value:.4g}") for value in np.where(told, values, parameter.default))
+    determined = lowers & ~at_bound
+    stated = tuple(
+        float(f"{value:.4g}") for value in np.where(determined, values, parameter.default)
+    )
     within = tuple(min(max(value, parameter.lower), parameter.upper) for value in stated)
-    return FittedNonlinear(term.key, parameter, within, reduction, told, at_bound, lowest, highest)
+    return FittedNonlinear(
+        term.key, parameter, within, reduction, determined, at_bound, lowest, highest
+    )
 
 
 def credible_range(
     model: RobotModel, parameter: NonlinearParameter, speeds: Sequence[Array]
 ) -> tuple[Array, Array]:
-    """Return the range in which a nonlinear parameter of each joint is looked for, two (n,).
+    """Return the credible range of a nonlinear parameter, two arrays (n,).
 
-    That of its physics, and for a speed what the recording has.
-
-    `speeds` are |qd| (N, n) of each stretch. The top speed of a joint is its limit, the highest of
-    the recording where none is described. A speed below the slowest few samples cannot be told from
-    none.
+    That of its physics, and for a speed that of the recording: `speeds` are |qd| (N, n) of each
+    block. The top speed of a joint is its limit, or the highest of the recording. A speed below the
+    slowest few samples is undetermined.
     """
     n = model.n_joints
     low, high = parameter.credible
@@ -270,9 +266,7 @@ def credible_range(
 
 
 class _Remaining:
-    """What the torque of each joint has left after all columns but one term's, ready to be asked
-    what that term leaves of it.
-    """
+    """Hold each joint's torque projected off all columns but those of one term."""
 
     def __init__(self, model: RobotModel, others: DriveSet, chosen: Sequence[SampleBlock]) -> None:
         self._model, self._chosen = model, chosen
@@ -291,9 +285,7 @@ class _Remaining:
         self.energy = np.array([float(torque @ torque) for torque in self._torques])
 
     def with_term(self, term: DriveTerm, *, positive: bool) -> Array:
-        """Return the squared error of each joint that is left beside the columns of this term,
-        shape (n,); with `positive` only if their parameters are.
-        """
+        """Return the squared error (n,) with this term; without it if not `positive` as asked."""
         n, per = self._model.n_joints, len(term.symbols)
         plan = RegressorPlan.of(
             self._model, DriveSet((term,)), np.arange(10 * n, (10 + per) * n), spare_rows=1

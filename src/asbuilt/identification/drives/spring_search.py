@@ -1,7 +1,4 @@
-"""Springs that nobody described, where real bodies cannot follow the torque.
-
-Cables and hoses that wind up about an axis, counterbalances.
-"""
+"""Springs that the description lacks, such as cables, hoses and counterbalances."""
 
 from __future__ import annotations
 
@@ -33,15 +30,14 @@ if TYPE_CHECKING:
 
 
 WORTH = 0.2
-"""Part of a joint's torque error that a spring must take away to be suspected."""
+"""Least fraction by which a suspected spring lowers its joint's torque error."""
 
 
 @dataclass(frozen=True, slots=True)
 class SuspectedSpring:
-    """A spring at a joint (from 0) that no file describes.
+    """Hold a suspected spring at a joint (from 0): stiffness and RMS torque errors.
 
-    Its stiffness [N m/rad or N/m], and the joint's RMS torque error on time blocks held out without
-    and with it.
+    The stiffness is in N m/rad or N/m, the errors on held-out time blocks without and with it.
     """
 
     joint: int
@@ -53,8 +49,8 @@ class SuspectedSpring:
 
     def __str__(self) -> str:
         return (
-            f"{self.joint_name} {self.stiffness:.2g} {self.unit} (torque error on time blocks held"
-            f" out {self.error_without:.3g} -> {self.error_with:.3g})"
+            f"{self.joint_name} {self.stiffness:.2g} {self.unit} (torque error on held-out time"
+            f" blocks {self.error_without:.3g} -> {self.error_with:.3g})"
         )
 
 
@@ -65,14 +61,12 @@ def suspected_springs(
     *,
     block_seconds: float | None = None,
 ) -> tuple[SuspectedSpring, ...]:
-    """Return the joints, the most helped first, at which a spring beside real bodies lowers the
-    torque error on time blocks held out.
+    """Return the springs that lower the torque error on held-out blocks, best first.
 
-    `drive` are the terms of the robot, springs that are described among them. Each other joint is
-    tried alone: the error must fall by a fifth at the joint, by two standard errors from fold to
-    fold there, by one over all joints, and the stiffness be positive by two in a jackknife over the
-    folds. Real bodies are imposed because free ones imitate a spring along one motion, by an
-    inertia below zero. Nothing is found where time blocks are too few.
+    `drive` has the terms of the robot with all described springs. Each other joint is tried alone:
+    the error must fall by a fifth at the joint, by two standard errors over folds there and by one
+    over all joints, and the stiffness must be positive by two jackknife standard errors. Physical
+    consistency is imposed, since negative inertias imitate springs. Too few time blocks give none.
     """
     plain = _HeldOut.of(model, samples, drive, None, block_seconds)
     if len(plain.errors) < FEWEST_BLOCKS:
@@ -116,9 +110,7 @@ def suspected_springs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HeldOut:
-    """Mean squared errors (folds, n) of real bodies on time blocks held out in turn, the parameters
-    learnt from the others (folds, p), their names, and the joint weights (n,).
-    """
+    """Hold held-out errors (folds, n) and parameters (folds, p) of consistent fits."""
 
     errors: Array
     parameters: Array
