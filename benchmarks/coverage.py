@@ -22,17 +22,17 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.estimators.least_squares import Estimate, fit_least_squares
-from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
 )
+from asbuilt.identification.result.design_values import design_values
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,7 @@ SMALL_FRICTION = 0.03
 
 
 def recordings(
-    machine: InstalledRobot,
+    machine: VirtualRobot,
     model: RobotModel,
     correlation_time: float,
     duration: float,
@@ -89,7 +89,7 @@ def recordings(
     """
     base = find_base_parameters(model, DRIVE)
     recording = machine.record(
-        random_fourier(model, rng=11, duration=duration, n_harmonics=10), RATE
+        random_fourier(model, rng=11, duration=duration, n_harmonics=10), rate=RATE
     ).recording
     recording = replace(recording, qd=None, qdd=None)
     chain, rng = resolve_chain(SignalChain(), recording), np.random.default_rng(0)
@@ -139,7 +139,7 @@ def coverage(
     """Return the shares of weighted least squares."""
     model = load_robot(robot)
     base = find_base_parameters(model, DRIVE)
-    machine = InstalledRobot.ideal(model).with_drive(
+    machine = VirtualRobot.ideal(model).with_drive(
         DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints)
     )
     design = design_values(model, base)
@@ -177,7 +177,7 @@ def coverage_of_bodies(
 
 def off_from_cad(
     model: RobotModel, base: BaseParameters, prior: CadPrior, edge: float
-) -> InstalledRobot:
+) -> VirtualRobot:
     """Return a robot of other real bodies.
 
     Where `edge` is small that is the smallest eigenvalue of every other, and one joint has next to
@@ -197,7 +197,7 @@ def off_from_cad(
     friction = np.tile([1.0, 2.0, 0.3], (model.n_joints, 1))
     if edge < 0.1:
         friction[-2, 0] = SMALL_FRICTION
-    return InstalledRobot.ideal(model.with_parameters(np.concatenate(bodies))).with_drive(
+    return VirtualRobot.ideal(model.with_parameters(np.concatenate(bodies))).with_drive(
         base.drive, friction.ravel()
     )
 

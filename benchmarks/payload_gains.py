@@ -13,10 +13,10 @@ from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
@@ -37,7 +37,7 @@ def measure() -> dict[str, float | str]:
     for name in ROBOTS:
         model = bundled_robot(name)
         robot = (
-            InstalledRobot.ideal(model)
+            VirtualRobot.ideal(model)
             .with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints))
             .with_noise(SensorNoise(torque_noise=0.1))
         )
@@ -71,11 +71,11 @@ def measure() -> dict[str, float | str]:
     return found
 
 
-def recorded(robot: InstalledRobot, seed: int) -> Samples:
+def recorded(robot: VirtualRobot, seed: int) -> Samples:
     """Return 30 s of a random motion, filtered."""
     return prepare_samples(
         robot.record(
-            random_fourier(robot.model, seed, duration=30.0, n_harmonics=10), 200.0, rng=seed
+            random_fourier(robot.model, seed, duration=30.0, n_harmonics=10), rate=200.0, rng=seed
         ).recording
     )
 

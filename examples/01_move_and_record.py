@@ -14,7 +14,7 @@ from asbuilt import load_robot, simulate_recording
 from asbuilt.excitation.limits import check_motion
 from asbuilt.excitation.motions.motion_csv import read_motion
 from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.writers.motion_files import write_motion
 
 model = load_robot("kuka-iiwa7-r800")
@@ -36,7 +36,7 @@ with tempfile.TemporaryDirectory() as folder:
     )
 
 designed = simulate_recording(model, excitation)
-installed = InstalledRobot.typical(model, rng=3).record(excitation, rng=4)
+installed = VirtualRobot.typical(model, rng=3).record(excitation, rng=4)
 
 print(f"\n{installed.recording.notes[0]}")
 print("joint   torque RMS [N m]   what the description misses [N m]")

@@ -5,10 +5,10 @@ The main job from Python, on a virtual UR10e.
 
 import asbuilt
 from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 model = asbuilt.load_robot("ur10e")
-robot = InstalledRobot.typical(model, rng=1)
+robot = VirtualRobot.typical(model, rng=1)
 training = robot.record(random_fourier(model, rng=2, n_harmonics=10), rate=500.0, rng=2).recording
 test = robot.record(random_point_to_point(model, rng=3, n_poses=8), rate=500.0, rng=3).recording
 

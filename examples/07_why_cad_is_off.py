@@ -4,14 +4,14 @@ import numpy as np
 
 import asbuilt
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.attribution.attribution import attribute
 
 model = asbuilt.load_robot("kuka-iiwa7-r800")
 drive = asbuilt.DriveSet.parse("viscous,coulomb,offset")
 tool = asbuilt.LinkInertia.from_com(1.5, [0.0, 0.0, 0.08], np.diag([0.004, 0.004, 0.002]))
 robot = (
-    InstalledRobot.ideal(model)
+    VirtualRobot.ideal(model)
     .with_drive(drive, np.tile([0.4, 0.6, 0.1], model.n_joints))
     .with_tool(tool)
 )

@@ -13,13 +13,13 @@ from pathlib import Path
 from asbuilt import load_robot
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.study import StudyOptions, identify
 from asbuilt.writers.models.export import export_result
 
 model = load_robot("ur10e")
 recording = (
-    InstalledRobot.typical(model, rng=3)
+    VirtualRobot.typical(model, rng=3)
     .record(random_fourier(model, rng=1, duration=20.0), rng=4)
     .recording
 )

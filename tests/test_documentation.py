@@ -20,7 +20,7 @@ import typer
 import asbuilt
 from asbuilt.cli.app import app
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.recording_files import write_recording
 
@@ -95,9 +95,9 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("pages")
     model = asbuilt.load_robot("kuka-iiwa7-r800")
     write_urdf(folder / "arm.urdf", model)
-    robot = InstalledRobot.typical(model, rng=1)
+    robot = VirtualRobot.typical(model, rng=1)
     recordings = [
-        robot.record(random_fourier(model, rng=seed, duration=12.0), 100.0, rng=seed).recording
+        robot.record(random_fourier(model, rng=seed, duration=12.0), rate=100.0, rng=seed).recording
         for seed in (2, 3)
     ]
     recordings = [replace(each, extra={"tau_ext": 0.1 * each.tau}) for each in recordings]

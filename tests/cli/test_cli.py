@@ -338,7 +338,7 @@ def test_what_is_missing_is_told_before_any_work(
     capsys: pytest.CaptureFixture[str], recorded: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "asbuilt.workflow.study.run_study", lambda *_, **__: pytest.fail("the study ran")
+        "asbuilt.workflow.study.identify", lambda *_, **__: pytest.fail("the study ran")
     )
     status, _, err = call(
         capsys, "identify", "scara", recorded["scara train"], "--payload", "missing.csv"
@@ -352,16 +352,16 @@ def test_payload_of_a_loaded_recording(capsys: pytest.CaptureFixture[str], tmp_p
     from asbuilt.description.inertia import LinkInertia
     from asbuilt.description.load import load_robot
     from asbuilt.excitation.motions.random_motion import random_fourier
-    from asbuilt.experiment.virtual.simulation import InstalledRobot
+    from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
     from asbuilt.writers.recording_files import write_recording
 
-    robot = InstalledRobot.ideal(load_robot("kuka-iiwa7-r800"))
+    robot = VirtualRobot.ideal(load_robot("kuka-iiwa7-r800"))
     carrying = robot.with_tool(
         LinkInertia.from_com(2.0, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005])), at="flange"
     )
     for name, machine, seed in (("bare", robot, 1), ("loaded", carrying, 2)):
         motion = random_fourier(robot.model, rng=seed, duration=12.0, n_harmonics=8)
-        write_recording(tmp_path / f"{name}.csv", machine.record(motion, 200.0).recording)
+        write_recording(tmp_path / f"{name}.csv", machine.record(motion, rate=200.0).recording)
     found = document(
         capsys,
         "identify",

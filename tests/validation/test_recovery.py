@@ -13,8 +13,7 @@ from asbuilt.errors import ResultError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
-from asbuilt.experiment.virtual.simulation import SimulatedRecording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.recovery import compare_with_truth
 from asbuilt.workflow.study import StudyOptions, identify

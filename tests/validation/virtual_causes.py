@@ -17,7 +17,7 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.identification.result.result import IdentificationResult
@@ -37,7 +37,7 @@ def recorded(
     model = load_robot(robot)
     n = model.n_joints
     machine = (
-        InstalledRobot.ideal(model)
+        VirtualRobot.ideal(model)
         .with_drive(DriveSet(), ())
         .with_noise(SensorNoise(torque_noise=0.1))
     )
@@ -53,7 +53,7 @@ def recorded(
             np.tile(friction, n) if len(friction) == 2 else friction,
         )
     recording = machine.record(
-        random_fourier(model, rng=3, duration=30.0), 100.0, rng=seed
+        random_fourier(model, rng=3, duration=30.0), rate=100.0, rng=seed
     ).recording
     return recording.scaled([GAINS.get(k, 1.0) for k in range(n)]) if "g" in causes else recording
 

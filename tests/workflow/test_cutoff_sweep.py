@@ -14,7 +14,7 @@ from asbuilt.errors import RecordingError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.study import StudyOptions, identify
 
@@ -26,10 +26,10 @@ def recording() -> Recording:
     model = load_robot("ur10e")
     noise = SensorNoise(encoder_counts=2.0**13, torque_noise=0.5)
     robot = (
-        InstalledRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], 6)).with_noise(noise)
+        VirtualRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], 6)).with_noise(noise)
     )
     return robot.record(
-        random_fourier(model, rng=1, duration=24.0, n_harmonics=8), 200.0, rng=2
+        random_fourier(model, rng=1, duration=24.0, n_harmonics=8), rate=200.0, rng=2
     ).recording
 
 

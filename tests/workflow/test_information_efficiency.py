@@ -11,7 +11,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.information_efficiency import recorded_information
 
 
@@ -19,8 +19,8 @@ from asbuilt.workflow.information_efficiency import recorded_information
 def recording() -> Recording:
     model = load_robot("two-link")
     return (
-        InstalledRobot.ideal(model)
-        .record(random_fourier(model, rng=1, duration=10.0, n_harmonics=8), 200.0)
+        VirtualRobot.ideal(model)
+        .record(random_fourier(model, rng=1, duration=10.0, n_harmonics=8), rate=200.0)
         .recording
     )
 

@@ -15,7 +15,7 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.workflow.study import StudyOptions, identify
 from command_line import document
 
@@ -27,7 +27,7 @@ def model():
 
 def logged(robot, path):
     recording = robot.record(
-        random_fourier(robot.model, rng=1, duration=40.0), 250.0, rng=2
+        random_fourier(robot.model, rng=1, duration=40.0), rate=250.0, rng=2
     ).recording
     columns = (
         {"t": recording.t}
@@ -41,7 +41,7 @@ def logged(robot, path):
 @pytest.fixture(scope="module")
 def log(model, tmp_path_factory):
     return logged(
-        InstalledRobot.typical(model, rng=1), tmp_path_factory.mktemp("logs") / "run.parquet"
+        VirtualRobot.typical(model, rng=1), tmp_path_factory.mktemp("logs") / "run.parquet"
     )
 
 
@@ -82,7 +82,7 @@ def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch
     ]
     tool = LinkInertia.from_com(1.5, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005]))
     loaded = logged(
-        InstalledRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet"
+        VirtualRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet"
     )
     commands = (
         ("validate", result, log),

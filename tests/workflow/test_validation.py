@@ -16,7 +16,7 @@ from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.options import StudyOptions, ValidationOptions
 from asbuilt.workflow.result_files import read_result, read_study
@@ -31,9 +31,9 @@ WLS = StudyOptions(method="wls")
 
 def recorded(seed: int, duration: float, harmonics: int) -> Recording:
     model = load_robot(ARM)
-    robot = InstalledRobot.typical(model, rng=5)
+    robot = VirtualRobot.typical(model, rng=5)
     motion = random_fourier(model, rng=seed, duration=duration, n_harmonics=harmonics)
-    return robot.record(motion, 400.0, rng=seed).recording
+    return robot.record(motion, rate=400.0, rng=seed).recording
 
 
 @pytest.fixture(scope="module")

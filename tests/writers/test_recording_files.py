@@ -12,13 +12,13 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.drives.torque import described_drive
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recording
-from asbuilt.experiment.virtual.simulation import InstalledRobot
-from asbuilt.experiment.virtual.virtual_robot import PRESETS, VirtualRobot
+from asbuilt.experiment.virtual.presets import PRESETS
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.writers.recording_files import write_simulation
 
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", PRESETS["mujoco"])
 def test_the_log_says_what_its_torques_are_and_the_robot_is_the_one_that_moved(
     name: str, preset: str, tmp_path: Path
 ) -> None:
@@ -46,6 +46,6 @@ def test_the_robot_file_beside_a_log_survives(tmp_path: Path) -> None:
     model = bundled_robot("two-link")
     write_simulation(
         tmp_path / "arm.csv",
-        InstalledRobot.typical(model, rng=1).record(random_fourier(model, 1, duration=1.0), rng=1),
+        VirtualRobot.typical(model, rng=1).record(random_fourier(model, 1, duration=1.0), rng=1),
     )
     assert arm.read_text() == "kept = true\n"

@@ -28,9 +28,7 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
 from asbuilt.tables import share, significant, stacked
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.recovery import Recovery, compare_with_truth
@@ -145,7 +143,7 @@ def _recorded(model: RobotModel, motion: Motion, seed: int, name: str) -> Simula
     Without the engine, by inverse dynamics along the commanded motion.
     """
     try:
-        simulated = _virtual_robot(model).record(motion, rate=seed)
+        simulated = _virtual_robot(model).record(motion, seed)
     except MissingExtraError:
         simulated = (
             VirtualRobot.typical(model, rng=SEED)
@@ -169,7 +167,7 @@ def _recovered(model: RobotModel, study: Study) -> Recovery | None:
         robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)
     )
     try:
-        clean = bare.record(random_fourier(model, SEED + 1), rate=SEED)
+        clean = bare.record(random_fourier(model, SEED + 1), SEED)
     except MissingExtraError:
         return None
     return compare_with_truth(study.result, replace(clean, truth=robot.truth))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -30,6 +30,11 @@ from asbuilt.cli.options import (
 )
 from asbuilt.cli.spread import one_of
 from asbuilt.errors import UsageError
+
+if TYPE_CHECKING:
+    from asbuilt.description.inertia import LinkInertia
+    from asbuilt.description.model import RobotModel
+    from asbuilt.excitation.motions.motion import Motion
 
 
 def check(
@@ -283,27 +288,23 @@ def simulate(
     The parameters it was made with are written beside the recording.
     """
     from asbuilt.description.tool import tool_from_text
-    from asbuilt.excitation.motions.motion_csv import read_motion
-    from asbuilt.excitation.motions.random_motion import random_fourier
-    from asbuilt.experiment.virtual.simulation import InstalledRobot, with_body
+    from asbuilt.experiment.virtual.settings import with_settings
+    from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
     from asbuilt.identification.calibration.payload import payload_frame
-    from asbuilt.writers.recording_files import simulate_document, write_simulation
+    from asbuilt.writers.recording_files import (
+        simulate_document,
+        simulation_text,
+        write_simulation,
+    )
 
-    one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
+    runs_on = one_of("--engine", engine, ("mujoco", "inverse-dynamics"))
     kind = one_of("--preset", preset or "ideal", ("ideal", "lab", "factory"))
     model = robot_as_built(robot)
     carried = None if tool is None else tool_from_text(tool)
     if at is not None and carried is None:
-        raise UsageError("--at says where a tool is, but there is none; give --tool KG@X,Y,Z")
+        raise UsageError("--at names the carrier of a tool; give --tool KG@X,Y,Z too")
     place = None if carried is None else payload_frame(model, at)[0]
     if free is not None:
-        from asbuilt.experiment.virtual.free_motion import run_free
-        from asbuilt.writers.tables.free_motion_files import (
-            free_motion_document,
-            free_motion_text,
-            write_free_motion,
-        )
-
         given = {
             "MOTION": motion,
             "--preset": preset,
@@ -312,60 +313,66 @@ def simulate(
             "--engine inverse-dynamics": engine != "mujoco",
         }
         refuse_idle(
-            "--free lets the robot go as it is described, without controller and sensors",
+            "--free simulates the robot as described, without controller and sensors",
             {name: bool(value) for name, value in given.items()},
         )
-        let_go = model if carried is None else with_body(model, carried, place)
-        freed = run_free(
-            let_go,
-            one_of("--free", free, ("drop", "step", "free")),
-            duration=3.0 if duration is None else duration,
-            start=number_list("--start", start) or None,
-        )
-        files = write_free_motion(out or Path("free.csv"), freed)
-        answer(
-            as_json,
-            lambda: free_motion_document(freed, files),
-            lambda: free_motion_text(freed) + listed_files(files),
-        )
+        _simulate_free(model, carried, place, free, duration, start, out, as_json)
         return
     if start is not None:
         raise UsageError("--start is for --free; a motion starts where its file says")
     if motion is not None and duration is not None:
         raise UsageError(f"--duration is for the random motion or --free; {motion} has its own")
-    seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
-    moved = (
-        read_motion(motion, model)
-        if motion is not None
-        else random_fourier(model, rng=seed, duration=seconds)
-    )
-    if engine == "mujoco":
-        from asbuilt.experiment.virtual.settings import with_settings
-        from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-
-        virtual = VirtualRobot.preset(kind, model, rng=seed, tool=carried, at=place).logging(rate)
-        virtual = with_settings(virtual, settings or ())
-        with progress_bar() as report:
-            simulated = virtual.record(
-                moved, rng=seed, progress=lambda fraction: report("move", fraction)
-            )
-    else:
-        if kind == "factory" or settings:
-            what = "--set" if settings else "preset 'factory'"
-            raise UsageError(
-                f"--engine inverse-dynamics knows no {what}; it has the presets ideal and lab as"
-                " they are"
-            )
-        machine = (
-            InstalledRobot.typical(model, rng=seed)
-            if kind == "lab"
-            else InstalledRobot.ideal(model)
-        )
-        machine = machine if carried is None else machine.with_tool(carried, place)
-        simulated = machine.record(moved, 1000.0 if rate is None else rate, rng=seed)
+    moved = _motion(model, motion, duration, seed)
+    virtual = VirtualRobot.preset(kind, model, seed, tool=carried, at=place, engine=runs_on)
+    virtual = with_settings(virtual.logging(rate), settings or ())
+    with progress_bar() as report:
+        simulated = virtual.record(moved, seed, progress=lambda fraction: report("move", fraction))
     files = write_simulation(out or Path("recording.csv"), simulated)
     answer(
         as_json,
         lambda: simulate_document(simulated, files),
-        lambda: "; ".join(simulated.recording.notes) + listed_files(files),
+        lambda: simulation_text(simulated) + listed_files(files),
+    )
+
+
+def _motion(model: RobotModel, motion: Path | None, duration: float | None, seed: int) -> Motion:
+    """Return the motion of a file, or a random one."""
+    from asbuilt.excitation.motions.motion_csv import read_motion
+    from asbuilt.excitation.motions.random_motion import random_fourier
+
+    if motion is not None:
+        return read_motion(motion, model)
+    seconds = 20.0 if duration is None else positive_number("--duration", str(duration))
+    return random_fourier(model, rng=seed, duration=seconds)
+
+
+def _simulate_free(
+    model: RobotModel,
+    tool: LinkInertia | None,
+    place: str | None,
+    release: str,
+    duration: float | None,
+    start: str | None,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    from asbuilt.experiment.virtual.bodies import with_body
+    from asbuilt.experiment.virtual.free_motion import run_free
+    from asbuilt.writers.tables.free_motion_files import (
+        free_motion_document,
+        free_motion_text,
+        write_free_motion,
+    )
+
+    moved = run_free(
+        model if tool is None else with_body(model, tool, place),
+        one_of("--free", release, ("drop", "step", "free")),
+        duration=3.0 if duration is None else duration,
+        start=number_list("--start", start) or None,
+    )
+    files = write_free_motion(out or Path("free.csv"), moved)
+    answer(
+        as_json,
+        lambda: free_motion_document(moved, files),
+        lambda: free_motion_text(moved) + listed_files(files),
     )

@@ -12,14 +12,14 @@ from .quality.checks import RecordingCheck as RecordingCheck
 from .quality.checks import check_recording as check_recording
 from .recording import Recording as Recording
 from .signal.hold_out import hold_out as hold_out
-from .signal.samples import Samples as Samples
-from .signal.signal_chain import SignalChain as SignalChain
 from .signal.preparation import prepare_samples as prepare_samples
 from .signal.preparation import resolve_chain as resolve_chain
+from .signal.samples import Samples as Samples
+from .signal.signal_chain import SignalChain as SignalChain
 from .virtual.data_logger import DataLogger as DataLogger
 from .virtual.free_motion import FreeMotion as FreeMotion
 from .virtual.free_motion import run_free as run_free
 from .virtual.sensors import SensorNoise as SensorNoise
-from .virtual.simulation import SimulatedRecording as SimulatedRecording
 from .virtual.simulation import simulate_recording as simulate_recording
+from .virtual.virtual_robot import SimulatedRecording as SimulatedRecording
 from .virtual.virtual_robot import VirtualRobot as VirtualRobot

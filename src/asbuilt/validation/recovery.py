@@ -1,4 +1,4 @@
-"""Did identification find the truth? Only a virtual robot can say."""
+"""Comparison of a result with the truth of a virtual robot."""
 
 from __future__ import annotations
 
@@ -10,19 +10,17 @@ from numpy.typing import NDArray
 from asbuilt.arrays import Array
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import ResultError
-from asbuilt.experiment.virtual.simulation import SimulatedRecording
+from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
 from asbuilt.identification.result.result import IdentificationResult
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recovery:
-    """Hold what was found of a truth.
+    """Hold estimates beside the truth.
 
-    `truth`, `estimate` and `std_error` (p,) of the base parameters `names`; `of_links` (p,) says
-    which are of bodies, not of drives.
-
-    `torque_error` is what the errors of the parameters make wrong in the torque of a motion, `|W
-    (estimate - truth)| / |W truth|`; `cad_error` the same for the values of the description.
+    `truth`, `estimate` and `std_error` (p,) are of the base parameters `names`; `of_links` (p,)
+    says which are of links, not of drives. `torque_error` is the torque error that the parameter
+    errors make along a motion, `|W (estimate - truth)| / |W truth|`; `cad_error` that of CAD.
     """
 
     robot: str
@@ -36,15 +34,13 @@ class Recovery:
 
     @property
     def deviations(self) -> Array:
-        """`(estimate - truth) / std_error`, shape (p,).
-
-        NaN for parameters that were dropped, which have no error.
-        """
+        """`(estimate - truth) / std_error`, shape (p,); NaN for dropped parameters."""
         return (self.estimate - self.truth) / self.std_error
 
     def within(self, sigmas: float, *, of_links: bool | None = None) -> float:
-        """Return the share of parameters that lie within so many of their standard errors from the
-        truth: of all that have one, of links, or of drives (`of_links` False).
+        """Return the share of parameters within so many standard errors of the truth.
+
+        Of all that have an error, of links, or of drives (`of_links` False).
         """
         chosen = np.isfinite(self.std_error) & (
             True if of_links is None else self.of_links == of_links
@@ -53,11 +49,10 @@ class Recovery:
 
 
 def compare_with_truth(result: IdentificationResult, simulated: SimulatedRecording) -> Recovery:
-    """Hold a result against the truth behind a simulated recording that logged velocities and
-    accelerations, and predict its torque from both.
+    """Compare a result with the truth of a simulated recording, and predict its torque from both.
 
-    Truth and result must have the same drive terms. The truth's own mounting counts: a robot that
-    stands askew has other base parameters than its description, and the difference shows.
+    The recording must have velocities and accelerations, and truth and result the same drive terms.
+    A base tilt of the virtual robot is part of its truth.
 
     Raises
     ------

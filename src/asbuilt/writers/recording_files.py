@@ -1,6 +1,4 @@
-"""Recordings as files that `asbuilt identify` and other programs read, and the truth behind
-simulated ones.
-"""
+"""Files of recordings, and of the truth behind simulated ones."""
 
 from __future__ import annotations
 
@@ -9,6 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ import tomli_w
 from asbuilt.description.model import PLAIN_TERMS, DriveValues, RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.simulation import SimulatedRecording
+from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording
 from asbuilt.writers.files import atomic_write, path_texts
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.tables.tabular import write_json
@@ -27,11 +26,21 @@ from asbuilt.writers.tables.tabular import write_json
 def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
     """Write a recording as CSV or Parquet, by suffix.
 
-    `t`, then `q_NAME`, `qd_NAME` where logged, and `tau_NAME` for every joint.
+    The columns are `t`, then `q_NAME`, `qd_NAME` and `qdd_NAME` if logged, and `tau_NAME` of every
+    joint.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is another.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (".csv", ".parquet"):
-        raise UsageError(f"a recording is written as .csv or .parquet, not as {Path(path).name!r}")
+        raise UsageError(
+            f"a recording is written as .csv or .parquet, not as {Path(path).name!r}",
+            file=str(path),
+            available=(".csv", ".parquet"),
+        )
     columns: dict[str, Any] = {"t": recording.t}
     for symbol, values in (
         ("q", recording.q),
@@ -56,8 +65,9 @@ def write_recording(path: str | os.PathLike[str], recording: Recording) -> Path:
 def write_simulation(
     path: str | os.PathLike[str], simulated: SimulatedRecording
 ) -> dict[str, Path]:
-    """Write a simulated recording, the sheet that says what its torques are (LOG.toml), and the
-    parameters (JSON) and the robot (TOML) that made it.
+    """Write a simulated recording, its sheet, and the parameters and the robot behind it.
+
+    The sheet is LOG.toml, the parameters are JSON, the robot is TOML.
     """
     log = write_recording(path, simulated.recording)
     sheet = atomic_write(
@@ -69,7 +79,7 @@ def write_simulation(
 
 
 def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
-    """Return the robot behind a recording with the drive values that its logged torques contain."""
+    """Return the robot that moved, with the drive values that its logged torques contain."""
     model, drive = simulated.model, simulated.drive
     values = simulated.truth[len(model.parameters) :].reshape(model.n_joints, -1)
     keys = [term.key for term in drive.terms for _ in term.symbols]
@@ -90,13 +100,13 @@ def robot_that_moved(simulated: SimulatedRecording) -> RobotModel:
 
 
 def _sheet_text(recording: Recording, log: str) -> str:
-    told = f"# Recording sheet of {log}, which asbuilt reads beside it: what its torques are.\n"
+    head = f"# Recording sheet of {log}, read together with it.\n"
     if recording.torque_source == "current":
-        told += (
-            "# Currents times the nominal torque constant [N m]; gains = [...] takes corrections of"
-            " it, such as `asbuilt gains` finds.\n"
+        head += (
+            "# Currents times the nominal torque constant [N m]; gains = [...] holds corrections of"
+            " it, from a payload of known mass.\n"
         )
-    return told + tomli_w.dumps({"torque_source": recording.torque_source})
+    return head + tomli_w.dumps({"torque_source": recording.torque_source})
 
 
 def truth_document(simulated: SimulatedRecording) -> dict[str, Any]:
@@ -109,6 +119,16 @@ def truth_document(simulated: SimulatedRecording) -> dict[str, Any]:
         "notes": list(simulated.recording.notes),
         "settings": dict(simulated.settings),
     }
+
+
+def simulation_text(simulated: SimulatedRecording) -> str:
+    """Return how a recording was simulated, in lines of 80 columns."""
+    recording = simulated.recording
+    head = (
+        f"{simulated.model.name}: {recording.n_samples} samples x {recording.n_joints} joints,"
+        f" {recording.duration:.4g} s at {recording.rate:.4g} Hz"
+    )
+    return "\n".join([head, *(line for note in recording.notes for line in wrap(note, 80))])
 
 
 def simulate_document(simulated: SimulatedRecording, files: Mapping[str, Path]) -> dict[str, Any]:

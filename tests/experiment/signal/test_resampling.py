@@ -107,5 +107,5 @@ def test_a_rate_is_honoured_and_an_impossible_one_refused():
     np.testing.assert_allclose(run.q, motion(run.t), atol=1e-5)
     with pytest.raises(RecordingError, match="above that of the log, 100 Hz"):
         uniform_segments(recorded(t), rate=400.0)
-    with pytest.raises(RecordingError, match="at least 8 are needed"):
+    with pytest.raises(RecordingError, match="at least 8 are required"):
         uniform_segments(recorded(t[:5]))

@@ -6,7 +6,7 @@ from scipy import signal
 
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples, resolve_chain
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain, stream_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 
 W = 2 * np.pi * np.array([0.3, 0.45])
@@ -192,7 +192,7 @@ def test_wrong_options_are_refused():
     with pytest.raises(UsageError, match="raise the cutoff"):
         prepare_samples(moving(100.0), SignalChain(cutoff=1e-9))
     slow = moving(100.0)
-    with pytest.raises(RecordingError, match="are the time stamps in seconds"):
+    with pytest.raises(RecordingError, match="check that the time stamps are in seconds"):
         prepare_samples(replace(slow, t=slow.t * 1e9))
 
 

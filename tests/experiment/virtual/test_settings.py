@@ -105,7 +105,7 @@ def test_the_truth_of_an_ideal_robot_has_what_was_set() -> None:
         ("torque=gauge", "not one of sensor, motor, current"),
         ("feedforward=some", "not one of none, gravity, full"),
         ("accelerations=2", "yes or no"),
-        ("dropped=1", "fraction"),
+        ("dropped=1", "dropped must be"),
         ("coulomb=nan", "non-negative number"),
         ("behind=2", "from 0 to 1"),
         ("warming=0.1,0.2", "one number"),

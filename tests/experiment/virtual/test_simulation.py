@@ -16,7 +16,8 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import InstalledRobot, simulate_recording
+from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 ALL_DRIVES = DriveSet.parse("armature,viscous,coulomb,offset")
 
@@ -58,7 +59,7 @@ def test_noise_free_recording_is_that_of_pinocchio(name: str) -> None:
     tool = LinkInertia.from_com(1.5, [0.02, -0.01, 0.1], np.diag([0.01, 0.02, 0.015]))
     recording = simulate_recording(model, motion, rate=50, drive=DriveSet(), tool=tool)
     assert rigid or recording.tau.shape[1] == model.n_joints
-    carrying = InstalledRobot(model).with_tool(tool).model
+    carrying = VirtualRobot.ideal(model).with_tool(tool).model
     other, data = pinocchio_of(carrying)
     assert recording.qd is not None
     assert recording.qdd is not None
@@ -78,13 +79,13 @@ def test_tool_in_pinocchio_is_the_same_tool(iiwa: RobotModel) -> None:
     placement = iiwa.joints[6].after @ frame.placement
     body = pin.Inertia(tool.mass, tool.com, tool.inertia_about_com)
     other.appendBodyToJoint(7, body, pin.SE3(placement[:3, :3].copy(), placement[:3, 3].copy()))
-    robot = InstalledRobot(iiwa).with_tool(tool, frame.name)
+    robot = VirtualRobot.ideal(iiwa).with_tool(tool, frame.name)
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 20, 7))
     expected = [
         pin.rnea(other, data, *(x.copy() for x in state)) for state in zip(q, qd, qdd, strict=True)
     ]
-    np.testing.assert_allclose(robot.torque(q, qd, qdd), expected, atol=1e-10)
+    np.testing.assert_allclose(robot.exact_torque(q, qd, qdd), expected, atol=1e-10)
     assert robot.model.links[6].parts[-1][0] == "tool"
 
 
@@ -93,18 +94,18 @@ def test_tilting_the_robot_turns_its_root_against_the_world(iiwa: RobotModel) ->
     other, data = pinocchio_of(iiwa)
     root = pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, 0.0), np.zeros(3))
     other.jointPlacements[1] = root * other.jointPlacements[1]
-    robot = InstalledRobot(iiwa).tilted(roll, pitch)
+    robot = VirtualRobot.ideal(iiwa).tilted(roll, pitch)
     rng = np.random.default_rng(0)
     q, qd, qdd = rng.normal(size=(3, 20, 7))
     expected = [
         pin.rnea(other, data, *(x.copy() for x in state)) for state in zip(q, qd, qdd, strict=True)
     ]
-    np.testing.assert_allclose(robot.torque(q, qd, qdd), expected, atol=1e-10)
+    np.testing.assert_allclose(robot.exact_torque(q, qd, qdd), expected, atol=1e-10)
 
 
 def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotModel) -> None:
     """The minimum-norm solution and the truth differ only along directions that no motion shows."""
-    robot = InstalledRobot.typical(iiwa, rng=5).with_noise(SensorNoise())
+    robot = VirtualRobot.typical(iiwa, rng=5).with_noise(SensorNoise())
     simulated = robot.record(random_fourier(iiwa, 6, duration=20.0), rate=20)
     r = simulated.recording
     assert r.qd is not None
@@ -122,7 +123,7 @@ def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotMode
     expected = fresh @ simulated.truth
     assert np.abs(seen - expected).max() < 1e-9 * np.abs(expected).max()
     assert 43 + 21 < rank <= 73
-    np.testing.assert_allclose(robot.torque(q, qd, qdd).ravel(), expected, atol=1e-9)
+    np.testing.assert_allclose(robot.exact_torque(q, qd, qdd).ravel(), expected, atol=1e-9)
     drives = [k for k, name in enumerate(simulated.names) if name.startswith(("Fv", "Fc", "Fo"))]
     np.testing.assert_allclose(
         (found / scale)[drives], simulated.truth[drives], rtol=1e-7, atol=1e-9
@@ -132,7 +133,7 @@ def test_least_squares_on_a_noise_free_recording_finds_the_truth(iiwa: RobotMode
 def test_base_parameters_of_the_truth_are_found_to_nine_digits(iiwa: RobotModel) -> None:
     drive = DriveSet.parse("viscous,coulomb,offset")
     values = np.random.default_rng(3).uniform(0.1, 2.0, size=21)
-    robot = InstalledRobot(iiwa, drive, values).with_perturbed_links(0.05, rng=2)
+    robot = VirtualRobot.ideal(iiwa).with_drive(drive, values).with_perturbed_links(0.05, rng=2)
     simulated = robot.record(random_fourier(iiwa, 6, duration=20.0), rate=20)
     r = simulated.recording
     assert r.qd is not None
@@ -148,16 +149,16 @@ def test_base_parameters_of_the_truth_are_found_to_nine_digits(iiwa: RobotModel)
 def test_the_same_seed_gives_the_same_recording_and_robot(iiwa: RobotModel) -> None:
     motion = random_fourier(iiwa, 1, duration=2.0)
     first, second = (
-        InstalledRobot.typical(iiwa, rng=3).record(motion, 100, rng=4) for _ in range(2)
+        VirtualRobot.typical(iiwa, rng=3).record(motion, rate=100, rng=4) for _ in range(2)
     )
     np.testing.assert_array_equal(first.recording.tau, second.recording.tau)
     np.testing.assert_array_equal(first.recording.q, second.recording.q)
     np.testing.assert_array_equal(first.truth, second.truth)
-    other = InstalledRobot.typical(iiwa, rng=3).record(motion, 100, rng=5)
+    other = VirtualRobot.typical(iiwa, rng=3).record(motion, rate=100, rng=5)
     assert np.abs(other.recording.tau - first.recording.tau).max() > 0
     assert "seed 4" in first.recording.notes[0]
-    generator = InstalledRobot.typical(iiwa, np.random.default_rng(3)).record(
-        motion, 100, np.random.default_rng(4)
+    generator = VirtualRobot.typical(iiwa, np.random.default_rng(3)).record(
+        motion, rate=100, rng=np.random.default_rng(4)
     )
     np.testing.assert_array_equal(generator.recording.tau, first.recording.tau)
 
@@ -224,7 +225,7 @@ def test_drive_torque_is_the_sum_of_its_terms(iiwa: RobotModel) -> None:
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "franka-panda", "two-link"])
 def test_typical_robot_is_consistent_and_near_its_description(name: str, seed: int) -> None:
     model = bundled_robot(name)
-    robot = InstalledRobot.typical(model, rng=seed)
+    robot = VirtualRobot.typical(model, rng=seed)
     consistent = [link.inertia.is_consistent for link in model.links]
     for link, sound in zip(robot.model.links, consistent, strict=True):
         assert link.inertia.is_consistent or not sound
@@ -234,7 +235,7 @@ def test_typical_robot_is_consistent_and_near_its_description(name: str, seed: i
     values = np.reshape(robot.drive_values, (model.n_joints, 4))
     assert np.all(values[:, :3] > 0)
     motion = random_fourier(model, seed, duration=5.0)
-    simulated = robot.record(motion, 100, rng=seed)
+    simulated = robot.record(motion, rate=100, rng=seed)
     plain = simulate_recording(model, motion, rate=100, drive=DriveSet())
     difference = np.linalg.norm(simulated.recording.tau - plain.tau) / np.linalg.norm(plain.tau)
     assert 0.01 < difference < 0.6
@@ -244,9 +245,7 @@ def test_errors_say_what_to_give(iiwa: RobotModel) -> None:
     motion = QuinticMotion.between(np.zeros(7), np.ones(7), 1.0)
     with pytest.raises(
         UsageError,
-        match=(
-            r"drive parameter Fv1 of .* has no value; the description is silent: give drive_values"
-        ),
+        match=(r"drive parameter Fv1 of .* has no value in the description; give the values"),
     ):
         simulate_recording(iiwa, motion, drive=DriveSet.parse("viscous"))
     with pytest.raises(UsageError, match="has 7 drive parameters, got shape"):
@@ -260,4 +259,4 @@ def test_errors_say_what_to_give(iiwa: RobotModel) -> None:
     ):
         simulate_recording(iiwa, motion, noise=SensorNoise(torque_noise=-1.0))
     with pytest.raises(UsageError, match="no moving link or frame 'hand' to carry a tool; it has"):
-        InstalledRobot(iiwa).with_tool(LinkInertia.zero(), "hand")
+        VirtualRobot.ideal(iiwa).with_tool(LinkInertia.zero(), "hand")

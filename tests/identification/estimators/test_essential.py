@@ -21,7 +21,7 @@ from asbuilt.errors import InertiaError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.calibration.payload import identify_payload_samples, payload_frame
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.known_information import known_information
@@ -32,24 +32,24 @@ from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.writers.models.as_built import as_built_model
-from asbuilt.writers.models.physical import refuse_impossible_result
+from asbuilt.writers.models.physical import refuse_inconsistent_result
 from asbuilt.writers.tables.tabular import identified_table, identify_document, json_text
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 TOOL = LinkInertia.from_com(1.8, [0.03, -0.02, 0.09], np.diag([0.011, 0.009, 0.006]))
 
 
-def machine() -> InstalledRobot:
+def machine() -> VirtualRobot:
     """A UR10e whose offsets are nothing, and noise in which its small inertias drown."""
     model = load_robot("ur10e")
-    robot = InstalledRobot.ideal(model).with_drive(DRIVE, np.tile([10.0, 5.0, 0.0], model.n_joints))
+    robot = VirtualRobot.ideal(model).with_drive(DRIVE, np.tile([10.0, 5.0, 0.0], model.n_joints))
     return robot.with_noise(SensorNoise(torque_noise=2.0))
 
 
-def moved(robot: InstalledRobot, seed: int):
+def moved(robot: VirtualRobot, seed: int):
     return prepare_samples(
         robot.record(
-            random_fourier(robot.model, rng=seed, duration=20.0, n_harmonics=8), 200.0, rng=seed
+            random_fourier(robot.model, rng=seed, duration=20.0, n_harmonics=8), rate=200.0, rng=seed
         ).recording
     )
 
@@ -226,4 +226,4 @@ def test_a_refusal_to_export_does_not_take_zeros_for_measurements(
     essential: IdentificationResult,
 ) -> None:
     with pytest.raises(InertiaError, match="dropped as needless count as zero"):
-        refuse_impossible_result(essential, as_built_model(essential))
+        refuse_inconsistent_result(essential, as_built_model(essential))

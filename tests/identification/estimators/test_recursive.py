@@ -8,7 +8,7 @@ from three_links import DRIVE, recording, truth
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.recursive import RecursiveIdentification
 from asbuilt.identification.information.square_root_information import accumulate
@@ -50,7 +50,7 @@ def test_forgetting_is_a_weight_that_decays(robot):
 def test_load_that_is_picked_up_is_followed(robot):
     model, base, beta = robot
     tool = LinkInertia.from_com(1.5, [0.05, 0.0, 0.1], np.diag([0.01, 0.01, 0.005]))
-    heavier = InstalledRobot.ideal(model).with_tool(tool).model
+    heavier = VirtualRobot.ideal(model).with_tool(tool).model
     loaded = truth(base, heavier)
     empty, full = (
         recording(model, base, b, noise=0.1, seconds=30.0, seed=3, parallel=False)

@@ -6,7 +6,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.determination import determination
 from asbuilt.identification.result.result import IdentificationResult
@@ -14,7 +14,7 @@ from asbuilt.identification.result.result import IdentificationResult
 
 def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) -> Samples:
     model = load_robot(robot)
-    machine = InstalledRobot.ideal(model).with_drive(
+    machine = VirtualRobot.ideal(model).with_drive(
         DriveSet.parse("viscous,coulomb"), np.tile([1.0, 2.0], model.n_joints)
     )
     motion = random_fourier(model, rng=3, duration=duration)
@@ -23,7 +23,7 @@ def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) 
     for k in still:
         q[:, k] = 0.3
         qd[:, k] = qdd[:, k] = 0.0
-    tau = machine.torque(q, qd, qdd) + np.random.default_rng(0).normal(scale=0.1, size=q.shape)
+    tau = machine.exact_torque(q, qd, qdd) + np.random.default_rng(0).normal(scale=0.1, size=q.shape)
     return Samples(sampled.t, q, qd, qdd, tau, rate=100.0, joint_names=model.joint_names)
 
 

@@ -12,7 +12,7 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.sensors import SensorNoise
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.cause_data import gather_cause_data
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
@@ -80,11 +80,11 @@ def test_torque_that_others_could_make_is_shared_and_does_not_matter_by_itself()
         periods=4,
     )
     machine = (
-        InstalledRobot.ideal(model)
+        VirtualRobot.ideal(model)
         .with_drive(DriveSet.parse("viscous,coulomb,offset"), np.tile([1.0, 2.0, 3.0], 7))
         .with_noise(SensorNoise(torque_noise=0.05))
     )
-    samples = prepare_samples(machine.record(motion, 100.0, rng=1).recording, SignalChain())
+    samples = prepare_samples(machine.record(motion, rate=100.0, rng=1).recording, SignalChain())
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     result = identify_samples(model, samples, base=base)
     comparison = compare(replace(result, cause_data=gather_cause_data(model, base, [samples])))

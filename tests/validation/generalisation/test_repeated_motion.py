@@ -14,9 +14,9 @@ from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.preparation import prepare_samples
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.validation.generalisation.repeated_motion import repeated_share
 from asbuilt.workflow.study import StudyOptions, identify
 
@@ -26,8 +26,8 @@ ROBOT = bundled_robot("scara")
 def recorded(seed: int, periods: int = 1) -> Recording:
     motion = random_fourier(ROBOT, seed, duration=10.0 * periods, n_harmonics=5, periods=periods)
     return (
-        InstalledRobot.typical(ROBOT, rng=1)
-        .record(motion, 200.0, rng=seed + 10 * periods)
+        VirtualRobot.typical(ROBOT, rng=1)
+        .record(motion, rate=200.0, rng=seed + 10 * periods)
         .recording
     )
 
@@ -68,7 +68,7 @@ def test_a_study_says_which_recording_is_no_other_motion() -> None:
         warning.text for warning in study.findings if warning.code == "held_out_repeats"
     ]
     assert len(said) == 1
-    assert "repeats the motion fitted" in said[0]
+    assert "repeats the training motion" in said[0]
 
 
 def test_two_recordings_of_a_real_arm_are_one_motion_and_its_spring_may_be_at_five_joints(
@@ -87,8 +87,8 @@ def test_two_recordings_of_a_real_arm_are_one_motion_and_its_spring_may_be_at_fi
         ).findings
     }
     assert (
-        "measurements_2.npz repeats the motion fitted (100 % of its states"
+        "measurements_2.npz repeats the training motion (100 % of its states"
         in said["held_out_repeats"]
     )
     in_step = ", ".join(model.joint_names[k] for k in (0, 2, 3, 5))
-    assert f"{model.joint_names[6]} moves in step with {in_step}:" in said["spring_suspected"]
+    assert f"({model.joint_names[6]} with {in_step})" in said["spring_suspected"]

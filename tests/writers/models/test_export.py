@@ -18,7 +18,7 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import DescriptionError, InertiaError, UsageError
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import IdentificationResult, IdentifiedParameter
 from asbuilt.workflow.study import StudyOptions, identify
@@ -270,8 +270,8 @@ def test_a_study_leaves_the_edited_urdf_behind(
     original = arm_urdf(tmp_path)
     model = load_robot(original)
     recording = (
-        InstalledRobot.ideal(model)
-        .record(random_fourier(model, rng=1, duration=8.0), 200.0, rng=1)
+        VirtualRobot.ideal(model)
+        .record(random_fourier(model, rng=1, duration=8.0), rate=200.0, rng=1)
         .recording
     )
     columns = {"t": recording.t} | {
@@ -326,7 +326,7 @@ def test_the_nearest_robot_says_what_it_costs_on_the_recordings(
     exported = export_result(study.result, toml=tmp_path / "robot.toml", nearest=True)
     assert exported.cost is not None
     np.testing.assert_allclose(exported.cost.identified, study.result.validation[0].rms, rtol=1e-6)
-    assert np.all(exported.cost.stand_in < 1.4 * exported.cost.identified)
+    assert np.all(exported.cost.nearest < 1.4 * exported.cost.identified)
     assert "as written" in exported.as_text()
     assert "In random motion, where no recording was" in exported.as_text()
     short = read_recordings(
@@ -358,7 +358,7 @@ def test_a_study_says_what_its_files_cannot_hold(
     model = load_robot(original)
     log = tmp_path / "log.csv"
     write_recording(
-        log, InstalledRobot.ideal(model).record(random_fourier(model, rng=3), 100.0).recording
+        log, VirtualRobot.ideal(model).record(random_fourier(model, rng=3), rate=100.0).recording
     )
     call_of = ("identify", original, log, "--drive", ALL, "--out", tmp_path / "out")
     status, out, _ = call(capsys, *call_of)

@@ -24,7 +24,7 @@ from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import DescriptionError, InertiaError
 from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import cad_values
 from asbuilt.writers.models.export import export_result
@@ -98,8 +98,8 @@ def test_robot_file_gives_the_torques_of_the_result(name: str, tmp_path: Path) -
     assert drive.keys == result.base.drive.keys
     motion = random_fourier(result.model, rng=5, duration=2.0).sample(50.0)
     simulated = (
-        InstalledRobot.ideal(written)
-        .record(random_fourier(result.model, rng=5, duration=2.0), 50.0)
+        VirtualRobot.ideal(written)
+        .record(random_fourier(result.model, rng=5, duration=2.0), rate=50.0)
         .recording
     )
     expected = torques_of(result, motion.q, motion.qd, motion.qdd)

@@ -17,8 +17,8 @@ from asbuilt.experiment.logs.formats.log_format import log_format
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain, stream_samples
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure
 

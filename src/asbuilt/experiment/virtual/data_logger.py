@@ -1,4 +1,4 @@
-"""What a logger makes of what sensors measure: a rate, stamps that jitter, samples that get lost."""
+"""Data logger: a rate, time stamps that jitter, samples that are lost."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoggedColumns:
-    """Hold the columns of a log, each (N, n) but `t` (N,); None where not logged."""
+    """Hold the columns of a log, each (N, n) but `t` (N,); None if not logged."""
 
     t: Array
     q: Array
@@ -28,12 +28,23 @@ class LoggedColumns:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DataLogger:
-    """Describe a logger: its `rate` [Hz], and what goes wrong in it.
+    """Describe a logger.
 
-    A time stamp misses the instant of its values by `clock_jitter` [s] (standard deviation); the
-    fraction `dropped` of the samples gets lost, in bursts of `burst` samples on average.
-    `accelerations` logs velocities and accelerations too, which no real robot measures, as long as
-    the sensors are perfect: beside positions that an encoder rounds they would tell what it hides.
+    Parameters
+    ----------
+    rate
+        Sampling rate [Hz].
+    clock_jitter
+        Standard deviation of the error of a time stamp [s].
+    dropped, burst
+        Fraction of the samples that is lost, and mean length of a burst of lost samples.
+    accelerations
+        Whether true velocities and accelerations are logged too, with perfect sensors only.
+
+    Raises
+    ------
+    UsageError
+        If a value is outside its range.
     """
 
     rate: float = 1000.0
@@ -45,18 +56,23 @@ class DataLogger:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise UsageError(
-                "the rate of the logger must be a positive number of samples per second, got"
-                f" {self.rate}"
+                f"the rate of the logger must be a positive number of Hz, got {self.rate}",
+                value=self.rate,
+                lower=0.0,
             )
         if not 0.0 <= self.clock_jitter < 0.5 / self.rate:
             raise UsageError(
-                f"clock_jitter goes from 0 to below half a sampling period, {0.5 / self.rate:g} s"
-                f" at {self.rate:g} Hz; got {self.clock_jitter}"
+                f"clock_jitter must be below half a sampling period, {0.5 / self.rate:g} s at"
+                f" {self.rate:g} Hz, got {self.clock_jitter}",
+                value=self.clock_jitter,
+                lower=0.0,
+                upper=0.5 / self.rate,
             )
         if not (0.0 <= self.dropped < 1.0 and self.burst >= 1.0):
             raise UsageError(
-                "dropped is a fraction from 0 to below 1 and burst at least 1 sample, got"
-                f" {self.dropped} and {self.burst}"
+                "dropped must be from 0 to below 1 and burst at least 1, got"
+                f" {self.dropped} and {self.burst}",
+                value=(self.dropped, self.burst),
             )
 
     def logged(
@@ -68,9 +84,7 @@ class DataLogger:
         command: Array,
         rng: np.random.Generator,
     ) -> LoggedColumns:
-        """Return what is written down of a trajectory and its torque (N, n), sampled at a multiple
-        of the rate.
-        """
+        """Return the log of a motion and its torque (N, n), sampled at a multiple of the rate."""
         every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
         pick = slice(None, None, every)
         seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])
@@ -93,7 +107,7 @@ class DataLogger:
         return columns if not self.dropped else _without(columns, self._kept(t.size, rng))
 
     def _kept(self, n: int, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Return which samples survive; bursts start at random and have geometric lengths."""
+        """Return which samples are kept; bursts start at random and have geometric lengths."""
         keep = np.ones(n, dtype=np.bool_)
         starts = np.flatnonzero(rng.random(n) < self.dropped / self.burst)
         for start, length in zip(starts, rng.geometric(1.0 / self.burst, starts.size), strict=True):

@@ -1,7 +1,8 @@
-"""What sits between motor and link, and what holds the robot on its course."""
+"""Drives and position controller of a virtual robot."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -9,26 +10,45 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics, mass_matrix
+from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError
-from asbuilt.excitation.motions.motion import Trajectory
+from asbuilt.excitation.motions.motion import Trajectory, read_only
 from asbuilt.experiment.virtual.sensors import PerJoint, per_joint
+from asbuilt.findings import Cure
 
 FeedForward = Literal["none", "gravity", "full", "exact"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveTrain:
-    """Describe the drives; every field but `warming` is one number or one per joint, in units of
-    the joint (N m and rad, or N and m).
+    """Describe the drives as the physics engine simulates them.
 
-    `armature` is the rotor's inertia at the joint, `viscous` and `coulomb` the friction of the
-    running gear, `offset` a constant torque. Below the `stribeck_velocity` dry friction rises by up
-    to `stiction`: `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)`. All friction falls
-    by the fraction `warming` of its cold value while the gear warms up, `1 - warming (1 - exp(-t /
-    warming_time))` with the time [s]. `backlash` is the play of the gear at the joint: the encoder
-    on the motor runs ahead of the link by half of it while the torque is positive and lags behind
-    while it is negative, with a smooth passage over `engagement` (torque).
+    Every field but `warming` and `warming_time` is one number or one per joint, in units of the
+    joint (N m and rad, or N and m).
+
+    Parameters
+    ----------
+    armature
+        Inertia of the rotor at the joint.
+    viscous, coulomb
+        Viscous and Coulomb friction.
+    offset
+        Constant torque.
+    stiction, stribeck_velocity
+        Stribeck friction: `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)`.
+    backlash, engagement
+        Play of the gear at the joint: the encoder on the motor is ahead of the link by half of it
+        at positive torque and behind at negative, smoothly over `engagement` (torque).
+    warming, warming_time
+        Fraction of all friction lost as the gear warms up, `1 - warming (1 - exp(-t /
+        warming_time))` at time t [s].
+
+    Raises
+    ------
+    UsageError
+        If a value is outside its range.
     """
 
     armature: PerJoint = 0.0
@@ -45,40 +65,84 @@ class DriveTrain:
     def __post_init__(self) -> None:
         if not 0.0 <= self.warming < 1.0 or not self.warming_time > 0.0:
             raise UsageError(
-                "warming is a fraction from 0 to below 1 and warming_time positive seconds, got"
-                f" {self.warming} and {self.warming_time}"
+                "warming must be from 0 to below 1 and warming_time positive, got"
+                f" {self.warming} and {self.warming_time}",
+                value=(self.warming, self.warming_time),
             )
         for name in ("stribeck_velocity", "engagement"):
             if np.any(np.asarray(getattr(self, name)) <= 0.0):
-                raise UsageError(f"{name} must be positive, got {getattr(self, name)}")
+                raise UsageError(
+                    f"{name} must be positive, got {getattr(self, name)}",
+                    value=getattr(self, name),
+                    lower=0.0,
+                )
 
     def of(self, name: str, n: int) -> Array:
         """Return a field for n joints, shape (n,)."""
         return per_joint(getattr(self, name), n, name, signed=name == "offset")
 
+    def friction_law(self, n: int) -> Callable[[Array], Array]:
+        """Return `F(v) = coulomb + stiction exp(-(v / stribeck_velocity)^2)` of n joints."""
+        names = ("coulomb", "stiction", "stribeck_velocity")
+        coulomb, stiction, velocity = (self.of(name, n) for name in names)
+        return lambda v: coulomb + stiction * np.exp(-((v / velocity) ** 2))
+
     def warmth(self, t: Array) -> Array:
-        """Return by what factor friction is multiplied at times t [s]."""
+        """Return the factor of friction at times t [s]."""
         return 1.0 - self.warming * (1.0 - np.exp(-t / self.warming_time))
 
     def motor_position(self, q: Array, tau: Array) -> Array:
-        """Return what the encoder on the motor sees of link positions q while torques tau are
-        transmitted, shape of q [rad or m].
-        """
+        """Return what the motor encoder measures at link positions q and torques tau (..., n)."""
         n = q.shape[-1]
         return q + 0.5 * self.of("backlash", n) * np.tanh(tau / self.of("engagement", n))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TermDrives:
+    """Hold drive terms and their values (n columns_per_joint,), joint by joint."""
+
+    drive: DriveSet
+    values: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", read_only(self.values))
+
+    def check(self, model: RobotModel) -> None:
+        """Raise `UsageError` unless there is a value for every drive parameter of the robot."""
+        expected = self.drive.columns_per_joint * model.n_joints
+        if self.values.shape != (expected,):
+            raise UsageError(
+                f"{model.name} with drive terms {self.drive} has {expected} drive parameters, got"
+                f" shape {self.values.shape}",
+                value=self.values.shape,
+                expected=expected,
+            )
+        if not np.all(np.isfinite(self.values)):
+            k = 10 * model.n_joints + int(np.argmin(np.isfinite(self.values)))
+            name = parameter_names(model, self.drive)[k]
+            raise UsageError(
+                f"drive parameter {name} of {model.name} has no value in the description",
+                cure=Cure("give the values of the drive terms"),
+                parameter=name,
+            )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PositionController:
-    """Describe the controller that makes the robot follow.
+    """Describe the position controller, a computed-torque law.
 
     `tau = feed-forward + M (w^2 (q_command - q) + 2 damping w (qd_command - qd))`.
 
     M is the mass matrix of the description at the command, armature included, and `w = 2 pi
-    bandwidth` [Hz], so that every joint answers alike (computed torque). The feed-forward is what
-    the *description* says that the bodies take: nothing, their gravity, or all of it; `exact` adds
-    what rotors and friction take, as they are. The torque is held between two ticks of `rate` [Hz],
-    rounded up to a multiple of the logger's, and limited to what the joint can give.
+    bandwidth` [Hz]. The feed-forward is the torque of the described bodies: "none", their
+    "gravity", "full", or "exact", which adds rotors and friction as they are. The torque is held
+    between two ticks of `rate` [Hz], rounded up to a multiple of the logger's, and limited to the
+    joint's torque limit.
+
+    Raises
+    ------
+    UsageError
+        If a value is outside its range.
     """
 
     bandwidth: float = 12.0
@@ -89,21 +153,28 @@ class PositionController:
     def __post_init__(self) -> None:
         for name in ("bandwidth", "damping", "rate"):
             if not (np.isfinite(value := getattr(self, name)) and value > 0):
-                raise UsageError(f"{name} of the controller must be a positive number, got {value}")
+                raise UsageError(
+                    f"{name} of the controller must be a positive number, got {value}",
+                    value=value,
+                    lower=0.0,
+                )
         if self.feedforward not in get_args(FeedForward):
             raise UsageError(
-                f"feedforward {self.feedforward!r} is not one of {', '.join(get_args(FeedForward))}"
+                f"feedforward {self.feedforward!r} is not one of"
+                f" {', '.join(get_args(FeedForward))}",
+                value=self.feedforward,
+                available=get_args(FeedForward),
             )
         if self.bandwidth > self.rate / 20:
             raise UsageError(
-                f"a controller of {self.rate:g} Hz cannot have a bandwidth of {self.bandwidth:g}"
-                f" Hz; stay below a twentieth, {self.rate / 20:g} Hz"
+                f"the bandwidth of a controller of {self.rate:g} Hz must be at most a twentieth,"
+                f" {self.rate / 20:g} Hz, got {self.bandwidth:g} Hz",
+                value=self.bandwidth,
+                upper=self.rate / 20,
             )
 
     def gains(self, described: RobotModel, armature: Array, q: Array) -> tuple[Array, float]:
-        """Return stiffness (N, n, n) at positions (N, n), and by what time [s] a velocity error
-        counts as a position error.
-        """
+        """Return stiffness (N, n, n) at positions (N, n), and damping over stiffness [s]."""
         pole = 2.0 * np.pi * self.bandwidth
         return (mass_matrix(described, q) + np.diag(armature)) * pole**2, 2.0 * self.damping / pole
 

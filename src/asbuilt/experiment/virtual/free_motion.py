@@ -1,4 +1,4 @@
-"""An identified robot let go: where its own dynamics carry it, and what becomes of its energy."""
+"""Free motion of a robot without controller: simulation and energy balance."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from asbuilt.errors import InertiaError, UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.experiment.virtual.drive_train import PositionController
 from asbuilt.experiment.virtual.physics import Physics
+from asbuilt.findings import Cure
 
 Release = Literal["drop", "step", "free"]
 
 STEP = 0.2
-"""How far a step moves each joint [rad]; a quarter as many metres where it slides."""
+"""Size of a step of each joint [rad]; a quarter of it [m] for sliding joints."""
 STEP_CONTROLLER = PositionController(bandwidth=3.0, feedforward="gravity")
 """The controller of a step: gravity and a pole pair at 3 Hz, according to the model itself."""
 SPEED = 0.3
@@ -27,19 +28,17 @@ SPEED = 0.3
 TIMESTEP = 5e-4
 """Step of the integrator [s]."""
 LOGGED = 2
-"""Every how many steps of the integrator the motion is kept."""
-RUNAWAY = 1e4
-"""Joint velocity [rad/s or m/s] at which a simulation has broken down."""
+"""Steps of the integrator per sample that is kept."""
+DIVERGED = 1e4
+"""Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeMotion:
-    """Hold a motion that nobody controls, and its energies [J], each (N,).
+    """Hold a free motion: `t` and energies [J] (N,), states and torques (N, n).
 
-    States and torques are (N, n), `t` (N,).
-
-    `kinetic` counts rotors too, `potential` is zero where the motion starts, `work` is what the
-    drives have put in, `dissipated` what friction has taken out.
+    `kinetic` includes rotors, `potential` is zero at the start, `work` is done by the drives,
+    `dissipated` by friction.
     """
 
     model: RobotModel
@@ -60,11 +59,10 @@ class FreeMotion:
 
     @property
     def imbalance(self) -> float:
-        """Largest energy that came from nowhere or got lost, in parts of the energy that was turned
-        over.
+        """Largest error of the energy balance, relative to the energy turned over.
 
-        The motion is MuJoCo's, the energies are those of asbuilt's equations, so this compares the
-        two and the integrator.
+        The motion is MuJoCo's, the energies are those of asbuilt's equations, so this compares
+        the two and the integrator.
         """
         missing = self.total - self.total[0] - self.work + self.dissipated
         turnover = np.ptp(self.kinetic) + np.ptp(self.potential)
@@ -81,21 +79,32 @@ def run_free(
     start: ArrayLike | None = None,
     speed: ArrayLike | None = None,
 ) -> FreeMotion:
-    """Let a robot go in the physics engine, with the armature and friction that its description
-    gives, and without joint stops.
+    """Simulate a robot without its controller, with the armature and friction of its description.
 
-    `drop` releases it at rest with drives that give nothing; `free` also takes the friction away
-    and starts at 0.3 of the speed limits, so that the energy must stay; `step` commands 0.2 rad
-    more (0.05 m) from a controller that knows the gravity and mass matrix of this model, and its
-    torque limits, but no friction. `start` (n,) is the pose, by default the one in which gravity
-    pulls hardest out of many; `speed` (n,) the velocity.
+    There are no joint stops.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    release
+        `"drop"` starts at rest, drives without torque; `"free"` has no friction either and starts
+        at 0.3 of the speed limits, so that the energy is constant; `"step"` commands 0.2 rad
+        (0.05 m) from a controller with the gravity and mass matrix of this model and its torque
+        limits.
+    duration
+        Duration [s].
+    start
+        Pose (n,), by default the one of many in which gravity torques are largest.
+    speed
+        Initial velocity (n,).
 
     Raises
     ------
     UsageError
         If pose or speed do not fit the robot, or there is no such release.
     InertiaError
-        If the mass matrix is not positive definite on the way, as it may be where inertias were
+        If the mass matrix is not positive definite during the motion, as it may be for inertias
         identified without constraints.
 
     Examples
@@ -113,8 +122,9 @@ def run_free(
     further = sorted({key for joint in model.joints for key in joint.drive.terms})
     if further:
         raise UsageError(
-            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know;"
-            " its free motion would be another robot's"
+            f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
+            " simulate",
+            value=further,
         )
     n = model.n_joints
     armature, viscous, coulomb, offset = (
@@ -138,11 +148,14 @@ def run_free(
     with physics.quiet():
         for k in range(samples):
             q[k], qd[k] = physics.state
-            if not np.all(np.abs(qd[k]) < RUNAWAY):
+            if not np.all(np.abs(qd[k]) < DIVERGED):
                 raise InertiaError(
-                    f"{model.name} runs away at t = {t[k]:.3g} s: its mass matrix is not positive"
-                    " definite there; identify physically consistent inertias, or give its joints"
-                    " an armature"
+                    f"the simulation of {model.name} diverges at t = {t[k]:.3g} s: its mass matrix"
+                    " is not positive definite there",
+                    cure=Cure(
+                        "identify physically consistent inertias, or give its joints an armature"
+                    ),
+                    time=float(t[k]),
                 )
             tau[k] = (
                 np.clip(_pull(model, armature, q[k], qd[k], goal), -limit, limit)
@@ -170,9 +183,7 @@ def run_free(
 
 
 def heaviest_pose(model: RobotModel) -> Array:
-    """Return, out of 512 poses within the limits, the one with the largest gravity torque for its
-    joints' range, shape (n,).
-    """
+    """Return the pose of largest gravity torque for its joints' range, out of 512, shape (n,)."""
     bounds = MotionBounds.assumed(model)
     poses = np.random.default_rng(0).uniform(bounds.lower, bounds.upper, (512, model.n_joints))
     poses = np.vstack([0.5 * (bounds.lower + bounds.upper), poses])

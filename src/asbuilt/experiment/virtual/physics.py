@@ -170,9 +170,7 @@ class Physics:
         return masses
 
     def _fastest_decay(self, masses: Array) -> float:
-        """Return the fastest rate at which viscous friction alone brings a joint to rest, the
-        largest eigenvalue of M^-1 D [1/s].
-        """
+        """Return the largest eigenvalue of M^-1 D [1/s], the fastest decay by viscous friction."""
         root = np.sqrt(self.compiled.dof_damping[self._order])
         return float(
             np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
@@ -198,11 +196,10 @@ class Physics:
     def accelerations(
         self, q: Array, qd: Array, tau: Array, *, coulomb: Array, viscous: Array
     ) -> tuple[Array, Array]:
-        """Return joint accelerations and the torque of friction, two (N, n), for states, torques
-        and friction of the moment, all (N, n).
+        """Return joint accelerations and friction torques, two (N, n).
 
-        Friction is counted as the drive has to overcome it: `tau = rigid bodies + armature qdd +
-        friction`.
+        States, torques and the friction of each sample are (N, n). Friction is what the drive has
+        to overcome: `tau = rigid bodies + armature qdd + friction`.
         """
         acceleration, friction = np.empty(q.shape), np.empty(q.shape)
         data, order = self.data, self._order

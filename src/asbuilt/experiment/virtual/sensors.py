@@ -1,4 +1,4 @@
-"""Sensors: what encoders and torque sensors make of the truth."""
+"""Sensors of a virtual robot: errors of encoders and torque sensors."""
 
 from __future__ import annotations
 
@@ -19,17 +19,23 @@ SIGNED = ("torque_bias", "torque_gain", "ripple_phase")
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """Say how the sensors distort what they measure.
+    """Describe the errors of the sensors.
 
-    Every field is one number or one per joint, zero for a perfect sensor.
+    Every field is one number or one per joint; the defaults are a perfect sensor. A position is
+    `round_to(q + N(0, position_noise), 2 pi / encoder_counts)`, a torque `round_to(torque_gain tau
+    + torque_bias + ripple + N(0, torque_noise), torque_resolution)` with `ripple = torque_ripple
+    sin(ripple_cycles q + ripple_phase)`. Noise is white and independent.
 
-    Position: `round_to(q + N(0, position_noise), 2 pi / encoder_counts)`, with counts per turn at
-    the joint, or per metre; 0 counts for no quantisation. Torque: `round_to(torque_gain tau +
-    torque_bias + ripple + N(0, torque_noise), torque_resolution)` with the ripple `torque_ripple
-    sin(ripple_cycles q + ripple_phase)`, its phase in rad, and `ripple_cycles` per turn at the
-    joint, or per metre. A negative `torque_gain` is a sensor that counts the other way. Noise is
-    white, and independent of joint and time. Velocities are logged only where `velocity_noise` is
-    given.
+    Parameters
+    ----------
+    position_noise, velocity_noise, torque_noise
+        Standard deviations; velocities are logged only if theirs is given.
+    encoder_counts
+        Counts per turn at the joint, or per metre; 0 for no quantisation.
+    torque_bias, torque_gain, torque_resolution
+        Offset, factor and step of the torque.
+    torque_ripple, ripple_cycles, ripple_phase
+        Amplitude, cycles per turn (or per metre) and phase [rad] of the ripple.
     """
 
     position_noise: PerJoint = 0.0
@@ -44,9 +50,7 @@ class SensorNoise:
     ripple_phase: PerJoint = 0.0
 
     def check(self, n: int) -> None:
-        """Raise UsageError if a field has neither one number nor one for each of n joints, or a
-        negative one where that makes no sense.
-        """
+        """Raise `UsageError` unless every field fits n joints and no magnitude is negative."""
         for entry in fields(self):
             value = getattr(self, entry.name)
             if value is not None:
@@ -55,14 +59,12 @@ class SensorNoise:
     def measured(
         self, model: RobotModel, truth: Trajectory, tau: Array, rng: np.random.Generator
     ) -> tuple[Array, Array | None, Array]:
-        """Return position, velocity (None where it is not logged) and torque, each (N, n), as these
-        sensors see them.
+        """Return measured position, velocity (None if not logged) and torque, each (N, n).
 
         Raises
         ------
         UsageError
-            If a field has neither one number nor one per joint, or a negative one where that makes
-            no sense.
+            If a field does not fit the joints, or a magnitude is negative.
         """
         n = model.n_joints
         counts = per_joint(self.encoder_counts, n, "encoder_counts")
@@ -102,7 +104,10 @@ PERFECT_SENSORS = SensorNoise()
 def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Array:
     """Return one number or one per joint as (n,).
 
-    Raises UsageError for any other shape, and for negative numbers unless `signed`.
+    Raises
+    ------
+    UsageError
+        For any other shape, and for negative numbers unless `signed`.
     """
     array = np.atleast_1d(np.asarray(value, dtype=np.float64))
     if (
@@ -112,12 +117,14 @@ def per_joint(value: PerJoint, n: int, name: str, *, signed: bool = False) -> Ar
     ):
         raise UsageError(
             f"{name} must be one {'' if signed else 'non-negative '}number or one per joint ({n}),"
-            f" got {value}"
+            f" got {value}",
+            value=value,
+            parameter=name,
         )
     return np.broadcast_to(array, (n,))
 
 
 def _rounded(values: Array, step: Array) -> Array:
-    """Return the nearest multiples of `step` (n,); values stay as they are where the step is 0."""
+    """Return the nearest multiples of `step` (n,); a step of 0 leaves values as they are."""
     safe = np.where(step > 0, step, 1.0)
     return np.where(step > 0, np.round(values / safe) * safe, values)

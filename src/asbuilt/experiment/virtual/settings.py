@@ -1,4 +1,4 @@
-"""Settings of a virtual robot in a few words: `backlash=2e-4`, `controller.rate=500`."""
+"""Settings of a virtual robot as text: `backlash=2e-4`, `controller.rate=500`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
+from asbuilt.findings import Cure
 
 PARTS: Mapping[str, type] = {
     "train": DriveTrain,
@@ -25,8 +26,7 @@ SWITCHES = {"yes": True, "true": True, "on": True, "no": False, "false": False, 
 
 
 def setting_names() -> dict[str, str]:
-    """Return every setting by the name it is given by, and the part that it belongs to ("" for the
-    robot itself).
+    """Return the part of the robot that each setting belongs to, "" for the robot itself.
 
     Names that two parts share carry the part before a dot.
 
@@ -46,21 +46,21 @@ def setting_names() -> dict[str, str]:
 
 
 def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
-    """Return the robot with each `NAME=VALUE` of `settings` in place of what it had.
+    """Return the robot with each `NAME=VALUE` of `settings` changed.
 
     A value is a number, one per joint with commas, or a word.
 
     Raises
     ------
     UsageError
-        If there is no such setting, or its value makes no sense.
+        If there is no such setting, its value is invalid, or the robot has no such part.
 
     Examples
     --------
     >>> from asbuilt.description.catalogue import bundled_robot
-    >>> robot = with_settings(VirtualRobot.preset("ideal", bundled_robot("two-link")), ["coulomb=1,0.5", "feedforward=none"])
-    >>> robot.train.coulomb, robot.controller.feedforward, robot.drive.keys
-    ((1.0, 0.5), 'none', ('coulomb',))
+    >>> robot = VirtualRobot.preset("ideal", bundled_robot("two-link"))
+    >>> with_settings(robot, ["coulomb=1,0.5", "feedforward=none"]).train.coulomb
+    (1.0, 0.5)
     """
     known = setting_names()
     changes: dict[str, dict[str, Any]] = {"": {}, **{part: {} for part in PARTS}}
@@ -69,9 +69,17 @@ def with_settings(robot: VirtualRobot, settings: Sequence[str]) -> VirtualRobot:
         if name not in known or not equals or not text:
             raise UsageError(
                 f"a setting of the virtual robot is NAME=VALUE with a NAME of {', '.join(known)};"
-                f" got {setting!r}"
+                f" got {setting!r}",
+                value=setting,
+                available=list(known),
             )
         part, field = known[name], name.rpartition(".")[2]
+        if robot.controller is None and part in ("", "train", "controller"):
+            raise UsageError(
+                f"the setting {name!r} belongs to robots in MuJoCo; this one follows exactly",
+                cure=Cure("choose another engine", {"engine": "mujoco"}),
+                value=setting,
+            )
         changes[part][field] = _value(
             name, text, of_joints=part in PARTS and field in _of_joints(PARTS[part])
         )

@@ -1,4 +1,4 @@
-"""A controlled robot that follows a command in the physics engine."""
+"""Simulation of a controlled robot that follows a command."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.experiment.virtual.drive_train import DriveTrain
 from asbuilt.experiment.virtual.physics import Physics
+from asbuilt.findings import Cure
 
 SETTLING = 0.5
-"""Time for which the robot holds its first pose before the recording starts [s]."""
-ASTRAY = 1.5
-"""Distance from the command [rad or m] at which the controller has lost the robot."""
+"""Duration of the first pose before the recording starts [s]."""
+LOST = 1.5
+"""Distance from the command [rad or m] at which the simulation is stopped."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackedMotion:
-    """Hold what the robot really did at the controller's ticks.
+    """Hold the true motion at the controller's ticks: `t` (N,), states and torques (N, n).
 
-    `t` (N,), link states `q, qd, qdd` and torques (N, n).
-
-    `motor` is the drive's torque, `friction` the part of it that friction takes, `armature` the
-    part that speeds up the rotor; the rest moves the links. At a tick, where the torque steps,
-    `motor` and `qdd` are the means of before and after.
+    `motor` is the drive's torque, `friction` and `armature` the parts of it for friction and for
+    the rotor; the rest moves the links. At a tick, where the torque steps, `motor` and `qdd` are
+    the means of before and after.
     """
 
     t: Array
@@ -55,32 +54,21 @@ def track(
     substeps: int = 1,
     progress: Callable[[float], None] | None = None,
 ) -> TrackedMotion:
-    """Follow a command whose samples are the controller's ticks, after holding the first pose for
-    half a second.
+    """Follow a command whose samples are the controller's ticks, after half a second of rest.
 
-    The engine must have been built with the drive train's armature, viscous and Coulomb friction
-    and a time step of a tick over `substeps`.
+    The engine must have the drive train's armature, viscous and Coulomb friction, and a time step
+    of a tick over `substeps`.
 
     Raises
     ------
     MotionError
-        If the controller loses the robot.
+        If a joint does not follow the command.
     """
     t, n = command.t, command.n_joints
     stiffness, lead = gains
-    names = (
-        "viscous",
-        "coulomb",
-        "stiction",
-        "stribeck_velocity",
-        "offset",
-        "armature",
-        "backlash",
-        "engagement",
-    )
-    viscous, coulomb, stiction, stribeck, offset, armature, backlash, engagement = (
-        train.of(name, n) for name in names
-    )
+    names = ("viscous", "stiction", "offset", "armature", "backlash", "engagement")
+    viscous, stiction, offset, armature, backlash, engagement = (train.of(x, n) for x in names)
+    law = train.friction_law(n)
     settling = round(SETTLING / (t[1] - t[0])) if not np.any(command.qd[0]) else 0
     warmth = np.concatenate([np.ones(settling), train.warmth(t)])
     q, qd, torque = np.empty((t.size, n)), np.empty((t.size, n)), np.empty((t.size + 1, n))
@@ -101,13 +89,10 @@ def track(
             tau = np.minimum(np.maximum(tau, -torque_limit), torque_limit)
             torque[i + (k >= 0)] = tau
             if varies:
-                physics.rub(
-                    warm * (coulomb + stiction * np.exp(-((velocity / stribeck) ** 2))),
-                    warm * viscous,
-                )
+                physics.rub(warm * law(velocity), warm * viscous)
             physics.advance(tau - offset, substeps)
             if k % 100 == 0:
-                _check_course(physics, position, command.q[i], float(t[i]), torque_limit)
+                _check_distance(physics, position, command.q[i], float(t[i]), torque_limit)
                 if progress is not None:
                     progress(i / t.size)
     motor = 0.5 * (torque[:-1] + torque[1:])
@@ -119,23 +104,26 @@ def _accelerations(
     physics: Physics, train: DriveTrain, t: Array, q: Array, qd: Array, tau: Array
 ) -> tuple[Array, Array]:
     """Return accelerations and friction at every tick, with the friction law of that moment."""
-    n = q.shape[1]
     warmth = train.warmth(t)[:, None]
-    stribeck = train.of("stiction", n) * np.exp(-((qd / train.of("stribeck_velocity", n)) ** 2))
-    level, damping = warmth * (train.of("coulomb", n) + stribeck), warmth * train.of("viscous", n)
+    level = warmth * train.friction_law(q.shape[1])(qd)
+    damping = warmth * train.of("viscous", q.shape[1])
     return physics.accelerations(q, qd, tau, coulomb=level, viscous=damping)
 
 
-def _check_course(
+def _check_distance(
     physics: Physics, position: Array, command: Array, t: float, torque_limit: Array
 ) -> None:
     away = np.nan_to_num(np.abs(position - command), nan=np.inf)
-    if np.all(away < ASTRAY):
+    if np.all(away < LOST):
         return
     worst = int(np.argmax(away))
     raise MotionError(
-        f"the controller loses joint {physics.model.joint_names[worst]!r} at t = {t:.3g} s: it is"
-        f" at {position[worst]:.3g} instead of {command[worst]:.3g}, with a torque limit of"
-        f" {torque_limit[worst]:.4g}; slow the motion down, or give the controller another"
-        " bandwidth or rate"
+        f"joint {physics.model.joint_names[worst]!r} does not follow the command at t = {t:.3g} s:"
+        f" it is at {position[worst]:.3g} instead of {command[worst]:.3g}; its torque limit is"
+        f" {torque_limit[worst]:.4g}",
+        cure=Cure("slow the motion down, or change bandwidth or rate of the controller"),
+        joint=physics.model.joint_names[worst],
+        time=t,
+        value=float(position[worst]),
+        expected=float(command[worst]),
     )

@@ -1,7 +1,4 @@
-"""A virtual robot on MuJoCo.
-
-Commanded like a real one, moving like a real one, logged like a real one.
-"""
+"""Virtual robot: follows a motion, in MuJoCo or exactly, and logs it as a real one does."""
 
 from __future__ import annotations
 
@@ -10,65 +7,118 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.dynamics.drives.torque import described_drive, drive_torque
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError
-from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.virtual.bodies import perturbed_links, tilted_base, with_body
 from asbuilt.experiment.virtual.data_logger import DataLogger
-from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController
+from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
 from asbuilt.experiment.virtual.physics import Physics
+from asbuilt.experiment.virtual.presets import FULL_DRIVE, Engine, preset_parts
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS, SensorNoise, per_joint
-from asbuilt.experiment.virtual.simulation import (
-    InstalledRobot,
-    Seed,
-    SimulatedRecording,
-    torque_and_inertia,
-    with_body,
-)
 from asbuilt.experiment.virtual.tracking import TrackedMotion, track
+from asbuilt.findings import Cure
 
 MeasuredTorque = Literal["sensor", "motor", "current"]
+Seed = np.random.Generator | int | None
 
-FULL_DRIVE = "armature,viscous,coulomb,offset"
+_FOLLOW = Cure("choose the preset of another engine")
 LINK_DRIVE = "viscous,coulomb,offset"
-PRESETS = ("ideal", "lab", "factory")
 LONGEST_STEP = 1e-3
 """Longest step of the integrator [s]."""
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, repr=False)
+class SimulatedRecording:
+    """Hold what a virtual robot logged, and the truth behind it.
+
+    Parameters
+    ----------
+    recording
+        What was logged.
+    truth, names
+        Standard parameters (n_standard,) of the robot that moved, tool, base tilt and drives
+        included, and their names.
+    model, drive
+        That robot and its drive terms.
+    settings
+        How it was made, as plain numbers and texts.
+    """
+
+    recording: Recording
+    truth: Array
+    names: tuple[str, ...]
+    model: RobotModel
+    drive: DriveSet
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return f"SimulatedRecording({self.recording!r}, drive terms {self.drive})"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class VirtualRobot:
-    """Describe a robot as it stands there.
+    """Describe a robot to record: bodies, drives, controller, sensors and logger.
 
-    What is on it (`model`), what its controller believes (`described`), drives, sensors, logger.
+    Build one with `ideal`, `typical` or `preset`, and change it with the methods that start with
+    `with_` or with `dataclasses.replace`.
 
-    `torque` says what is logged: what the "motor" gives, its "current" times the nominal constant,
-    or a "sensor" behind the gear, which feels neither the rotor's inertia nor the friction in front
-    of it; `behind` is the share of the friction that it does feel. Built by `preset` and changed
-    with `dataclasses.replace`.
+    Parameters
+    ----------
+    model
+        The robot as it is, with everything on it.
+    described
+        What its controller assumes, by default `model`.
+    train
+        Its drives: a `DriveTrain` in MuJoCo, or `TermDrives`, any drive terms with their values,
+        for a robot that follows exactly.
+    controller
+        Position controller in MuJoCo; None for a robot that follows the motion exactly.
+    sensors, logger
+        What they do to motion and torque.
+    torque
+        What is logged in MuJoCo: the torque of the "motor", its "current" times the nominal
+        constant, or a "sensor" behind the gear, which measures neither the rotor's inertia nor the
+        friction in front of it.
+    behind
+        Share of the friction that such a sensor measures.
+    name
+        Name of the preset.
+
+    Raises
+    ------
+    UsageError
+        If parts do not fit together or values are outside their range.
 
     Examples
     --------
     >>> from asbuilt.description.catalogue import bundled_robot
     >>> from asbuilt.excitation.motions.random_motion import random_fourier
     >>> model = bundled_robot("ur10e")
+    >>> motion = random_fourier(model, rng=2, duration=2.0)
     >>> robot = VirtualRobot.preset("lab", model, rng=1)
-    >>> simulated = robot.record(random_fourier(model, rng=2, duration=2.0), rng=3)
-    >>> simulated.recording.torque_source, simulated.drive.keys
-    ('sensor', ('viscous', 'coulomb', 'offset'))
+    >>> robot
+    VirtualRobot(ur10e: 'lab' on mujoco, drive terms viscous,coulomb,offset, torque from sensor)
+    >>> robot.record(motion, rng=3).recording.n_samples
+    2001
+    >>> simulated = VirtualRobot.typical(model, rng=1).record(motion, rate=100.0, rng=3)
+    >>> simulated.recording.n_samples, simulated.truth.shape
+    (201, (84,))
     """
 
     model: RobotModel
-    described: RobotModel
-    train: DriveTrain = field(default_factory=DriveTrain)
-    controller: PositionController = field(default_factory=PositionController)
+    described: RobotModel | None = None
+    train: DriveTrain | TermDrives = field(default_factory=DriveTrain)
+    controller: PositionController | None = field(default_factory=PositionController)
     sensors: SensorNoise = PERFECT_SENSORS
     logger: DataLogger = field(default_factory=DataLogger)
     torque: MeasuredTorque = "motor"
@@ -76,21 +126,58 @@ class VirtualRobot:
     name: str = "custom"
 
     def __post_init__(self) -> None:
-        if self.model.joint_names != self.described.joint_names:
+        if self.described is None:
+            object.__setattr__(self, "described", self.model)
+        elif self.model.joint_names != self.described.joint_names:
             raise UsageError(
                 f"{self.model.name} and its description {self.described.name} do not have the same"
-                " joints"
+                " joints",
+                value=self.model.joint_names,
+                expected=self.described.joint_names,
             )
         if self.torque not in ("sensor", "motor", "current"):
-            raise UsageError(f"torque {self.torque!r} is not one of sensor, motor, current")
+            raise UsageError(
+                f"torque {self.torque!r} is not one of sensor, motor, current",
+                value=self.torque,
+                available=("sensor", "motor", "current"),
+            )
         if not 0.0 <= self.behind <= 1.0:
             raise UsageError(
-                f"the share of friction behind the sensor goes from 0 to 1, got {self.behind}"
+                f"the share of friction behind the sensor must be from 0 to 1, got {self.behind}",
+                value=self.behind,
+                lower=0.0,
+                upper=1.0,
             )
-        for entry in fields(DriveTrain):
-            if entry.name not in ("warming", "warming_time"):
-                self.train.of(entry.name, self.model.n_joints)
+        if isinstance(self.train, TermDrives) != (self.controller is None):
+            raise UsageError(
+                "a robot that follows exactly has drive terms and no controller, one in MuJoCo a"
+                " drive train and a controller"
+            )
+        if isinstance(self.train, TermDrives):
+            self.train.check(self.model)
+        else:
+            for entry in fields(DriveTrain):
+                if entry.name not in ("warming", "warming_time"):
+                    self.train.of(entry.name, self.model.n_joints)
         self.sensors.check(self.model.n_joints)
+
+    @classmethod
+    def ideal(cls, model: RobotModel) -> VirtualRobot:
+        """Return the robot of the description, perfect sensors, following motions exactly."""
+        return cls.preset("ideal", model, engine="inverse-dynamics")
+
+    @classmethod
+    def typical(cls, model: RobotModel, rng: Seed = None) -> VirtualRobot:
+        """Return a robot unlike its description in what usually differs, following exactly.
+
+        A gripper of 3 % of the moving mass at the last link, a base tilt of about 0.3 degrees, mass
+        distributions 3 % off, armature (about 15 % of the mean joint inertia), viscous, Coulomb and
+        offset friction (1.5, 2 and 0.5 % of the torque range, the viscous one at the velocity
+        limit) beside the further drive terms of the description; 2^16 encoder counts per turn or
+        10^5 per metre, torque noise 0.1 %, bias 0.1 % and resolution 0.01 % of the torque range.
+        Everything is drawn from `rng`.
+        """
+        return cls.preset("lab", model, rng, engine="inverse-dynamics")
 
     @classmethod
     def preset(
@@ -101,68 +188,113 @@ class VirtualRobot:
         *,
         tool: LinkInertia | None = None,
         at: str | None = None,
+        engine: Engine = "mujoco",
     ) -> VirtualRobot:
-        """Return a robot of the description as one meets it in theory, in a laboratory, or in a
-        factory.
+        """Return a robot as in theory, in a laboratory, or in a factory.
 
-        `ideal`: the description and nothing else, perfect sensors that also log accelerations, a
-        controller that knows all. `lab`: mass distributions 3 % off; joint torque sensors (noise
-        0.1 %, bias 0.1 %, ripple 0.1 % of the torque range), 2^19 counts per turn, 30 % of the
-        friction behind the sensor; rotors, viscous and dry friction of the usual size. `factory`:
-        mass distributions 8 % off, a base tilted by about 0.3 degrees; motor currents (noise 1 %,
-        gain error 3 %, ripple 0.5 %); 2^16 counts; Stribeck friction, backlash of about 0.5 arc
+        `ideal`: the description, perfect sensors that also log accelerations, a controller with an
+        exact feed-forward. `lab`: mass distributions 3 % off; joint torque sensors (noise 0.1 %,
+        bias 0.1 %, ripple 0.1 % of the torque range), 2^19 counts per turn, 30 % of the friction
+        behind the sensor; rotors, viscous and Coulomb friction of the usual size. `factory`: mass
+        distributions 8 % off, a base tilt of about 0.3 degrees; motor currents (noise 1 %, gain
+        error 3 %, ripple 0.5 %); 2^16 counts; Stribeck friction, backlash of about 0.5 arc
         minutes, a gear that loses 10 % of its friction as it warms up in 5 minutes, time stamps
         that jitter by 50 us, 0.5 % of the samples lost; 250 Hz. Percentages are of the torque
-        range; values are drawn from `rng`.
+        range.
 
-        `tool` is welded to the link or frame `at`, by default the last link; the controller does
-        not know of it.
+        Parameters
+        ----------
+        name
+            `"ideal"`, `"lab"` or, in MuJoCo, `"factory"`.
+        model
+            The description.
+        rng
+            Seed or generator of everything that is drawn.
+        tool, at
+            Body welded to a link or frame, by default the last link; the controller ignores it.
+        engine
+            `"mujoco"`, or `"inverse-dynamics"` for a robot that follows exactly: `ideal` and, as
+            `lab`, `typical`.
 
         Raises
         ------
         UsageError
-            If there is no such preset, or no such link or frame.
+            If there is no such preset, engine, link or frame.
         """
-        if name not in PRESETS:
-            raise UsageError(f"there is no virtual robot {name!r}; there are {', '.join(PRESETS)}")
-        generator = np.random.default_rng(rng)
-        robot = {"ideal": _ideal, "lab": _lab, "factory": _factory}[name](model, generator)
+        robot = cls(**preset_parts(name, model, engine, np.random.default_rng(rng)))
         return robot if tool is None else robot.with_tool(tool, at)
 
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> VirtualRobot:
-        """Return the robot with a body welded to the link or frame `at` (default: the last link),
-        given in its axes.
-        """
+        """Return the robot with a body welded to a link or frame, by default the last link."""
         return replace(self, model=with_body(self.model, tool, at))
+
+    def with_perturbed_links(self, fraction: float, rng: Seed = None) -> VirtualRobot:
+        """Return the robot with other mass distributions, off by about `fraction`."""
+        return replace(
+            self, model=perturbed_links(self.model, fraction, np.random.default_rng(rng))
+        )
+
+    def tilted(self, roll: float, pitch: float) -> VirtualRobot:
+        """Return the robot with its base tilted by small angles [rad] about x, then y."""
+        return replace(self, model=tilted_base(self.model, roll, pitch))
+
+    def with_drive(self, drive: DriveSet, values: ArrayLike) -> VirtualRobot:
+        """Return the robot, following exactly, with drive values (n columns_per_joint,)."""
+        return replace(self, train=TermDrives(drive, read_only(values)), controller=None)
+
+    def with_noise(self, sensors: SensorNoise) -> VirtualRobot:
+        """Return the robot with other sensors."""
+        return replace(self, sensors=sensors)
 
     def logging(self, rate: float | None) -> VirtualRobot:
         """Return the robot with a logger at `rate` [Hz]; None leaves it as it is."""
         return self if rate is None else replace(self, logger=replace(self.logger, rate=rate))
 
     @property
-    def drive(self) -> DriveSet:
-        """The drive terms that the logged torque contains.
+    def engine(self) -> Engine:
+        """What computes the motion."""
+        return "inverse-dynamics" if self.controller is None else "mujoco"
 
-        Of an `ideal` robot those that its description gives or that are not zero.
+    @property
+    def torque_source(self) -> MeasuredTorque:
+        """What measured the torque that is logged."""
+        if isinstance(self.train, TermDrives):
+            return "motor" if "armature" in self.train.drive.keys else "sensor"
+        return self.torque
+
+    @property
+    def drive(self) -> DriveSet:
+        """Drive terms that the logged torque contains.
+
+        Of an `ideal` robot in MuJoCo those that its description gives or that are not zero.
         """
-        felt = DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
+        if isinstance(self.train, TermDrives):
+            return self.train.drive
+        measured = DriveSet.parse(LINK_DRIVE if self.torque == "sensor" else FULL_DRIVE)
         if self.name != "ideal":
-            return felt
-        n, described = self.model.n_joints, described_drive(self.described)[0].keys
-        acting = {key for key in felt.keys if np.any(self.train.of(key, n))}
+            return measured
+        n, described = self.model.n_joints, described_drive(self._described)[0].keys
+        acting = {key for key in measured.keys if np.any(self.train.of(key, n))}
         if np.any(np.asarray(self.sensors.torque_bias)):
             acting.add("offset")
         return DriveSet.parse(
-            ",".join(key for key in felt.keys if key in described or key in acting) or "none"
+            ",".join(key for key in measured.keys if key in described or key in acting) or "none"
         )
 
     @property
-    def truth(self) -> Array:
-        """Standard parameters of links and drives as the logged torque contains them, cold, without
-        gain errors; shape (n_standard,).
+    def drive_values(self) -> Array:
+        """Drive parameters that the logged torque contains, shape (n columns_per_joint,)."""
+        return self.truth[len(self.model.parameters) :]
 
-        A sensor's bias is part of the offset.
+    @property
+    def truth(self) -> Array:
+        """Standard parameters of links and drives, shape (n_standard,).
+
+        Drive parameters are those that the logged torque contains, cold, without gain errors; in
+        MuJoCo a sensor's bias is part of the offset.
         """
+        if isinstance(self.train, TermDrives):
+            return read_only(np.concatenate([self.model.parameters, self.train.values]))
         n = self.model.n_joints
         share = self.behind if self.torque == "sensor" else 1.0
         values = {
@@ -177,70 +309,81 @@ class VirtualRobot:
         return read_only(np.concatenate([self.model.parameters, drives]))
 
     def record(
-        self, motion: Motion, rng: Seed = None, *, progress: Callable[[float], None] | None = None
+        self,
+        motion: Motion,
+        rng: Seed = None,
+        *,
+        rate: float | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> SimulatedRecording:
-        """Command the motion, let the robot follow it in the engine and log it.
+        """Follow a motion and log it; the same `rng` gives the same recording.
 
-        The same `rng` gives the same recording.
+        Parameters
+        ----------
+        motion
+            The command.
+        rng
+            Seed or generator of sensor noise and logger.
+        rate
+            Sampling rate of the log [Hz], by default the logger's.
+        progress
+            Called with the fraction done, in MuJoCo.
 
         Raises
         ------
         UsageError
             If the motion has another number of joints than the robot.
         MotionError
-            If the controller loses the robot.
+            If a joint does not follow the command.
         """
-        if motion.n_joints != self.model.n_joints:
-            names = ", ".join(self.model.joint_names)
+        if rate is not None:
+            return self.logging(rate).record(motion, rng, progress=progress)
+        model = self.model
+        if motion.n_joints != model.n_joints:
             raise UsageError(
-                f"the motion moves {motion.n_joints} joints, {self.model.name} has"
-                f" {self.model.n_joints}: {names}"
+                f"the motion moves {motion.n_joints} joints, {model.name} has {model.n_joints}:"
+                f" {', '.join(model.joint_names)}",
+                value=motion.n_joints,
+                expected=model.n_joints,
             )
         generator = np.random.default_rng(rng)
-        moved, command = self.follow(motion, progress=progress)
-        torque = {
-            "motor": moved.motor,
-            "current": moved.motor,
-            "sensor": moved.rigid + self.behind * moved.friction,
-        }[self.torque]
-        at_motor = Trajectory(
-            moved.t, self.train.motor_position(moved.q, moved.motor), moved.qd, moved.qdd
-        )
-        seed = f"seed {rng}" if isinstance(rng, int | np.integer) else "no stated seed"
-        note = (
-            f"virtual robot {self.name!r} on MuJoCo, {seed}: {motion.parametrisation} motion of"
-            f" {motion.duration:g} s at {self.logger.rate:g} Hz, torque from the {self.torque},"
-            f" largest tracking error {np.abs(moved.q - command.q).max():.2g}"
-        )
-        logged = self.logger.logged(
-            self.model, self.sensors, at_motor, torque, command.q, generator
-        )
+        exact = self.controller is None
+        move = self._exact if exact else self._controlled
+        seen, torque, command, note = move(motion, rng, progress)
+        logged = self.logger.logged(model, self.sensors, seen, torque, command, generator)
+        engine = "" if exact else f", {self.name}"
         recording = Recording(
             t=logged.t,
             q=logged.q,
             tau=logged.tau,
             qd=logged.qd,
             qdd=logged.qdd,
-            joint_names=self.model.joint_names,
-            source=f"virtual robot {self.model.name}, {self.name}",
-            torque_source=self.torque,
+            joint_names=model.joint_names,
+            source=f"{'simulation of' if exact else 'virtual robot'} {model.name}{engine}",
+            torque_source=self.torque_source,
             notes=(note,),
-            extra={"q_command": logged.q_command},
+            extra={} if exact else {"q_command": logged.q_command},
         )
+        names = parameter_names(model, self.drive)
         return SimulatedRecording(
-            recording,
-            self.truth,
-            parameter_names(self.model, self.drive),
-            self.model,
-            self.drive,
-            settings=self.settings,
+            recording, self.truth, names, model, self.drive, settings=self.settings
         )
+
+    def exact_torque(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Return the torque of a robot that follows exactly, without sensors, shape (N, n)."""
+        if not isinstance(self.train, TermDrives):
+            raise UsageError("a robot in MuJoCo has no exact torque", cure=_FOLLOW)
+        rigid = inverse_dynamics(self.model, q, qd, qdd)
+        drive, values, shares = self.train.drive, self.train.values, self.model.motor_shares
+        return rigid + drive_torque(drive, values, q, qd, qdd, load=rigid, shares=shares)
 
     def follow(
         self, motion: Motion, *, progress: Callable[[float], None] | None = None
     ) -> tuple[TrackedMotion, Trajectory]:
-        """Return what the robot really does at the controller's ticks, and what it was told to do."""
+        """Return the true motion at the controller's ticks and the command, in MuJoCo."""
         model, train, controller = self.model, self.train, self.controller
+        if controller is None or isinstance(train, TermDrives):
+            raise UsageError("a robot without a controller follows motions exactly", cure=_FOLLOW)
         n = model.n_joints
         ticks = self.logger.rate * np.ceil(controller.rate / self.logger.rate - 1e-9)
         command = motion.sample(ticks)
@@ -252,26 +395,23 @@ class VirtualRobot:
             coulomb=train.of("coulomb", n),
             timestep=1.0 / ticks / substeps,
         )
-        gains = controller.gains(self.described, train.of("armature", n), command.q)
-        feedforward = controller.feedforward_torque(self.described, train, command)
-        limit = np.array([joint.limits.torque for joint in model.joints])
-        return (
-            track(
-                physics,
-                train,
-                command,
-                feedforward,
-                gains,
-                limit,
-                substeps=substeps,
-                progress=progress,
-            ),
+        moved = track(
+            physics,
+            train,
             command,
+            controller.feedforward_torque(self._described, train, command),
+            controller.gains(self._described, train.of("armature", n), command.q),
+            np.array([joint.limits.torque for joint in model.joints]),
+            substeps=substeps,
+            progress=progress,
         )
+        return moved, command
 
     @property
     def settings(self) -> Mapping[str, Any]:
         """Everything but the bodies, as plain numbers and texts."""
+        if self.controller is None:
+            return {"sensors": asdict(self.sensors)}
         return {
             "preset": self.name,
             "torque": self.torque,
@@ -282,121 +422,46 @@ class VirtualRobot:
             "logger": asdict(self.logger),
         }
 
-
-def _ideal(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
-    drive, values = described_drive(model)
-    further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
-    if further:
-        raise UsageError(
-            f"the drives of {model.name} have {', '.join(further)}, which the engine does not know;"
-            " simulate with --engine inverse-dynamics, which has all terms"
+    def __repr__(self) -> str:
+        return (
+            f"VirtualRobot({self.model.name}: {self.name!r} on {self.engine}, drive terms"
+            f" {self.drive}, torque from {self.torque_source})"
         )
-    columns = np.reshape(values, (model.n_joints, -1)).T
-    stated = {key: _numbers(column) for key, column in zip(drive.keys, columns, strict=True)}
-    armature, viscous, coulomb, offset = (
-        stated.get(key, 0.0) for key in DriveSet.parse(FULL_DRIVE).keys
-    )
-    train = DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
-    return VirtualRobot(
-        model=model,
-        described=model,
-        train=train,
-        controller=PositionController(feedforward="exact"),
-        logger=DataLogger(accelerations=True),
-        name="ideal",
-    )
+
+    @property
+    def _described(self) -> RobotModel:
+        return self.described or self.model
+
+    def _exact(
+        self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None
+    ) -> tuple[Trajectory, Array, Array, str]:
+        """Return motion, torque, command and a note of a robot that follows exactly."""
+        sampled = motion.sample(self.logger.rate)
+        perfect = self.sensors == PERFECT_SENSORS
+        how = "noise-free" if perfect else f"with sensor noise, {_seed_text(rng)}"
+        note = (
+            f"simulated {how}: {motion.parametrisation} motion of {motion.duration:g} s at"
+            f" {self.logger.rate:g} Hz, drive terms {self.drive}"
+        )
+        torque = self.exact_torque(sampled.q, sampled.qd, sampled.qdd)
+        return sampled, torque, sampled.q, note
+
+    def _controlled(
+        self, motion: Motion, rng: Seed, progress: Callable[[float], None] | None
+    ) -> tuple[Trajectory, Array, Array, str]:
+        """Return motion at the motor, torque, command and a note of a robot in MuJoCo."""
+        assert isinstance(self.train, DriveTrain)
+        moved, command = self.follow(motion, progress=progress)
+        sensed = self.torque == "sensor"
+        torque = moved.rigid + self.behind * moved.friction if sensed else moved.motor
+        motor = self.train.motor_position(moved.q, moved.motor)
+        note = (
+            f"virtual robot {self.name!r} on MuJoCo, {_seed_text(rng)}: {motion.parametrisation}"
+            f" motion of {motion.duration:g} s at {self.logger.rate:g} Hz, torque from the"
+            f" {self.torque}, largest tracking error {np.abs(moved.q - command.q).max():.2g}"
+        )
+        return Trajectory(moved.t, motor, moved.qd, moved.qdd), torque, command.q, note
 
 
-def _lab(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
-    torque, _ = torque_and_inertia(model, rng)
-    train = _drive_train(model, rng)
-    sensors = SensorNoise(
-        encoder_counts=_counts(model, 2**19),
-        torque_noise=_numbers(1e-3 * torque),
-        torque_bias=_numbers(1e-3 * torque * rng.normal(size=model.n_joints)),
-        torque_ripple=_numbers(1e-3 * torque),
-        torque_resolution=_numbers(1e-4 * torque),
-    )
-    built = InstalledRobot(model).with_perturbed_links(0.03, rng).model
-    sensors = replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, model.n_joints)))
-    return VirtualRobot(
-        model=built,
-        described=model,
-        train=train,
-        sensors=sensors,
-        torque="sensor",
-        behind=0.3,
-        name="lab",
-    )
-
-
-def _factory(model: RobotModel, rng: np.random.Generator) -> VirtualRobot:
-    n = model.n_joints
-    torque, _ = torque_and_inertia(model, rng)
-    speed = MotionBounds.assumed(model).velocity
-    train = replace(
-        _drive_train(model, rng),
-        stiction=_numbers(0.01 * torque * rng.uniform(0.5, 1.5, n)),
-        stribeck_velocity=_numbers(0.02 * speed),
-        backlash=tuple(
-            1.5e-4 * float(x) if joint.is_revolute else 2e-5
-            for joint, x in zip(model.joints, rng.uniform(0.5, 1.5, n), strict=True)
-        ),
-        engagement=_numbers(0.01 * torque),
-        warming=0.1,
-        warming_time=300.0,
-    )
-    sensors = SensorNoise(
-        encoder_counts=_counts(model, 2**16),
-        torque_noise=_numbers(1e-2 * torque),
-        torque_gain=_numbers(1.0 + 0.03 * rng.normal(size=n)),
-        torque_ripple=_numbers(5e-3 * torque),
-        torque_resolution=_numbers(1e-3 * torque),
-    )
-    tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
-    built = (
-        InstalledRobot(model)
-        .with_perturbed_links(0.08, rng)
-        .tilted(float(tilt[0]), float(tilt[1]))
-        .model
-    )
-    sensors = replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, n)))
-    logger = DataLogger(rate=250.0, clock_jitter=5e-5, dropped=0.005)
-    controller = PositionController(feedforward="gravity", bandwidth=15.0)
-    return VirtualRobot(
-        model=built,
-        described=model,
-        train=train,
-        sensors=sensors,
-        logger=logger,
-        controller=controller,
-        torque="current",
-        name="factory",
-    )
-
-
-def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
-    """Return drives of the usual size for the torque range of each joint.
-
-    A rotor that the whole range speeds up by 200 rad/s^2 (or 200 m/s^2); 1.5 % viscous friction at
-    top speed, 2 % Coulomb, 0.5 % offset.
-    """
-    torque, _ = torque_and_inertia(model, rng)
-    spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
-    signs = rng.choice([-1.0, 1.0], size=model.n_joints)
-    speed = MotionBounds.assumed(model).velocity
-    values = (
-        np.stack([0.005 * torque, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
-        * spread
-    )
-    armature, viscous, coulomb, offset = (_numbers(row) for row in values)
-    return DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
-
-
-def _counts(model: RobotModel, per_turn: int) -> tuple[float, ...]:
-    """Return encoder counts per turn, or per metre for sliding joints."""
-    return tuple(float(per_turn) if joint.is_revolute else 2.0 * per_turn for joint in model.joints)
-
-
-def _numbers(values: Array) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
+def _seed_text(rng: Seed) -> str:
+    return f"seed {rng}" if isinstance(rng, int | np.integer) else "no stated seed"

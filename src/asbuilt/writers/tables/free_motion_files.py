@@ -1,4 +1,4 @@
-"""A free motion as a table, as a figure and in words."""
+"""Files of a free motion: table, figure, text."""
 
 from __future__ import annotations
 
@@ -12,21 +12,19 @@ import polars as pl
 
 from asbuilt.experiment.virtual.free_motion import FreeMotion
 from asbuilt.tables import significant
-from asbuilt.writers.figures.figure_style import save_figure
 from asbuilt.writers.figures.energy_figure import energy_figure
+from asbuilt.writers.figures.figure_style import save_figure
 from asbuilt.writers.files import atomic_write, path_texts
 
 WHAT = {
-    "drop": "dropped at rest, drives without torque",
-    "step": "a step of all joints, held by a controller at 3 Hz",
-    "free": "moving on without friction or drive torque",
+    "drop": "released at rest, drives without torque",
+    "step": "a step of all joints under a controller of 3 Hz",
+    "free": "free motion without friction or drive torque",
 }
 
 
 def write_free_motion(path: Path, motion: FreeMotion) -> dict[str, Path]:
-    """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG beside
-    it.
-    """
+    """Write positions, velocities, torques and energies as CSV, and a figure of them as PNG."""
     columns: dict[str, Any] = {"t": motion.t}
     for symbol, values in (("q", motion.q), ("qd", motion.qd), ("tau", motion.tau)):
         columns |= {
@@ -68,12 +66,19 @@ def free_motion_document(motion: FreeMotion, files: Mapping[str, Path]) -> dict[
 
 
 def free_motion_text(motion: FreeMotion) -> str:
-    """Return in three lines what became of the energy."""
+    """Return the energy balance in three lines."""
+    kinetic, potential, work, dissipated = (
+        significant(float(value))
+        for value in (
+            motion.kinetic.max(),
+            motion.potential.min(),
+            motion.work[-1],
+            motion.dissipated[-1],
+        )
+    )
     return (
-        f"{motion.model.name}, {WHAT[motion.release]}, {motion.t[-1]:g} s\nkinetic energy up to"
-        f" {significant(float(motion.kinetic.max()))} J, potential down to"
-        f" {significant(float(motion.potential.min()))} J, drives gave"
-        f" {significant(float(motion.work[-1]))} J, friction took"
-        f" {significant(float(motion.dissipated[-1]))} J\nenergy balance of engine and equations:"
-        f" {motion.imbalance:.1e} of what was turned over"
+        f"{motion.model.name}, {WHAT[motion.release]}, {motion.t[-1]:g} s\n"
+        f"kinetic energy up to {kinetic} J, potential energy down to {potential} J\n"
+        f"work of the drives {work} J, dissipated {dissipated} J; error of the balance"
+        f" {motion.imbalance:.1e}"
     )

@@ -18,16 +18,16 @@ from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.logs.readers import read_recordings
 from asbuilt.experiment.quality.checks import check_recording
-from asbuilt.experiment.quality.torque_fit import TorqueFit
-from asbuilt.experiment.quality.torque_order import swapped_torques
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit
+from asbuilt.experiment.quality.torque.torque_order import swapped_torques
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.simulation import InstalledRobot
+from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 
 def recorded(model: RobotModel, seed: int = 1, duration: float = 12.0) -> Recording:
     return (
-        InstalledRobot.typical(model, rng=seed)
-        .record(random_fourier(model, seed, duration=duration), 100.0, rng=seed)
+        VirtualRobot.typical(model, rng=seed)
+        .record(random_fourier(model, seed, duration=duration), rate=100.0, rng=seed)
         .recording
     )
 

@@ -11,8 +11,8 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
-from asbuilt.experiment.quality.torque_fit import TorqueFit, best_assignment
-from asbuilt.experiment.quality.torque_order import swapped_torques
+from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
+from asbuilt.experiment.quality.torque.torque_order import swapped_torques
 from asbuilt.findings import Cure, Finding, Severity, joined
 
 

@@ -14,8 +14,8 @@ from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.experiment.quality.column_order import decisive_change, swaps
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.torque.column_order import decisive_change, swaps
 
 BREAKAWAY = 0.02
 """Width of the smoothed sign of velocity [rad/s or m/s]."""

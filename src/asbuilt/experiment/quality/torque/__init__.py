@@ -1,0 +1,1 @@
+"""Checks of the torque columns: signal, sign, scale and order."""

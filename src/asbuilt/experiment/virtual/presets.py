@@ -1,0 +1,230 @@
+"""Presets of virtual robots: ideal, in a laboratory, in a factory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.drives.torque import described_drive
+from asbuilt.errors import UsageError
+from asbuilt.excitation.limits import MotionBounds
+from asbuilt.experiment.virtual.bodies import (
+    perturbed_links,
+    tilted_base,
+    torque_and_inertia,
+    with_body,
+)
+from asbuilt.experiment.virtual.data_logger import DataLogger
+from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
+from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.findings import Cure
+
+Engine = Literal["mujoco", "inverse-dynamics"]
+FULL_DRIVE = "armature,viscous,coulomb,offset"
+
+Parts = dict[str, Any]
+"""Fields of `VirtualRobot`."""
+
+
+def preset_parts(name: str, model: RobotModel, engine: str, rng: np.random.Generator) -> Parts:
+    """Return the fields of the preset robot of a description.
+
+    Raises
+    ------
+    UsageError
+        If there is no such preset or engine.
+    """
+    if engine not in PRESETS:
+        raise UsageError(
+            f"there is no engine {engine!r}; there are {', '.join(PRESETS)}",
+            value=engine,
+            available=list(PRESETS),
+        )
+    known = PRESETS[engine]
+    if name not in known:
+        others = {"engine": "mujoco"} if engine != "mujoco" and name in PRESETS["mujoco"] else {}
+        raise UsageError(
+            f"there is no virtual robot {name!r} on the engine {engine}; there are"
+            f" {', '.join(known)}",
+            cure=Cure("choose another engine", settings=others) if others else None,
+            value=name,
+            available=list(known),
+        )
+    return known[name](model, rng) | {"name": name}
+
+
+def _exact(model: RobotModel, rng: np.random.Generator) -> Parts:
+    drive, values = described_drive(model)
+    return {
+        "model": model,
+        "train": TermDrives(drive, values),
+        "controller": None,
+        "logger": DataLogger(accelerations=True),
+    }
+
+
+def _typical(model: RobotModel, rng: np.random.Generator) -> Parts:
+    n = model.n_joints
+    torque, inertia = torque_and_inertia(model, rng)
+    spread = rng.uniform(0.5, 1.5, size=(4, n))
+    signs = rng.choice([-1.0, 1.0], size=n)
+    speed = MotionBounds.assumed(model).velocity
+    values = (
+        np.stack([0.15 * inertia, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
+        * spread
+    )
+    sensors = SensorNoise(
+        encoder_counts=tuple(2.0**16 if joint.is_revolute else 1e5 for joint in model.joints),
+        torque_noise=_numbers(1e-3 * torque),
+        torque_bias=_numbers(1e-3 * torque * rng.normal(size=n)),
+        torque_resolution=_numbers(1e-4 * torque),
+    )
+    mass = 0.03 * sum(link.inertia.mass for link in model.links)
+    gripper = LinkInertia.from_com(
+        mass,
+        np.array([0.0, 0.0, 0.06]) + rng.normal(scale=0.02, size=3),
+        np.diag([1.0, 1.0, 0.5]) * mass * 0.05**2,
+    )
+    tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
+    built = with_body(perturbed_links(model, 0.03, rng), gripper)
+    return {
+        "model": tilted_base(built, float(tilt[0]), float(tilt[1])),
+        "described": model,
+        "train": TermDrives(*_beside_described(model, DriveSet.parse(FULL_DRIVE), values.T)),
+        "controller": None,
+        "sensors": sensors,
+        "logger": DataLogger(accelerations=True),
+    }
+
+
+def _ideal(model: RobotModel, rng: np.random.Generator) -> Parts:
+    drive, values = described_drive(model)
+    further = [key for key in drive.keys if key not in FULL_DRIVE.split(",")]
+    if further:
+        raise UsageError(
+            f"the drives of {model.name} have the terms {', '.join(further)}, which MuJoCo does not"
+            " simulate",
+            cure=Cure("use the other engine, which has all", {"engine": "inverse-dynamics"}),
+            value=further,
+        )
+    columns = np.reshape(values, (model.n_joints, -1)).T
+    stated: Parts = {key: _numbers(x) for key, x in zip(drive.keys, columns, strict=True)}
+    return {
+        "model": model,
+        "train": DriveTrain(**stated),
+        "controller": PositionController(feedforward="exact"),
+        "logger": DataLogger(accelerations=True),
+    }
+
+
+def _lab(model: RobotModel, rng: np.random.Generator) -> Parts:
+    torque, _ = torque_and_inertia(model, rng)
+    train = _drive_train(model, rng)
+    sensors = SensorNoise(
+        encoder_counts=_counts(model, 2**19),
+        torque_noise=_numbers(1e-3 * torque),
+        torque_bias=_numbers(1e-3 * torque * rng.normal(size=model.n_joints)),
+        torque_ripple=_numbers(1e-3 * torque),
+        torque_resolution=_numbers(1e-4 * torque),
+    )
+    built = perturbed_links(model, 0.03, rng)
+    phase = _numbers(rng.uniform(0.0, 2 * np.pi, model.n_joints))
+    return {
+        "model": built,
+        "described": model,
+        "train": train,
+        "sensors": replace(sensors, ripple_phase=phase),
+        "torque": "sensor",
+        "behind": 0.3,
+    }
+
+
+def _factory(model: RobotModel, rng: np.random.Generator) -> Parts:
+    n = model.n_joints
+    torque, _ = torque_and_inertia(model, rng)
+    speed = MotionBounds.assumed(model).velocity
+    train = replace(
+        _drive_train(model, rng),
+        stiction=_numbers(0.01 * torque * rng.uniform(0.5, 1.5, n)),
+        stribeck_velocity=_numbers(0.02 * speed),
+        backlash=tuple(
+            1.5e-4 * float(x) if joint.is_revolute else 2e-5
+            for joint, x in zip(model.joints, rng.uniform(0.5, 1.5, n), strict=True)
+        ),
+        engagement=_numbers(0.01 * torque),
+        warming=0.1,
+        warming_time=300.0,
+    )
+    sensors = SensorNoise(
+        encoder_counts=_counts(model, 2**16),
+        torque_noise=_numbers(1e-2 * torque),
+        torque_gain=_numbers(1.0 + 0.03 * rng.normal(size=n)),
+        torque_ripple=_numbers(5e-3 * torque),
+        torque_resolution=_numbers(1e-3 * torque),
+    )
+    tilt = np.deg2rad(rng.normal(scale=0.3, size=2))
+    built = tilted_base(perturbed_links(model, 0.08, rng), float(tilt[0]), float(tilt[1]))
+    return {
+        "model": built,
+        "described": model,
+        "train": train,
+        "sensors": replace(sensors, ripple_phase=_numbers(rng.uniform(0.0, 2 * np.pi, n))),
+        "logger": DataLogger(rate=250.0, clock_jitter=5e-5, dropped=0.005),
+        "controller": PositionController(feedforward="gravity", bandwidth=15.0),
+        "torque": "current",
+    }
+
+
+Preset = Callable[[RobotModel, np.random.Generator], Parts]
+PRESETS: Mapping[str, Mapping[str, Preset]] = {
+    "mujoco": {"ideal": _ideal, "lab": _lab, "factory": _factory},
+    "inverse-dynamics": {"ideal": _exact, "lab": _typical},
+}
+"""Presets of each engine by name."""
+
+
+def _drive_train(model: RobotModel, rng: np.random.Generator) -> DriveTrain:
+    """Return drives of the usual size for the torque range of each joint.
+
+    A rotor that the whole range accelerates by 200 rad/s^2 (or 200 m/s^2); 1.5 % viscous friction
+    at top speed, 2 % Coulomb, 0.5 % offset.
+    """
+    torque, _ = torque_and_inertia(model, rng)
+    spread = rng.uniform(0.5, 1.5, size=(4, model.n_joints))
+    signs = rng.choice([-1.0, 1.0], size=model.n_joints)
+    speed = MotionBounds.assumed(model).velocity
+    values = (
+        np.stack([0.005 * torque, 0.015 * torque / speed, 0.02 * torque, 0.005 * torque * signs])
+        * spread
+    )
+    armature, viscous, coulomb, offset = (_numbers(row) for row in values)
+    return DriveTrain(armature=armature, viscous=viscous, coulomb=coulomb, offset=offset)
+
+
+def _beside_described(model: RobotModel, drive: DriveSet, values: Array) -> tuple[DriveSet, Array]:
+    """Return drive terms and values (n, columns_per_joint) with the further terms described."""
+    described, stated = described_drive(model)
+    whole = DriveSet((*drive.terms, *described.without(*drive.keys).terms))
+    n = model.n_joints
+    known = [dict(zip(described.symbols, row, strict=True)) for row in stated.reshape(n, -1)]
+    known = [
+        have | dict(zip(drive.symbols, row, strict=True))
+        for have, row in zip(known, values, strict=True)
+    ]
+    return whole, np.array([[have[symbol] for symbol in whole.symbols] for have in known]).ravel()
+
+
+def _counts(model: RobotModel, per_turn: int) -> tuple[float, ...]:
+    """Return encoder counts per turn, or per metre for sliding joints."""
+    return tuple(float(per_turn) if joint.is_revolute else 2.0 * per_turn for joint in model.joints)
+
+
+def _numbers(values: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
