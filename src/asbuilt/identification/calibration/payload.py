@@ -21,6 +21,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import IdentifiabilityError, UsageError
 from asbuilt.experiment.recording import TorqueSource
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import IDENTITY_SVEC, PSEUDO_INERTIA_SVEC
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.calibration.gain_uncertainty import (
@@ -42,47 +43,59 @@ if TYPE_CHECKING:
 Arm = Literal["refined", "frozen"]
 
 PAYLOAD_NAMES = ("mass", "com_x", "com_y", "com_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-"""What is reported: mass [kg], centre of mass [m], inertia about it [kg m^2]."""
+"""Mass [kg], centre of mass [m] and inertia about it [kg m^2]."""
 FLANGES = ("flange", "tool0", "tool", "ee", "tcp")
-"""Words in a frame's name that make it the frame of the payload, most fitting first."""
+"""Words in the name of the frame that carries the payload, most specific first."""
 SHORT_WORD = 3
-"""Words of so few letters must stand by themselves: there is no hand in a sleeve."""
-WELL_TOLD = 0.25
-"""Standard error, as a fraction of what the parameter is measured by (its own size, or the
-payload's), up to which a motion is said to tell it.
-"""
+"""Words of at most so many characters must be separate: "sleeve" is no "ee"."""
+LARGEST_ERROR = 0.25
+"""Standard error of a determined parameter, relative to its own scale or the payload's."""
 COM_SCALE = 0.04
-"""Least size by which a centre of mass is judged [m]: 1 cm of standard error counts as told."""
+"""Least scale of a centre of mass [m]: with 1 cm of standard error it is determined."""
 VAGUE_ARM = 0.5
-"""Distance from the flange [m] at which nothing is known of a payload's mass."""
+"""Distance from the flange [m] of the prior standard deviation of a payload."""
 FEWEST_BLOCKS = 4
 LOAD_ITERATIONS = 4
-"""Times that the load, of which friction may depend, is renewed with the payload."""
+"""Iterations of load-dependent friction with the payload."""
 OPEN = 1e-12
-"""Singular value, relative to the largest, below which what is known of the arm leaves a direction
-open.
-"""
+"""Singular value, relative to the largest, below which the arm's prior has no information."""
 INTERIOR = 1e-6
 """Least eigenvalue of the payload's pseudo-inertia, as a fraction of its trace."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Payload:
-    """Hold the payload as found.
+    """Hold an identified payload.
 
-    `parameters` (10,) about the origin of `frame`, in its axes, in the order of `LinkInertia`, with
-    `covariance` (10, 10).
-
-    They are always those of a possible body; `projected` says that the least-squares estimate was
-    not and the nearest body stands in. `values` and `std_errors` (10,) are those of `names`;
-    `determined` are the names that they tell. `arm` (p,) are the base parameters of the arm that
-    were used. `noise_errors` (10,) are the part of the standard errors that the recordings show,
-    `gain_errors` (10,) that of gains known no better than `gain_uncertainty` (n,), as fractions;
-    `gain_slopes` (10, n) is how much each value changes per fraction by which the torque of a joint
-    changes, in all recordings of the arm: exact where the result kept its cause data
-    (`gains_by_evidence`), else as if the arm had been identified along the motion at hand, which
-    may leave the centre too sure. `metrics` has the torque errors with payload on each recording,
-    `metrics_bare` those of the arm alone.
+    Parameters
+    ----------
+    robot, frame, placement, link
+        Robot, frame that carries the payload, its placement (4, 4) on link number `link`.
+    parameters, covariance
+        Physically consistent parameters (10,) in `frame`, in the order of `LinkInertia`, and their
+        covariance (10, 10).
+    values, std_errors
+        Mass, centre and inertia (10,) in the order of `names`, with standard errors.
+    noise_errors, gain_errors
+        Parts of the standard errors by the scatter of time blocks, and by uncertain gains.
+    gain_slopes
+        Change of each value per relative change of a joint's torque in all recordings, (10, n).
+    gain_uncertainty
+        Standard deviations of the gains as fractions (n,).
+    gains_by_evidence
+        Whether the slopes are exact, by the cause data of the result; else they assume that the arm
+        was identified along the present motion, which may understate the error of the centre.
+    projected
+        Whether the least-squares estimate was inconsistent and the nearest consistent one replaced
+        it.
+    determined, not_determined
+        Names with and without a small standard error.
+    arm
+        Base parameters of the arm that were used (p,).
+    n_samples, torque_source
+        Of the loaded recordings.
+    metrics, metrics_bare
+        Torque errors on each recording with the payload, and of the arm alone.
     """
 
     robot: str
@@ -110,16 +123,15 @@ class Payload:
 
     @property
     def inertia(self) -> LinkInertia:
-        """The payload as a body in the payload frame."""
+        """Inertial parameters of the payload in its frame."""
         return LinkInertia(self.parameters)
 
 
 def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int, Array]:
     """Return name, link and placement of the frame that carries the payload.
 
-    The one named, else the flange, else the last link's.
-
-    Raises UsageError where no moving link or frame has that name.
+    By default the flange, or the last link. Raises `UsageError` if no moving link or frame has that
+    name.
     """
     frames = {link: (i, np.eye(4)) for i, link in enumerate(model.link_names)}
     frames |= {
@@ -130,8 +142,7 @@ def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int,
     if name is not None:
         if name not in frames:
             raise UsageError(
-                f"{model.name} has no moving link or frame {name!r} to carry a payload; it has"
-                f" {', '.join(frames)}"
+                f"{model.name} has no moving link or frame {name!r}; available: {', '.join(frames)}"
             )
         return name, *frames[name]
     last = model.n_joints - 1
@@ -144,7 +155,7 @@ def payload_frame(model: RobotModel, name: str | None = None) -> tuple[str, int,
     return model.link_names[last], last, np.eye(4)
 
 
-def identify_payload(
+def identify_payload_samples(
     result: IdentificationResult,
     loaded: Samples | Sequence[Samples],
     *,
@@ -155,32 +166,46 @@ def identify_payload(
     gain_uncertainty: ArrayLike | None = None,
     block_seconds: float | None = None,
 ) -> Payload:
-    """Identify what the flange carries from recordings under load.
+    """Identify the payload at the flange from samples under load.
 
-    The loaded torque is `tau = Y_b beta + Y_l S pi`: the arm's base parameters, and the ten of the
-    payload seen as part of the last link. `arm` "frozen" takes beta from the result; "refined"
-    estimates beta and pi together, the result (with its covariance) and recordings of the bare arm
-    (`unloaded`) holding beta. Rows are weighted by the result's noise per joint. The covariance is
-    the sum of a delete-one-block jackknife, which allows for correlated residuals (Efron & Stein,
-    Annals of Statistics 9, 1981), of what the result's own covariance carries over, and of what
-    unknown gains leave open: torque from currents is as good as the torque per ampere of each
-    joint, which no recording without a known load tells, `gain_uncertainty` (one fraction, or one
-    per joint; by default what is usual for the torque source, none for sensors). Where the estimate
-    is impossible for a body, the nearest possible one in the metric of the covariance is taken, by
-    a semidefinite program. Friction that depends on load feels the payload too.
+    The loaded torque is `tau = Y_b beta + Y_l S pi`: base parameters of the arm, and the ten
+    parameters of the payload as part of the last link. Rows are weighted by the result's noise per
+    joint. The covariance is the sum of a delete-one-block jackknife, which allows for correlated
+    residuals (Efron & Stein, Annals of Statistics 9, 1981), of the result's covariance, and of
+    uncertain gains, which recordings without a known load do not determine. An inconsistent
+    estimate is replaced by the nearest consistent one in the metric of the covariance, by a
+    semidefinite program. Load-dependent friction includes the payload.
+
+    Parameters
+    ----------
+    result
+        The identified arm.
+    loaded, unloaded
+        Samples with the payload, and further ones of the bare arm.
+    frame
+        Frame that carries the payload, by default the flange.
+    arm
+        `"frozen"` takes beta from the result; `"refined"` estimates beta and pi together, with the
+        result and its covariance as prior.
+    validation
+        Samples for the torque errors, by default the loaded ones.
+    gain_uncertainty
+        Standard deviation of the gains as a fraction, one or one per joint; by default that of the
+        torque source, zero for sensors.
+    block_seconds
+        Length of a time block [s].
 
     Raises
     ------
     UsageError
-        If there are no samples, no frame of that name, or uncertainties that are no fractions.
+        If there are no samples, no frame of that name, or invalid uncertainties.
     IdentifiabilityError
-        If there are fewer samples than unknowns, or no motion that tells a mass.
+        If there are fewer samples than unknowns, or the motion does not determine a mass.
     """
     batches = [loaded] if not isinstance(loaded, Sequence) else list(loaded)
     if not batches:
         raise UsageError(
-            f"no samples are given of {result.robot} under load; pass at least one prepared"
-            " recording"
+            f"no samples of {result.robot} under load are given; expected at least one recording"
         )
     source = batches[0].torque_source
     uncertainty = relative_gain_errors(source, result.model.n_joints, gain_uncertainty)
@@ -201,16 +226,19 @@ def identify_payload(
     beta, estimate = x[:p], x[p:]
     if not estimate[9] > 0:
         raise IdentifiabilityError(
-            f"the recording under load says that {result.robot} carries {estimate[9]:.3g} kg at"
-            f" {name}; is it really loaded, and are torque sign, gains and the arm's result of the"
-            " same robot and units?"
+            f"the payload of {result.robot} at {name} has an estimated mass of"
+            f" {estimate[9]:.3g} kg; expected a positive mass",
+            cure=Cure(
+                "check that the recording is loaded, and that torque sign, gains and units agree"
+                " with those of the arm's result"
+            ),
         )
     parameters, projected = _nearest_body(estimate, noise + gains)
     values, reported = _reported(parameters, noise + gains)
     errors, noise_errors, gain_errors = (
         _deviations(reported @ part @ reported.T) for part in (noise + gains, noise, gains)
     )
-    told = _told(values, errors)
+    determined = _determined(values, errors)
     payload = Payload(
         robot=result.robot,
         frame=name,
@@ -226,9 +254,11 @@ def identify_payload(
         gain_uncertainty=uncertainty,
         gains_by_evidence=result.cause_data is not None,
         projected=projected,
-        determined=tuple(item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if well),
+        determined=tuple(
+            item for item, well in zip(PAYLOAD_NAMES, determined, strict=True) if well
+        ),
         not_determined=tuple(
-            item for item, well in zip(PAYLOAD_NAMES, told, strict=True) if not well
+            item for item, well in zip(PAYLOAD_NAMES, determined, strict=True) if not well
         ),
         arm=beta,
         n_samples=rows.n_samples,
@@ -247,8 +277,7 @@ def identify_payload(
 def _gain_slopes(
     result: IdentificationResult, rows: PayloadRows, prior: Array, vague: Array, arm: Arm
 ) -> Array:
-    """Return how pi changes per fraction by which the torque of each joint changes in all
-    recordings, those behind the result too, (10, n).
+    """Return the change of pi (10, n) per relative change of each joint's torque everywhere.
 
     pi is linear in all torques; that of joint k enters the result's beta, and the rows of joint k.
     """
@@ -274,14 +303,15 @@ def _solved_symmetric(matrix: Array, sides: Array) -> Array:
 
 
 def _lengths(gram: Array) -> Array:
-    """Return the lengths of the columns of a Gram matrix, 1 for those that nothing tells."""
+    """Return the column lengths of a Gram matrix, 1 for zero columns."""
     length = np.sqrt(np.diag(gram))
     return np.where(length > 0.0, length, 1.0)
 
 
 def _prior(result: IdentificationResult) -> Array:
-    """Return rows (m, p + 11) that hold beta at the result, in units of its standard errors, where
-    the result knows it; what it dropped, whose columns are zero elsewhere, at zero.
+    """Return rows (m, p + 11) of the result as prior of beta, in units of its standard errors.
+
+    Dropped parameters, whose columns are zero elsewhere, are held at zero.
     """
     scale, variances, directions = determined_directions(result)
     root = np.vstack(
@@ -293,12 +323,9 @@ def _prior(result: IdentificationResult) -> Array:
 
 
 def _vague(model: RobotModel) -> Array:
-    """Return rows (10, 11) that say next to nothing of a payload.
+    """Return rows (10, 11) of a vague prior: zero +- the arm's mass at half a metre.
 
-    Zero, give or take the whole arm's mass half a metre away.
-
-    They matter only in directions that the motion leaves open, whose errors then come out as large
-    as this ignorance.
+    It matters only in undetermined directions, whose errors become as large.
     """
     mass = float(np.abs(model.parameters[9::10]).sum()) or 1.0
     size = np.concatenate([np.full(6, mass * VAGUE_ARM**2), np.full(3, mass * VAGUE_ARM), [mass]])
@@ -314,11 +341,9 @@ def _arm_taken_out(factor: Array, beta: Array) -> Array:
 def _solved(
     blocks: Sequence[Array], prior: Array, vague: Array, estimates: Array, arm: Arm
 ) -> tuple[Array, Array]:
-    """Return [beta, pi], and the covariance (10, 10) of pi that comes from the result and from
-    ignorance of the payload.
+    """Return [beta, pi], and the covariance (10, 10) of pi by the priors.
 
-    What of the arm neither the result nor the recordings tell stays at the result's `estimates`
-    (p,).
+    Undetermined directions of the arm stay at the result's `estimates` (p,).
     """
     p = len(estimates)
     data = triangular_factor(np.vstack(blocks))
@@ -353,25 +378,29 @@ def _solved(
 def _demand(rank: int) -> None:
     if rank < 4:
         raise IdentifiabilityError(
-            f"the recording under load tells {max(rank, 0)} of the payload's ten parameters, not"
-            " even its mass and centre; move the arm through different poses, so that the"
-            " payload's weight acts on several joints"
+            f"the recording under load determines {max(rank, 0)} of the payload's ten parameters,"
+            " fewer than its mass and centre",
+            cure=Cure(
+                "move the arm through different poses, so that the payload's weight acts on several"
+                " joints"
+            ),
         )
 
 
 def _demand_known_arm(rows: Array, prior: Array) -> None:
-    """Raise `IdentifiabilityError` where rows (m, p) of the arm feel what the rows (k, p) of the
-    prior leave open.
-    """
+    """Raise `IdentifiabilityError` if rows (m, p) excite what the prior (k, p) leaves free."""
     size = np.linalg.norm(np.vstack([prior, rows]), axis=0)
     scaled = np.where(size > 0.0, size, 1.0)
     _, s, vt = np.linalg.svd(prior / scaled)
     free = vt[int(np.sum(s > OPEN * s.max(initial=0.0))) :]
     if np.linalg.norm(rows / scaled @ free.T) > np.sqrt(OPEN) * np.linalg.norm(rows / scaled):
         raise IdentifiabilityError(
-            "the recording under load moves what the result of the arm leaves open (joints that"
-            " stood still, say), so that a frozen arm does not predict it; take the arm refined, or"
-            " identify it again from richer motion"
+            "the recording under load excites directions that the result of the arm does not"
+            " determine, so that a frozen arm cannot predict it",
+            cure=Cure(
+                "refine the arm, or identify it again from a motion with more excitation",
+                settings={"arm": "refined"},
+            ),
         )
 
 
@@ -382,8 +411,8 @@ def _jackknife(
     n, p = len(blocks), len(estimates)
     if n < FEWEST_BLOCKS:
         raise IdentifiabilityError(
-            f"{n} time blocks are too few to judge the errors of a payload, {FEWEST_BLOCKS} are"
-            " needed; record longer"
+            f"{n} time blocks are too few for the errors of a payload, {FEWEST_BLOCKS} are needed",
+            cure=Cure("record longer"),
         )
     if arm == "frozen":
         rows, held = [_arm_taken_out(block, estimates) for block in blocks], vague
@@ -409,9 +438,7 @@ def _jackknife(
 
 
 def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
-    """Return the parameters of a possible body nearest to the estimate in the metric of its
-    covariance, and whether it is another.
-    """
+    """Return the nearest consistent parameters by the covariance, and whether they differ."""
     if LinkInertia(estimate).is_consistent:
         return estimate, False
     scale = np.sqrt(np.diag(covariance))
@@ -426,16 +453,14 @@ def _nearest_body(estimate: Array, covariance: Array) -> tuple[Array, bool]:
     )
     if not solution.is_solved:
         raise IdentifiabilityError(
-            f"no possible body was found near the payload estimate {estimate.tolist()}: the solver"
-            f" says {solution.status}"
+            f"the consistent fit of the payload estimate {estimate.tolist()} failed with solver"
+            f" status {solution.status}"
         )
     return solution.x * scale, True
 
 
 def _reported(parameters: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return mass, centre of mass and inertia about it (10,), and their slopes (10, 10) in the
-    parameters; differences are small against the errors.
-    """
+    """Return mass, centre and inertia about it (10,), and their derivatives (10, 10)."""
 
     def report(pi: Array) -> Array:
         body = LinkInertia(pi)
@@ -456,11 +481,11 @@ def _deviations(covariance: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
-def _told(values: Array, errors: Array) -> NDArray[np.bool_]:
+def _determined(values: Array, errors: Array) -> NDArray[np.bool_]:
     centre = np.maximum(np.linalg.norm(values[1:4]), COM_SCALE)
     principal = np.max(np.abs(values[[4, 7, 9]]))
     size = np.concatenate([[values[0]], np.full(3, centre), np.full(6, principal)])
-    return errors <= WELL_TOLD * size
+    return errors <= LARGEST_ERROR * size
 
 
 def _metrics(
