@@ -57,7 +57,7 @@ class SelectionRules:
 
 RULES = SelectionRules()
 CURE = Cure(
-    "Look for an effect that the description lacks: base tilt, further friction, a tool on the"
+    "look for an effect that the description lacks: base tilt, further friction, a tool on the"
     " flange",
     settings={"mounting": "estimate", "drive": "auto"},
 )
