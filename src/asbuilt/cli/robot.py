@@ -112,51 +112,40 @@ def view(
     Ctrl-C ends it.
     """
     from asbuilt.excitation.motions.motion_csv import read_motion
-    from asbuilt.writers.files import atomic_write, path_texts
+    from asbuilt.writers.pictures.view import view_robot
 
     model = robot_as_built(robot)
     moved = None if motion is None else read_motion(motion, model)
     about = {"robot": model.name, "duration": None if moved is None else moved.duration}
-    if save is not None and save.suffix.lower() != ".html":
-        from asbuilt.writers.pictures.animation import write_picture
-
-        with progress_bar() as report:
-            written = write_picture(
-                save,
-                model,
-                moved,
-                style=one_of("--style", style, ("auto", "rendered", "skeleton")),
-                progress=lambda done: report("draw", done),
-            )
-        answer(
-            as_json,
-            lambda: {**about, "files": {"picture": str(written)}},
-            lambda: listed_files({"picture": written}),
+    chosen = one_of("--style", style, ("auto", "rendered", "skeleton"))
+    with progress_bar() as report:
+        shown = view_robot(
+            model,
+            moved,
+            save=save,
+            style=chosen,
+            port=port,
+            progress=lambda done: report("draw", done),
         )
+    if isinstance(shown, Path):
+        files = {"page" if shown.suffix.lower() == ".html" else "picture": shown}
+        paths = {kind: str(path) for kind, path in files.items()}
+        answer(as_json, lambda: {**about, "files": paths}, lambda: listed_files(files))
         return
-    from asbuilt.writers.pictures.viewer import Viewer
-
-    page = Viewer(model, moved, port=port)
     try:
-        if save is not None:
-            files = {"page": atomic_write(save, page.page().encode())}
-            answer(
-                as_json, lambda: {**about, "files": path_texts(files)}, lambda: listed_files(files)
-            )
-            return
         answer(
             as_json,
-            lambda: {**about, "url": page.url},
-            lambda: f"{model.name} at {page.url}; Ctrl-C ends it",
+            lambda: {**about, "url": shown.url},
+            lambda: f"{model.name} at {shown.url}; Ctrl-C ends it",
         )
         if browser:
             import webbrowser
 
-            webbrowser.open(page.url)
+            webbrowser.open(shown.url)
         with suppress(KeyboardInterrupt):
-            page.serve()
+            shown.serve()
     finally:
-        page.close()
+        shown.close()
 
 
 def export(

@@ -18,7 +18,7 @@ from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 
-PATH_POINTS = 400
+PATH_POINTS = 1000
 """Most points that the path of the tip is drawn with."""
 
 

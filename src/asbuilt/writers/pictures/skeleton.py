@@ -1,95 +1,194 @@
-"""A robot drawn as a skeleton with matplotlib.
-
-Rods, joints and the path of the tip, where no OpenGL is at hand.
-"""
+"""A robot drawn as shaded rods and housings without OpenGL, by the painter's algorithm."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import Axes3D
+from numpy.typing import NDArray
+from PIL import Image as Pillow
+from PIL import ImageDraw
 
-from asbuilt.arrays import Image
+from asbuilt.arrays import Array, Image
+from asbuilt.description.appearance import Solid
 from asbuilt.description.model import ROOT
 from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.round_mesh import round_mesh
 
-ROD, HOUSING, SHADOW, PATH, STAND = "#8A8F98", "#E07B20", "#D5D9DE", "#0072B2", "#5F656D"
-AZIMUTH, ELEVATION = -45.0, 18.0
+ROD, HOUSING, STAND, SHADOW, GRID, PATH = (
+    np.array(colour)
+    for colour in (
+        (196, 201, 208),
+        (236, 128, 36),
+        (112, 118, 126),
+        (216, 220, 225),
+        (228, 231, 235),
+        (0, 114, 178),
+    )
+)
+AZIMUTH, ELEVATION = np.deg2rad(-45.0), np.deg2rad(18.0)
+OVERSAMPLING = 2
+MARGIN = 0.06
+"""Share of the picture that stays free at each side."""
+
+DISTANCE = 5.0
+"""Distance of the camera in radii of the scene."""
+
+HOUSING_FIRST = 0.4
+"""Depth, in its radius, by which a housing counts as nearer than the rods that it encloses."""
+
+AMBIENT, DIFFUSE = 0.55, 0.5
+"""Light from everywhere, and from the lamp above the left shoulder of the camera."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Perspective camera whose picture holds a scene: axes (3, 3) right, up, forward; eye (3,)."""
+
+    axes: Array
+    eye: Array
+    scale: float
+    shift: Array
+
+    @classmethod
+    def around(cls, view: MotionView, width: int, height: int) -> Camera:
+        """Return the camera that sees every pose and the path, with a margin around them."""
+        seed = np.array([1.0, 0.0, 0.0]) if abs(view.up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+        along = seed - (seed @ view.up) * view.up
+        along /= np.linalg.norm(along)
+        level = np.cos(AZIMUTH) * along + np.sin(AZIMUTH) * np.cross(view.up, along)
+        forward = -(np.cos(ELEVATION) * level + np.sin(ELEVATION) * view.up)
+        right = np.cross(forward, view.up) / np.cos(ELEVATION)
+        axes = np.stack([right, np.cross(right, forward), forward])
+        camera = cls(axes, view.centre - DISTANCE * view.radius * forward, 1.0, np.zeros(2))
+        points, radii = _balls(view)
+        flat, depth = camera.project(points)
+        grown = (radii / depth)[:, None] * 1.05
+        low, high = (flat - grown).min(axis=0), (flat + grown).max(axis=0)
+        size = np.array([width, height])
+        scale = float(np.min((1 - 2 * MARGIN) * size / (high - low)))
+        return cls(axes, camera.eye, scale, size / 2 - scale * (low + high) / 2)
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Return pixels (N, 2), rows downward, and depths (N,) [m]."""
+        right, up, depth = self.axes @ (points - self.eye).T
+        return self.scale * np.stack([right, -up], axis=1) / depth[:, None] + self.shift, depth
 
 
 def skeleton_frames(view: MotionView, width: int, height: int) -> Iterator[Image]:
     """Yield every frame of a motion as an image (height, width, 3)."""
+    camera = Camera.around(view, OVERSAMPLING * width, OVERSAMPLING * height)
+    coarse = len(view.t) > 1
+    slices, rings, segments = (16, 4, 4) if coarse else (36, 8, 10)
+    solids = [*view.solids, *_stand(view)]
+    meshes = [round_mesh(solid, slices, rings, segments) for solid in solids]
+    colours = [
+        STAND if k >= len(view.solids) else ROD if solid.kind == "rod" else HOUSING
+        for k, solid in enumerate(solids)
+    ]
+    counts = [len(faces) for _, faces in meshes]
+    shades = np.repeat(np.array(colours), counts, axis=0)
+    nearer = np.repeat([HOUSING_FIRST * s.radius * (s.kind == "housing") for s in solids], counts)
     for k in range(len(view.t)):
-        figure = skeleton_figure(view, k, width, height)
-        canvas = FigureCanvasAgg(figure)
-        canvas.draw()
-        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        vertices = [
+            _placed(view, k, solid, points)
+            for solid, (points, _) in zip(solids, meshes, strict=True)
+        ]
+        canvas = Pillow.new("RGB", (OVERSAMPLING * width, OVERSAMPLING * height), "white")
+        draw = ImageDraw.Draw(canvas)
+        _floor(draw, camera, view)
+        corners = np.concatenate([v[f] for v, (_, f) in zip(vertices, meshes, strict=True)])
+        _shadows(draw, camera, view, corners)
+        _bodies(draw, camera, view, corners, shades, nearer)
+        yield np.asarray(canvas.resize((width, height), Pillow.Resampling.BOX))
 
 
-def skeleton_figure(view: MotionView, k: int, width: int = 640, height: int = 480) -> Figure:
-    """Draw frame k of a motion, `width` x `height` pixels."""
-    figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor="white")
-    axes = figure.add_axes((-0.16, -0.2, 1.32, 1.4), projection="3d", computed_zorder=False)
-    assert isinstance(axes, Axes3D)
-    axes.set_axis_off()
-    axes.view_init(elev=ELEVATION, azim=AZIMUTH)
-    half = 0.72 * view.radius
-    for set_limits, middle in zip(
-        (axes.set_xlim, axes.set_ylim, axes.set_zlim), view.centre, strict=True
-    ):
-        set_limits(middle - half, middle + half)
-    axes.set_box_aspect((1, 1, 1))
-    _grid(axes, view)
-    scale = 72 * width / 100 * 0.5 / half
-    thin = max(1.0, 0.006 * scale * view.radius)
-    for solid in sorted(view.solids, key=lambda solid: solid.kind, reverse=True):
-        ends = np.stack([solid.start, solid.stop])
-        if solid.link != ROOT:
-            pose = view.poses[k, solid.link]
-            ends = ends @ pose[:3, :3].T + pose[:3, 3]
-        flat = ends - np.outer(ends @ view.up - view.floor, view.up)
-        axes.plot(
-            *flat.T,
-            color=SHADOW,
-            linewidth=1.1 * solid.radius * scale,
-            solid_capstyle="round",
-            zorder=1,
-        )
-        rod = solid.kind == "rod"
-        axes.plot(
-            *ends.T,
-            color=ROD if rod else HOUSING,
-            linewidth=(1.2 if rod else 1.6) * solid.radius * scale,
-            solid_capstyle="round" if rod else "butt",
-            zorder=3 if rod else 4,
-        )
-    if view.floor < 0.0:
-        foot = np.stack([view.floor * view.up, np.zeros(3)])
-        axes.plot(
-            *foot.T,
-            color=STAND,
-            linewidth=1.6 * max(solid.radius for solid in view.solids) * scale,
-            zorder=2,
-        )
-    if len(view.path) > 1:
-        axes.plot(*view.path.T, color=PATH, linewidth=thin, zorder=2.5)
-    return figure
+def _bodies(
+    draw: ImageDraw.ImageDraw,
+    camera: Camera,
+    view: MotionView,
+    corners: Array,
+    shades: Array,
+    nearer: Array,
+) -> None:
+    """Draw the faces towards the camera and the path, the farthest first."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normals, axis=1)
+    middles = corners.mean(axis=1)
+    seen = (np.einsum("ij,ij->i", normals, middles - camera.eye) < 0) & (size > 0)
+    seen &= middles @ view.up > view.floor
+    normals, corners = normals[seen] / size[seen, None], corners[seen]
+    right, up, forward = camera.axes
+    lamp = -0.6 * forward - 0.45 * right + 0.75 * up
+    light = np.clip(normals @ (lamp / np.linalg.norm(lamp)), 0.0, 1.0)
+    gloss = 45.0 * light[:, None] ** 12
+    colours = np.clip(shades[seen] * (AMBIENT + DIFFUSE * light)[:, None] + gloss, 0, 255)
+    flat, depth = camera.project(corners.reshape(-1, 3))
+    depths = depth.reshape(-1, 3).mean(axis=1) - nearer[seen]
+    path, path_depth = camera.project(view.path)
+    steps = len(view.path) - 1
+    order = np.argsort(-np.concatenate([depths, 0.5 * (path_depth[1:] + path_depth[:-1])]))
+    triangles = [tuple(map(tuple, triangle)) for triangle in flat.reshape(-1, 3, 2).tolist()]
+    fills = [tuple(colour) for colour in colours.astype(int).tolist()]
+    lines = [tuple(map(tuple, path[k : k + 2].tolist())) for k in range(steps)]
+    thick = max(2, round(camera.scale / DISTANCE * 0.011))
+    for place in order.tolist():
+        if place < len(triangles):
+            draw.polygon(triangles[place], fill=fills[place], outline=fills[place])
+        else:
+            draw.line(lines[place - len(triangles)], fill=tuple(PATH.tolist()), width=thick)
 
 
-def _grid(axes: Axes3D, view: MotionView) -> None:
+def _shadows(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView, corners: Array) -> None:
+    points = corners.reshape(-1, 3)
+    flat, _ = camera.project(points - np.outer(points @ view.up - view.floor, view.up))
+    fill = tuple(SHADOW.tolist())
+    for triangle in flat.reshape(-1, 3, 2).tolist():
+        draw.polygon(tuple(map(tuple, triangle)), fill=fill)
+
+
+def _floor(draw: ImageDraw.ImageDraw, camera: Camera, view: MotionView) -> None:
     """Draw the floor as a grid around the robot."""
-    seed = np.array([1.0, 0.0, 0.0]) if abs(view.up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    along = np.cross(np.cross(view.up, seed), view.up)
-    along /= np.linalg.norm(along)
+    along = camera.axes[0]
     other = np.cross(view.up, along)
-    reach = 1.1 * view.radius
-    for offset in np.linspace(-reach, reach, 9):
-        for one, two in ((along, other), (other, along)):
-            line = (
-                np.stack([offset * one - reach * two, offset * one + reach * two])
-                + view.floor * view.up
+    one, two = (along + other) / np.sqrt(2), (along - other) / np.sqrt(2)
+    middle = view.centre + (view.floor - view.centre @ view.up) * view.up
+    reach = 1.6 * view.radius
+    for offset in np.linspace(-reach, reach, 13):
+        for a, b in ((one, two), (two, one)):
+            ends = np.stack([offset * a - reach * b, offset * a + reach * b]) + middle
+            flat, _ = camera.project(ends)
+            draw.line(tuple(map(tuple, flat.tolist())), fill=tuple(GRID.tolist()), width=2)
+
+
+def _stand(view: MotionView) -> list[Solid]:
+    """Return base plate and column, as the other pictures have them."""
+    thickest = max(solid.radius for solid in view.solids)
+    foot = view.floor * view.up
+    plate = Solid(ROOT, "housing", foot, foot + 0.25 * thickest * view.up, 2 * thickest)
+    if view.floor >= 0.0:
+        return [plate]
+    return [plate, Solid(ROOT, "housing", foot, np.zeros(3), 1.15 * thickest)]
+
+
+def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
+    if solid.link == ROOT:
+        return points
+    pose = view.poses[k, solid.link]
+    return points @ pose[:3, :3].T + pose[:3, 3]
+
+
+def _balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:
+    """Return centres (N, 3) and radii (N,) of balls that hold everything drawn but the floor."""
+    points, radii = [view.path], [np.zeros(len(view.path))]
+    for solid in (*view.solids, *_stand(view)):
+        for end in (solid.start, solid.stop):
+            moved = (
+                end[None]
+                if solid.link == ROOT
+                else view.poses[:, solid.link, :3, :3] @ end + view.poses[:, solid.link, :3, 3]
             )
-            axes.plot(*line.T, color="#E4E7EB", linewidth=0.8, zorder=0)
+            points.append(moved)
+            radii.append(np.full(len(moved), solid.radius))
+    return np.concatenate(points), np.concatenate(radii)

@@ -16,7 +16,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.appearance import Solid, inertia_ellipsoid
@@ -27,6 +26,7 @@ from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.writers.pictures.motion_view import MotionView
+from asbuilt.writers.pictures.round_mesh import round_mesh
 
 ROD, HOUSING, STAND, PATH, COM, INERTIA = (
     (205, 208, 213),
@@ -336,37 +336,6 @@ class _Controls:
             self.viewer._pose(motion.derivative(clock.now))
             clock.shown = round(clock.now, 2)
             self.place.value = clock.shown
-
-
-def round_mesh(solid: Solid, slices: int = 28, rings: int = 7) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices (v, 3) and triangles (f, 3), seen from outside, of a rod with round ends or
-    of a housing with flat ones.
-    """
-    length, radius = solid.length, solid.radius
-    if solid.kind == "rod":
-        angles = np.linspace(0.0, np.pi / 2, rings)
-        profile = [(radius * np.sin(a), -radius * np.cos(a)) for a in angles] + [
-            (radius * np.cos(a), length + radius * np.sin(a)) for a in angles
-        ]
-    else:
-        bevel = min(0.12 * radius, 0.3 * length)
-        corner = [(radius, bevel), (radius, length - bevel)]
-        profile = [
-            (0.0, 0.0),
-            (radius - bevel, 0.0),
-            *corner,
-            (radius - bevel, length),
-            (0.0, length),
-        ]
-    turn = np.linspace(0.0, 2 * np.pi, slices, endpoint=False)
-    circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(slices)], axis=1)
-    vertices = np.concatenate([r * circle + [0.0, 0.0, z] for r, z in profile])
-    k, j = np.meshgrid(np.arange(len(profile) - 1), np.arange(slices), indexing="ij")
-    a, b = (k * slices + j).ravel(), (k * slices + (j + 1) % slices).ravel()
-    faces = np.concatenate(
-        [np.stack([a, b, b + slices], axis=1), np.stack([a, b + slices, a + slices], axis=1)]
-    )
-    return vertices @ rotation_onto((solid.stop - solid.start) / length).T + solid.start, faces
 
 
 def _wxyz(rotation: Array) -> tuple[float, ...]:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.torque import described_drive, drive_torque
@@ -20,10 +20,10 @@ from asbuilt.excitation.design.static_poses import StaticDesign
 from asbuilt.excitation.design_findings import design_findings
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_bounds import limited_model
-from asbuilt.writers.figures.figure_style import blank_figure, figure_address
+from asbuilt.writers.figures.figure_style import blank_figure, figure_address, styled
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.pictures.motion_view import MotionView
-from asbuilt.writers.pictures.skeleton import skeleton_figure
+from asbuilt.writers.pictures.skeleton import skeleton_frames
 from asbuilt.writers.reports.page import page, table_markup
 from asbuilt.writers.tables.design_tables import design_facts, parameter_table, pose_table
 from asbuilt.writers.tables.limit_tables import margin_table, verdict
@@ -92,11 +92,12 @@ def joint_figures(design: Design | StaticDesign) -> list[Figure]:
             f"torque\n{'N m' if joint.is_revolute else 'N'}",
         )
         figure = blank_figure(4.6, 5.4)
-        all_axes = figure.subplots(4, 1, sharex=True)
-        for k, (axes, x) in enumerate(zip(all_axes, (q, qd, qdd, torque), strict=True)):
-            _draw(axes, t, x[:, j], float(lower[k][j]), float(upper[k][j]), names[k])
-        all_axes[-1].set_xlabel("time [s]")
-        figure.align_ylabels(all_axes)
+        with styled():
+            all_axes = figure.subplots(4, 1, sharex=True)
+            for k, (axes, x) in enumerate(zip(all_axes, (q, qd, qdd, torque), strict=True)):
+                _draw(axes, t, x[:, j], float(lower[k][j]), float(upper[k][j]), names[k])
+            all_axes[-1].set_xlabel("time [s]")
+            figure.align_ylabels(all_axes)
         figures.append(figure)
     return figures
 
@@ -112,10 +113,9 @@ def _draw(axes: Axes, t: Array, x: Array, low: float, high: float, name: str) ->
 
 def _path_address(design: Design | StaticDesign) -> str:
     """Return the skeleton at the start and the path of the tool as a data address."""
-    view = MotionView.of_motion(design.model, design.motion, most=2)
-    figure = skeleton_figure(view, 0, *PATH_SIZE)
+    view = MotionView.of_motion(design.model, design.motion, most=2).first()
     stream = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(stream)
+    Image.fromarray(next(skeleton_frames(view, *PATH_SIZE))).save(stream, "PNG")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
 
 
