@@ -35,7 +35,7 @@ def measure() -> dict[str, float | str]:
     peer = pinocchio_model(model)
     data = peer.createData()
     calls["pinocchio_rnea"] = lambda: pin.rnea(peer, data, q, qd, qdd)
-    times = {name: np.inf for name in calls}
+    times = dict.fromkeys(calls, np.inf)
     for _ in range(40):
         for name, call in calls.items():
             times[name] = min(times[name], 1e3 * min(timeit.repeat(call, number=1000, repeat=1)))

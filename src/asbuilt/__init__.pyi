@@ -50,6 +50,7 @@ from .workflow.calibration import find_gains as find_gains
 from .workflow.calibration import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
+from .workflow.masses import link_masses as link_masses
 from .workflow.options import ChannelOptions as ChannelOptions
 from .workflow.options import ControllerOptions as ControllerOptions
 from .workflow.options import GainOptions as GainOptions

@@ -42,6 +42,16 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "load_robot",
             compiles=False,
         ),
+        "masses": Entry(
+            "masses",
+            "Compute link masses from meshes and materials, or from a table.",
+            (
+                "my_robot.urdf --meshes meshes --material aluminium",
+                "my_robot.urdf --table cad.csv --about com --products tensor -o new.urdf",
+            ),
+            "link_masses",
+            compiles=False,
+        ),
         "view": Entry(
             "robot",
             "Show the robot in 3-D in the browser, or save a picture.",

@@ -8,6 +8,7 @@ from .drives.selection import DriveSet as DriveSet
 from .drives.selection import available_terms as available_terms
 from .drives.term import DriveTerm as DriveTerm
 from .drives.term import NonlinearParameter as NonlinearParameter
+from .drives.term import drive_term as drive_term
 from .drives.torque import drive_columns as drive_columns
 from .drives.torque import drive_torque as drive_torque
 from .kinematics import link_jacobians as link_jacobians
@@ -25,3 +26,4 @@ from .parameters import parameter_units as parameter_units
 from .parameters import parameter_values as parameter_values
 from .regressor import observation_matrix as observation_matrix
 from .regressor import regressor as regressor
+from .torque_model import TorqueModel as TorqueModel

@@ -34,6 +34,8 @@ MATERIALS: Mapping[str, float] = {
 }
 """Usual densities [kg/m^3]; the density of a named alloy is better given as a number."""
 
+PLAUSIBLE_SIZE = (1e-3, 10.0)
+"""Length of a part [m] below and above which its unit is doubtful."""
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".3mf")
 
 
@@ -54,22 +56,29 @@ class MeshPart:
 
     @property
     def density(self) -> float:
-        """Density [kg/m^3]; raises `DescriptionError` for a material that is unknown and a density
-        that is not positive.
-        """
-        if isinstance(self.material, str):
-            if self.material not in MATERIALS:
-                known = ", ".join(MATERIALS)
-                raise DescriptionError(
-                    f"{self.path}: the material {self.material!r} is unknown; give a density in"
-                    f" kg/m^3 or one of {known}"
-                )
-            return MATERIALS[self.material]
-        if not (math.isfinite(self.material) and self.material > 0.0):
+        """Density [kg/m^3]; raises `DescriptionError` as `density_of` does."""
+        return density_of(self.material, str(self.path))
+
+
+def density_of(material: str | float, place: str) -> float:
+    """Return the density [kg/m^3] of a material of `MATERIALS`, or the number itself.
+
+    Raises `DescriptionError` for an unknown material and a density that is not positive.
+
+    >>> density_of("aluminium", "link_1")
+    2700.0
+    """
+    if isinstance(material, str):
+        if material not in MATERIALS:
+            known = ", ".join(MATERIALS)
             raise DescriptionError(
-                f"{self.path}: the density is {self.material} kg/m^3; it must be positive"
+                f"{place}: the material {material!r} is unknown; give a density in kg/m^3 or one of"
+                f" {known}"
             )
-        return float(self.material)
+        return MATERIALS[material]
+    if not (math.isfinite(material) and material > 0.0):
+        raise DescriptionError(f"{place}: the density is {material} kg/m^3; it must be positive")
+    return float(material)
 
 
 @dataclass(frozen=True)
@@ -107,21 +116,45 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
 
     Raises `DescriptionError` as `link_from_meshes` does.
     """
+    if part.unit not in LENGTH:
+        raise DescriptionError(
+            f"{part.path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}"
+        )
+    density = part.density
+    solid = read_mesh(part.path, scale=(LENGTH[part.unit],) * 3)
+    inertia = LinkInertia(density * solid.inertia.parameters)
+    return (inertia if part.placement is None else inertia.moved(part.placement)), solid.doubts
+
+
+@dataclass(frozen=True, eq=False)
+class MeshSolid:
+    """Hold a solid bounded by a mesh: inertia for unit density, corners of its box, doubts.
+
+    `inertia` is that of 1 kg/m^3, so that its mass is the volume [m^3]; `corners` (8, 3) are those
+    of the box around it, along the axes of the file [m].
+    """
+
+    inertia: LinkInertia
+    corners: Array
+    doubts: tuple[str, ...] = ()
+    closed: bool = True
+
+
+def read_mesh(path: str | Path, scale: Sequence[float] = (1.0, 1.0, 1.0)) -> MeshSolid:
+    """Read the solid bounded by the mesh of a file, `scale` metres per unit along each axis.
+
+    Raises `DescriptionError` for files that hold no surface and surfaces without volume.
+    """
     try:
         import trimesh  # noqa: PLC0415 - an extra
     except ImportError:
         raise MissingExtraError("trimesh", "cad", "reading meshes") from None
-    path = Path(part.path)
-    if part.unit not in LENGTH:
-        raise DescriptionError(
-            f"{path}: the length unit {part.unit!r} is unknown; known are {', '.join(LENGTH)}"
-        )
+    path = Path(path)
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise DescriptionError(
             f"{path}: meshes are read from {', '.join(MESH_SUFFIXES)}, not from"
             f" {path.suffix or 'a file without suffix'!r}"
         )
-    density = part.density
     try:
         mesh: Any = trimesh.load(path, force="mesh", skip_materials=True)
         n_faces = len(mesh.faces)
@@ -133,10 +166,11 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
         raise DescriptionError(f"{path}: the file holds no finite triangles")
     doubts = []
     mesh.merge_vertices()
-    mesh.apply_scale(LENGTH[part.unit])
+    mesh.apply_transform(np.diag([*scale, 1.0]))
     with np.errstate(invalid="ignore"):
         volume = float(mesh.volume)
-    if not mesh.is_watertight:
+    closed = bool(mesh.is_watertight)
+    if not closed:
         doubts.append(
             f"{path.name}: the surface is not closed, so volume and mass are not reliable; repair"
             " the mesh"
@@ -150,13 +184,13 @@ def mesh_inertia(part: MeshPart) -> tuple[LinkInertia, tuple[str, ...]]:
             f"{path}: the mesh encloses no volume; export the solid as a closed surface"
         )
     size = float(np.max(mesh.extents))
-    if size > 10.0 or size < 1e-3:
-        doubts.append(
-            f"{path.name}: the part is {size:.3g} m long in the unit {part.unit!r}; check the unit"
-        )
-    mesh.density = density
-    inertia = LinkInertia.from_com(float(mesh.mass), mesh.center_mass, mesh.moment_inertia)
-    return (inertia if part.placement is None else inertia.moved(part.placement)), tuple(doubts)
+    if size > PLAUSIBLE_SIZE[1] or size < PLAUSIBLE_SIZE[0]:
+        doubts.append(f"{path.name}: the part is {size:.3g} m long; check the unit and the scale")
+    mesh.density = 1.0
+    inertia = LinkInertia.from_com(volume, mesh.center_mass, mesh.moment_inertia)
+    lower, upper = np.asarray(mesh.bounds)
+    corners = np.array(np.meshgrid(*zip(lower, upper, strict=True))).reshape(3, -1).T
+    return MeshSolid(inertia, corners, tuple(doubts), closed)
 
 
 def with_cad_links(model: RobotModel, links: Mapping[str, CadLink]) -> RobotModel:

@@ -1,0 +1,181 @@
+"""Solids of the links of a URDF: primitives and meshes of its visual or collision geometry."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import Literal
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.cad.meshes import MeshSolid, read_mesh
+from asbuilt.description.formats.xml import described_text, numbers, parsed_xml
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.rotation import placement, rotation_from_rpy
+from asbuilt.errors import DescriptionError
+
+GeometryKind = Literal["visual", "collision"]
+
+
+@dataclass(frozen=True, eq=False)
+class LinkSolid:
+    """Hold the geometry of one link of the file, in the frame of the moving link that carries it.
+
+    `name` is the link of the file, `link` the index of the moving link. `inertia` is that of unit
+    density, its mass the volume [m^3]; `corners` (8 k, 3) are those of the boxes around its k
+    bodies [m]. `missing` are meshes not found, `doubts` sentences on unreliable surfaces.
+    """
+
+    name: str
+    link: int
+    kind: GeometryKind
+    inertia: LinkInertia
+    corners: Array
+    doubts: tuple[str, ...] = ()
+    closed: bool = True
+    missing: tuple[str, ...] = ()
+
+
+def read_solids(
+    model: RobotModel, folders: Sequence[Path] = (), *, prefer: GeometryKind = "visual"
+) -> tuple[LinkSolid, ...]:
+    """Read the solids of all links of the URDF that a robot came from.
+
+    Of `<visual>` and `<collision>` the preferred one counts, unless its meshes are missing,
+    unreadable or not closed and those of the other are not. Meshes are looked for in `folders`,
+    then beside the file and in the folders above it. Bodies of one link add up.
+
+    Raises
+    ------
+    DescriptionError
+        If the robot does not come from a URDF file.
+    """
+    path = Path(model.source)
+    content, source = described_text(path) if path.is_file() else (b"", model.source)
+    root = parsed_xml(content, source) if content else None
+    if root is None or root.tag != "robot":
+        raise DescriptionError(
+            f"{model.name} does not come from a URDF file, so it has no geometry; give the mass"
+            " properties as a table"
+        )
+    poses = {name: (k, np.eye(4)) for k, name in enumerate(model.link_names)}
+    poses |= {frame.name: (frame.link, frame.placement) for frame in model.frames}
+    searched = [*folders, path.parent, *path.resolve().parent.parents]
+    other: GeometryKind = "collision" if prefer == "visual" else "visual"
+    found = []
+    for element in root.findall("link"):
+        name = (element.get("name") or "").strip()
+        link, pose = poses.get(name, (ROOT, np.eye(4)))
+        if link == ROOT:
+            continue
+        solids = [_solid(element, name, link, pose, kind, searched) for kind in (prefer, other)]
+        usable = [each for each in solids if each is not None]
+        if usable:
+            best = min(usable, key=lambda each: (bool(each.missing), not each.closed))
+            found.append(best if best is usable[0] else _instead(best, usable[0]))
+    return tuple(found)
+
+
+def _instead(taken: LinkSolid, left: LinkSolid) -> LinkSolid:
+    """Return the solid taken, with what is wrong with the preferred one."""
+    wrong = (*left.doubts, *(f"{name} was not found" for name in left.missing))[0]
+    doubt = f"counts instead of {left.kind}: {wrong}"
+    return replace(taken, doubts=(doubt, *taken.doubts))
+
+
+def _solid(
+    element: Element,
+    name: str,
+    link: int,
+    pose: Array,
+    kind: GeometryKind,
+    folders: Sequence[Path],
+) -> LinkSolid | None:
+    """Return the sum of all bodies of a kind, or None if there are none."""
+    bodies, missing, doubts = list[MeshSolid](), list[str](), list[str]()
+    for body in element.findall(kind):
+        geometry = body.find("geometry")
+        if geometry is None or not len(geometry):
+            continue
+        place = f"link {name!r}, {kind}"
+        try:
+            solid = _body(geometry[0], place, folders)
+        except DescriptionError as error:
+            missing.append(geometry[0].get("filename", geometry[0].tag))
+            doubts.append(str(error))
+            continue
+        if solid is None:
+            missing.append(geometry[0].get("filename", geometry[0].tag))
+            continue
+        whole = pose @ _origin(body, place)
+        corners = solid.corners @ whole[:3, :3].T + whole[:3, 3]
+        bodies.append(MeshSolid(solid.inertia.moved(whole), corners, solid.doubts, solid.closed))
+    if not bodies and not missing:
+        return None
+    total = np.sum([each.inertia.parameters for each in bodies], axis=0) if bodies else np.zeros(10)
+    return LinkSolid(
+        name,
+        link,
+        kind,
+        LinkInertia(total),
+        np.concatenate([each.corners for each in bodies]) if bodies else np.zeros((0, 3)),
+        (*doubts, *(doubt for each in bodies for doubt in each.doubts)),
+        all(each.closed for each in bodies),
+        tuple(missing),
+    )
+
+
+def _origin(body: Element, place: str) -> Array:
+    origin = body.find("origin")
+    given: Mapping[str, str] = {} if origin is None else origin.attrib
+    xyz, rpy = (
+        numbers(origin, key, 3, place) if origin is not None and key in given else [0.0] * 3
+        for key in ("xyz", "rpy")
+    )
+    return placement(rotation_from_rpy(rpy), xyz)
+
+
+def _body(shape: Element, place: str, folders: Sequence[Path]) -> MeshSolid | None:
+    """Return a primitive, or the solid of a mesh; None if its file is not there."""
+    if shape.tag == "box":
+        x, y, z = numbers(shape, "size", 3, place)
+        return _primitive(x * y * z, (x, y, z), (y * y + z * z, x * x + z * z, x * x + y * y), 12)
+    if shape.tag == "cylinder":
+        (r,), (h,) = numbers(shape, "radius", 1, place), numbers(shape, "length", 1, place)
+        across = 3.0 * r * r + h * h
+        sizes = (2.0 * r, 2.0 * r, h)
+        return _primitive(np.pi * r * r * h, sizes, (across, across, 6.0 * r * r), 12)
+    if shape.tag == "sphere":
+        (r,) = numbers(shape, "radius", 1, place)
+        return _primitive(4.0 / 3.0 * np.pi * r**3, (2.0 * r,) * 3, (2.0 * r * r,) * 3, 5)
+    if shape.tag != "mesh":
+        return None
+    file = find_mesh(shape.get("filename", ""), folders)
+    if file is None:
+        return None
+    return read_mesh(file, numbers(shape, "scale", 3, place) if shape.get("scale") else [1.0] * 3)
+
+
+def _primitive(
+    volume: float, sizes: Sequence[float], squares: Sequence[float], divisor: float
+) -> MeshSolid:
+    """Return a centred solid whose moments are `volume squares / divisor` for unit density."""
+    inertia = LinkInertia.from_com(volume, np.zeros(3), volume * np.diag(squares) / divisor)
+    corners = np.array(np.meshgrid(*[(-size / 2, size / 2) for size in sizes])).reshape(3, -1).T
+    return MeshSolid(inertia, corners)
+
+
+def find_mesh(filename: str, folders: Sequence[Path]) -> Path | None:
+    """Return the file of a mesh: its path, without leading folders if need be, in one of `folders`.
+
+    `package://` and `file://` are left out, as in `package://ur/meshes/base.stl`.
+    """
+    relative = filename.partition("://")[2] if "://" in filename else filename
+    parts = PurePosixPath(relative).parts
+    tails = [Path(*parts[first:]) for first in range(len(parts))]
+    candidates = [folder / tail for folder in folders for tail in tails]
+    return next((candidate for candidate in candidates if candidate.is_file()), None)
