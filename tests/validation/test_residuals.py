@@ -5,7 +5,7 @@ from asbuilt.validation.residuals import (
     VelocityCurve,
     analyse_residual,
     autocorrelation,
-    contiguous_runs,
+    contiguous_segments,
     durbin_watson,
     effective_samples,
     ljung_box,
@@ -91,9 +91,9 @@ def test_short_recordings_are_analysed_too() -> None:
 
 
 def test_runs_split_where_time_jumps_or_returns() -> None:
-    assert contiguous_runs(np.array([])) == ()
-    assert contiguous_runs(np.array([1.0])) == ((0, 1),)
-    assert contiguous_runs(np.array([0.0, 1, 2, 2, 3, 9])) == ((0, 3), (3, 5), (5, 6))
+    assert contiguous_segments(np.array([])) == ()
+    assert contiguous_segments(np.array([1.0])) == ((0, 1),)
+    assert contiguous_segments(np.array([0.0, 1, 2, 2, 3, 9])) == ((0, 3), (3, 5), (5, 6))
 
 
 def test_velocity_curve_keeps_directions_apart() -> None:

@@ -53,7 +53,7 @@ def test_too_high_a_cutoff_costs(sweep: CutoffSweep) -> None:
 
 
 def test_sweep_is_printed_with_its_reason(sweep: CutoffSweep) -> None:
-    text = sweep.table().as_text()
+    text = sweep.table().as_text(full=True)
     assert "<- chosen" in text
     assert sweep.why in text
     assert "blocks:2s:3 of the recordings identified from" in text

@@ -52,9 +52,7 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
         chain=chain, drive=DriveSet.parse("viscous,coulomb,offset"), holdout="last:0.3"
     )
     one = identify(model, [whole], options=options)
-    other = identify(
-        model, [RecordingStream(log, model, chunk_samples=4000)], options=options
-    )
+    other = identify(model, [RecordingStream(log, model, chunk_samples=4000)], options=options)
     size = np.abs(one.result.estimates).max()
     np.testing.assert_allclose(other.result.estimates, one.result.estimates, atol=0.02 * size)
     np.testing.assert_allclose(
@@ -68,7 +66,7 @@ def test_study_of_a_stream_is_that_of_the_whole(model, log):
 def test_command_line_streams_long_files(model, log, monkeypatch, capsys):
     monkeypatch.setattr(long_recordings, "LONG", 1e5)
     answer = document(capsys, "identify", "kuka-iiwa7-r800", log, "--holdout", "blocks:5s:3")
-    assert any("read in stretches" in line for line in answer["provenance"])
+    assert any("read in chunks" in line for line in answer["provenance"])
     assert answer["validation"][0]["relative_error"] < 0.1
 
 
@@ -81,9 +79,7 @@ def test_long_files_are_judged_and_weighed_as_whole_ones(model, log, monkeypatch
         "result"
     ]
     tool = LinkInertia.from_com(1.5, [0.0, 0.02, 0.08], np.diag([0.01, 0.01, 0.005]))
-    loaded = logged(
-        VirtualRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet"
-    )
+    loaded = logged(VirtualRobot.typical(model, rng=1).with_tool(tool), tmp_path / "loaded.parquet")
     commands = (
         ("validate", result, log),
         ("validate", "kuka-iiwa7-r800", log),

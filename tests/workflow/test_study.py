@@ -96,7 +96,7 @@ def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording
     study = identify(load_robot("scara"), [brief], options=StudyOptions(checked=False))
     said = {warning.code: warning.text for warning in study.findings}
     assert study.result.cause_data is None
-    assert "0 to judge by" in said["causes_undetermined"]
+    assert "0 held out" in said["causes_undetermined"]
     whole = identify(load_robot("scara"), recordings[:1])
     assert "causes_undetermined" not in {warning.code for warning in whole.findings}
     with pytest.raises(ResultError, match="recordings of some seconds"):
@@ -139,7 +139,9 @@ def test_med7_beats_the_manufacturers_model(shared: Path) -> None:
     """Its own controller predicts these held-out blocks to 0.72 1.01 0.43 0.78 0.26 0.22 0.27 N m
     (tau - tau_ext of the file).
     """
-    options = StudyOptions(drive=DriveSet.parse("viscous,coulomb,offset"), holdout="blocks:5s:3", method="wls")
+    options = StudyOptions(
+        drive=DriveSet.parse("viscous,coulomb,offset"), holdout="blocks:5s:3", method="wls"
+    )
     study = study_of(
         shared,
         "lbrstack_med7.urdf",
@@ -280,9 +282,7 @@ def test_a_tilt_that_explains_nothing_is_not_spoken_of(
         robot.record(random_fourier(model, rng=1, duration=10.0), rate=100.0, rng=1).recording
     )
     result = identify_samples(model, samples, drive=drive)
-    result = replace(
-        result, findings=(Finding("consistent_fit_rejected", "warning", "no bodies"),)
-    )
+    result = replace(result, findings=(Finding("consistent_fit_rejected", "warning", "no bodies"),))
     angle = np.deg2rad(0.1)
     stands = Mounting(
         model,

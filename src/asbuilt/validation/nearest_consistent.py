@@ -1,7 +1,4 @@
-"""A model that stands in for the identified one, such as the nearest that real bodies have.
-
-What it costs on the recordings themselves.
-"""
+"""What the nearest consistent model costs in torque error on the recordings themselves."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.codec import plain
 from asbuilt.tables import Cell, Column, Shown, Table, significant
 from asbuilt.tables import share as percentage
 from asbuilt.validation.comparison.comparison import recording_name
@@ -21,22 +19,27 @@ if TYPE_CHECKING:
     from asbuilt.identification.result.result import IdentificationResult
 
 
-BADLY = 1.5
-"""Error of a joint, in multiples of that of the identified model, from which a stand-in predicts it
-badly,
-"""
-NOTICEABLE = 0.1
-"""unless it is below this part of the joint's own torque."""
+@dataclass(frozen=True, slots=True)
+class PoorPrediction:
+    """Say when a joint is predicted poorly; own choices.
+
+    Its error exceeds `error` times that of the identified model and `noticeable` of its torque.
+    """
+
+    error: float = 1.5
+    noticeable: float = 0.1
+
+
+POOR = PoorPrediction()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StandIn:
-    """Hold RMS torques and errors of every joint, each (n,) [N m or N], of the identified model and
-    of the one that stands in.
+class NearestModel:
+    """Hold RMS torques and errors of every joint, each (n,) [N m or N].
 
-    `identified`, `stand_in` and `cad` are errors on what the result was `judged_by`; `torque` is
-    the torque measured there; `identified_fitted` and `stand_in_fitted` are errors on the data
-    used.
+    `identified`, `nearest` and `cad` are errors of the three models on the validation data named
+    by `judged_by`, or else on the training data; `torque` is the torque measured there.
+    `identified_fitted` and `nearest_fitted` are errors on the training data.
     """
 
     joint_names: tuple[str, ...]
@@ -44,33 +47,33 @@ class StandIn:
     judged_by: str
     torque: Array
     identified: Array
-    stand_in: Array
+    nearest: Array
     cad: Array
     identified_fitted: Array
-    stand_in_fitted: Array
+    nearest_fitted: Array
 
     @property
     def bad(self) -> tuple[int, ...]:
-        """The joints, counted from 0, that the stand-in predicts badly."""
-        badly = (self.stand_in > BADLY * self.identified) & (
-            self.stand_in > NOTICEABLE * self.torque
+        """The joints, counted from 0, that the nearest model predicts poorly."""
+        poor = (self.nearest > POOR.error * self.identified) & (
+            self.nearest > POOR.noticeable * self.torque
         )
-        return tuple(np.flatnonzero(badly).tolist())
+        return tuple(np.flatnonzero(poor).tolist())
 
     @property
     def worse_than_cad(self) -> bool:
-        """Whether CAD predicts the recording better than the stand-in, all joints together."""
-        return bool(np.linalg.norm(self.stand_in) > np.linalg.norm(self.cad))
+        """Whether CAD predicts the recording better, all joints together."""
+        return bool(np.linalg.norm(self.nearest) > np.linalg.norm(self.cad))
 
-    def complaint(self) -> str:
-        """Say which joints it predicts badly; empty where none."""
+    def objection(self) -> str:
+        """Return which joints it predicts poorly; empty if none."""
         said = [
-            f"{self.joint_names[k]}: {significant(self.stand_in[k])} {self.units[k]} RMS in place"
+            f"{self.joint_names[k]}: {significant(self.nearest[k])} {self.units[k]} RMS in place"
             f" of {significant(self.identified[k])} (of {significant(self.torque[k])})"
             for k in self.bad
         ]
         if not said and self.worse_than_cad:
-            return "CAD itself predicts the recording better"
+            return "CAD predicts the recording better"
         return "; ".join(said)
 
     def table(self) -> Table:
@@ -87,9 +90,9 @@ class StandIn:
         rows: list[tuple[Cell, ...]] = []
         for what, errors in (
             ("as identified", self.identified),
-            ("as written", self.stand_in),
+            ("as written", self.nearest),
             ("CAD", self.cad),
-            ("the torque itself", self.torque),
+            ("measured torque", self.torque),
         ):
             cells = [Shown(float(error), significant(float(error))) for error in errors]
             part = float(np.linalg.norm(errors)) / whole if whole else None
@@ -98,19 +101,26 @@ class StandIn:
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers and lists, ready for JSON."""
-        fields = ("torque", "identified", "stand_in", "cad", "identified_fitted", "stand_in_fitted")
-        lists = {name: getattr(self, name).tolist() for name in fields}
+        errors = {
+            "torque": self.torque,
+            "identified": self.identified,
+            "stand_in": self.nearest,
+            "cad": self.cad,
+            "identified_fitted": self.identified_fitted,
+            "stand_in_fitted": self.nearest_fitted,
+        }
         return {
             "judged_by": self.judged_by,
             "joints": list(self.joint_names),
-            **lists,
+            **plain(errors),
             "bad_joints": [self.joint_names[k] for k in self.bad],
         }
 
 
-def stand_in(result: IdentificationResult, beta: ArrayLike) -> StandIn | None:
-    """Hold other base parameters (p,) against those of a result, on the motions that it was
-    identified from and judged by; None where it carries no cause data.
+def nearest_model(result: IdentificationResult, beta: ArrayLike) -> NearestModel | None:
+    """Compare other base parameters (p,) with those of a result on its own recordings.
+
+    None if the result has no cause data.
     """
     cause_data = result.cause_data
     if cause_data is None:
@@ -131,14 +141,14 @@ def stand_in(result: IdentificationResult, beta: ArrayLike) -> StandIn | None:
     def error(rows: list[Array], parameters: Array) -> Array:
         return np.array([np.linalg.norm(row[:, -1] - row[:, :-1] @ parameters) for row in rows])
 
-    return StandIn(
+    return NearestModel(
         joint_names=result.joint_names,
         units=torque_units(result.model),
         judged_by=recording_name(cause_data.judged_by),
         torque=error(judged, np.zeros(len(values))),
         identified=error(judged, result.estimates),
-        stand_in=error(judged, values),
+        nearest=error(judged, values),
         cad=error(judged, np.nan_to_num(result.cad_values, nan=0.0)),
         identified_fitted=error(fitted, result.estimates),
-        stand_in_fitted=error(fitted, values),
+        nearest_fitted=error(fitted, values),
     )

@@ -124,7 +124,7 @@ def validate_samples(
 def predict_both(
     model: RobotModel, base: BaseParameters, estimates: Array, design: Array, samples: Samples
 ) -> Validation:
-    """Predict a recording from base parameters (p,) as built and by design, NaN counting as zero."""
+    """Predict a recording from base parameters (p,) as built and by design (NaN: zero)."""
     rigid, torque = model_torque(model, base, estimates, samples)
     as_built = beside_measured(samples, torque)
     by_design = beside_measured(

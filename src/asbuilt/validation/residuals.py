@@ -1,7 +1,4 @@
-"""What the torque error looks like.
-
-Is it white, how much of it is independent, where in frequency and velocity does it live.
-"""
+"""Analysis of torque errors: whiteness, effective samples, spectrum, velocity."""
 
 from __future__ import annotations
 
@@ -15,38 +12,55 @@ from scipy.special import chdtrc
 
 from asbuilt.arrays import Array
 
-Runs = tuple[tuple[int, int], ...]
-
-LONGEST_LAG = 2.0
-"""Lag up to which autocorrelation is looked at [s]."""
-LJUNG_BOX_LAGS = 20
-"""Lags that the test of Ljung and Box takes together, where there are as many."""
-GAP = 1.5
-"""A step in time of this many median steps, or one that does not advance, starts a new run."""
+Segments = tuple[tuple[int, int], ...]
 
 
-def contiguous_runs(t: Array) -> Runs:
+@dataclass(frozen=True, slots=True)
+class ResidualSettings:
+    """Configure the analysis; own choices but for the lags (Ljung and Box, 1978).
+
+    Parameters
+    ----------
+    longest_lag
+        Lag up to which autocorrelation is evaluated [s].
+    ljung_box_lags
+        Lags of the test of Ljung and Box, if there are as many.
+    gap
+        A time step of this many median steps, or one that does not advance, ends a segment.
+    window
+        Samples of a window of Welch's spectrum.
+    """
+
+    longest_lag: float = 2.0
+    ljung_box_lags: int = 20
+    gap: float = 1.5
+    window: int = 1024
+
+
+SETTINGS = ResidualSettings()
+
+
+def contiguous_segments(t: Array) -> Segments:
     """Return the (start, stop) index ranges of `t` (N,) between which time jumps.
 
-    >>> contiguous_runs(np.array([0.0, 0.1, 0.2, 1.0, 1.1, 0.0]))
+    >>> contiguous_segments(np.array([0.0, 0.1, 0.2, 1.0, 1.1, 0.0]))
     ((0, 3), (3, 5), (5, 6))
     """
     if len(t) == 0:
         return ()
     steps = np.diff(t)
     forward = steps[steps > 0]
-    limit = GAP * float(np.median(forward)) if len(forward) else np.inf
+    limit = SETTINGS.gap * float(np.median(forward)) if len(forward) else np.inf
     cuts = np.flatnonzero((steps <= 0) | (steps > limit)) + 1
     edges = [0, *cuts.tolist(), len(t)]
     return tuple(pairwise(edges))
 
 
-def autocorrelation(residual: Array, runs: Runs, max_lag: int) -> Array:
-    """Return the autocorrelation at lags 0..max_lag of `residual` (N,), pairs never spanning two
-    runs, shape (max_lag + 1,).
+def autocorrelation(residual: Array, segments: Segments, max_lag: int) -> Array:
+    """Return the autocorrelation of `residual` (N,) at lags 0..max_lag, shape (max_lag + 1,).
 
-    rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed; lags that no run reaches
-    are zero.
+    rho_k = sum_t e_t e_(t+k) / sum_t e_t^2 with the overall mean removed. Pairs never span two
+    segments; lags longer than every segment are zero.
     """
     e = residual - residual.mean()
     energy = float(e @ e)
@@ -54,7 +68,7 @@ def autocorrelation(residual: Array, runs: Runs, max_lag: int) -> Array:
     if energy == 0:
         rho[0] = 1.0
         return rho
-    for start, stop in runs:
+    for start, stop in segments:
         x = e[start:stop]
         size = 1 << (2 * len(x) - 1).bit_length()
         lags = min(max_lag + 1, len(x))
@@ -62,20 +76,21 @@ def autocorrelation(residual: Array, runs: Runs, max_lag: int) -> Array:
     return rho / energy
 
 
-def durbin_watson(residual: Array, runs: Runs) -> float:
-    """Return sum (e_t - e_(t-1))^2 / sum e_t^2, 2 for a white residual, near 0 for a slow one
-    (Durbin and Watson, 1950).
+def durbin_watson(residual: Array, segments: Segments) -> float:
+    """Return sum (e_t - e_(t-1))^2 / sum e_t^2 (Durbin and Watson, 1950).
+
+    It is 2 for a white residual and near 0 for a slow one.
     """
     energy = float(residual @ residual)
-    steps = sum(float(np.sum(np.diff(residual[start:stop]) ** 2)) for start, stop in runs)
+    steps = sum(float(np.sum(np.diff(residual[start:stop]) ** 2)) for start, stop in segments)
     return steps / energy if energy > 0 else float("nan")
 
 
 def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
-    """Return the statistic Q = n (n + 2) sum_k rho_k^2 / (n - k) over lags 1..lags and its
-    probability for a white residual.
+    """Return Q = n (n + 2) sum_k rho_k^2 / (n - k) over lags 1..lags, and its probability.
 
-    Source: Ljung and Box, Biometrika 65 (1978), equation 1.3.
+    The probability is that of a larger Q for a white residual. Source: Ljung and Box, Biometrika
+    65 (1978), equation 1.3.
     """
     k = np.arange(1, min(lags, len(rho) - 1, n_samples - 1) + 1)
     if len(k) == 0:
@@ -85,8 +100,9 @@ def ljung_box(rho: Array, n_samples: int, lags: int) -> tuple[float, float]:
 
 
 def effective_samples(rho: Array, n_samples: int) -> float:
-    """Return n / (1 + 2 sum_k rho_k), summed while neighbouring pairs of lags are positive (Geyer
-    1992, initial positive sequence).
+    """Return n / (1 + 2 sum_k rho_k), summed while neighbouring pairs of lags are positive.
+
+    Source: Geyer, Statistical Science 7 (1992), initial positive sequence.
     """
     usable = len(rho) // 2 * 2
     pairs = rho[:usable].reshape(-1, 2).sum(axis=1)
@@ -96,20 +112,19 @@ def effective_samples(rho: Array, n_samples: int) -> float:
 
 
 def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, Array]:
-    """Return, each (n,), how white a low-passed `residual` (N, n) at times `t` (N,) is up to
-    `cutoff` [Hz], whatever the rate at which it is kept.
+    """Return how white a low-passed `residual` (N, n) is up to `cutoff` [Hz], two arrays (n,).
 
-    First Durbin and Watson's statistic between samples half a period of the cutoff apart, `mean
-    (e_t - e_(t-1/2f))^2 / mean e_t^2`: 2 where the residual is white up to the cutoff, near 0 where
-    it is slow. Then the samples that it is worth, as a fraction of the 2 f a second that a white
-    one is.
+    Neither depends on the rate at which the residual is sampled, at the times `t` (N,). First,
+    Durbin and Watson's statistic between samples half a period of the cutoff apart, `mean (e_t -
+    e_(t-1/2f))^2 / mean e_t^2`: 2 for a residual white up to the cutoff, near 0 for a slow one.
+    Second, the effective samples as a fraction of the 2 f a second of a white residual.
     """
-    runs, step = contiguous_runs(t), float(np.median(np.diff(t)))
+    segments, step = contiguous_segments(t), float(np.median(np.diff(t)))
     lag = max(1, round(0.5 / (cutoff * step)))
     apart = np.concatenate(
         [
             residual[start + lag : stop] - residual[start : stop - lag]
-            for start, stop in runs
+            for start, stop in segments
             if stop - start > lag
         ]
         or [residual[:0]]
@@ -121,9 +136,9 @@ def whiteness_in_band(t: Array, residual: Array, cutoff: float) -> tuple[Array, 
             if len(apart)
             else np.full(len(energy), np.nan)
         )
-    longest = max(stop - start for start, stop in runs)
+    longest = max(stop - start for start, stop in segments)
     worth = [
-        effective_samples(autocorrelation(column, runs, longest - 1), len(t))
+        effective_samples(autocorrelation(column, segments, longest - 1), len(t))
         for column in residual.T
     ]
     return statistic, np.minimum(np.array(worth) / (2.0 * cutoff * len(t) * step), 1.0)
@@ -155,23 +170,23 @@ class ResidualAnalysis:
 def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) -> ResidualAnalysis:
     """Analyse the torque error `residual` (N, n) at times `t` (N,) [s] up to a lag of two seconds.
 
-    Ljung-Box uses at most 20 lags; the spectrum is Welch's, averaged over runs by their length.
+    Ljung-Box uses at most 20 lags; the spectrum is Welch's, averaged over segments by their length.
     """
-    runs = contiguous_runs(t)
-    longest = max(stop - start for start, stop in runs)
+    segments = contiguous_segments(t)
+    longest = max(stop - start for start, stop in segments)
     forward = np.diff(t)[np.diff(t) > 0]
     step = float(np.median(forward)) if len(forward) else 1.0
-    n_lags = max(1, min(round(LONGEST_LAG / step), longest - 1))
-    rho = np.column_stack([autocorrelation(column, runs, n_lags) for column in residual.T])
-    tests = [ljung_box(column, len(t), LJUNG_BOX_LAGS) for column in rho.T]
-    frequencies, spectrum = _spectrum(residual, runs, 1.0 / step)
+    n_lags = max(1, min(round(SETTINGS.longest_lag / step), longest - 1))
+    rho = np.column_stack([autocorrelation(column, segments, n_lags) for column in residual.T])
+    tests = [ljung_box(column, len(t), SETTINGS.ljung_box_lags) for column in rho.T]
+    frequencies, spectrum = _spectrum(residual, segments, 1.0 / step)
     return ResidualAnalysis(
         joint_names=joint_names,
         n_samples=len(t),
         lags=step * np.arange(n_lags + 1, dtype=np.float64),
         mean=residual.mean(axis=0),
         rms=np.sqrt(np.mean(residual**2, axis=0)),
-        durbin_watson=np.array([durbin_watson(column, runs) for column in residual.T]),
+        durbin_watson=np.array([durbin_watson(column, segments) for column in residual.T]),
         ljung_box=np.array([q for q, _ in tests]),
         probability_white=np.array([p for _, p in tests]),
         effective_samples=np.array([effective_samples(column, len(t)) for column in rho.T]),
@@ -181,15 +196,13 @@ def analyse_residual(t: Array, residual: Array, joint_names: tuple[str, ...]) ->
     )
 
 
-def _spectrum(residual: Array, runs: Runs, rate: float) -> tuple[Array, Array]:
-    """Return frequencies (F,) and one-sided density (F, n), Welch with Hann windows of at most 1024
-    samples inside each run.
-    """
-    lengths = [stop - start for start, stop in runs]
-    window = min(1024, max(lengths))
+def _spectrum(residual: Array, segments: Segments, rate: float) -> tuple[Array, Array]:
+    """Return frequencies (F,) and one-sided density (F, n): Welch, Hann windows in each segment."""
+    lengths = [stop - start for start, stop in segments]
+    window = min(SETTINGS.window, max(lengths))
     total, weight = np.zeros((window // 2 + 1, residual.shape[1])), 0
     frequencies = np.arange(window // 2 + 1, dtype=np.float64) * rate / window
-    for (start, stop), length in zip(runs, lengths, strict=True):
+    for (start, stop), length in zip(segments, lengths, strict=True):
         if length < window:
             continue
         _, density = welch(residual[start:stop], fs=rate, nperseg=window, axis=0)
@@ -200,7 +213,7 @@ def _spectrum(residual: Array, runs: Runs, rate: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class VelocityCurve:
-    """A torque against joint velocity in bins of equal width.
+    """Hold a torque against joint velocity in bins of equal width.
 
     Centres, quartiles and counts, each (bins,); NaN in bins of under three samples.
     """
@@ -213,9 +226,7 @@ class VelocityCurve:
 
 
 def velocity_curve(qd: Array, torque: Array, *, bins: int = 40) -> VelocityCurve:
-    """Sort `torque` (N,) of one joint by its velocity `qd` (N,) into bins, none of which spans zero
-    velocity.
-    """
+    """Sort `torque` (N,) of a joint by its velocity `qd` (N,) into bins that do not span zero."""
     largest = float(np.max(np.abs(qd), initial=0.0)) or 1.0
     half = max(1, bins // 2)
     index = np.clip(np.floor(qd / largest * half).astype(np.int64), -half, half - 1) + half

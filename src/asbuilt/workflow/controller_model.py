@@ -31,12 +31,11 @@ EXTERNAL = "tau_ext"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerComparison:
-    """Hold the controller's model beside CAD and the robot as built, on data held out, and its
-    parameters beside those as built.
+    """Hold the controller's model beside CAD and the robot as built, on validation data.
 
     `identified` are the parameters identified from the torque that the controller predicts, with
     the same drive terms; `difference` compares them with the result's. `controller` is the error of
-    the controller's own prediction, `rebuilt` how well the identified parameters repeat it.
+    the controller's own prediction, `rebuilt` how well the identified parameters reproduce it.
     """
 
     robot: str

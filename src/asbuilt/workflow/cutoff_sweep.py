@@ -1,7 +1,4 @@
-"""Which low-pass cutoff the held-out torque asks for.
-
-The whole chain run at several, judged where no filter can flatter.
-"""
+"""Choice of the low-pass cutoff by held-out torque, unfiltered, at several cutoffs."""
 
 from __future__ import annotations
 
@@ -45,12 +42,13 @@ Of these the lowest cutoff is taken.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutoffTrial:
-    """One cutoff [Hz]: held-out RMS per joint against the torque as recorded and in the band, mean
-    squared error relative to the joint's noise.
+    """Hold one cutoff [Hz] and its held-out errors.
 
-    `durbin_watson`, mean over joints, is 2 where the residual is white up to the cutoff, whatever
-    the cutoff, NaN where all runs are shorter than half its period; `effective_share` how many
-    samples it is worth of the 2 cutoff a second that it then would be.
+    `rms_recorded` and `rms` (n,) are against the torque as recorded and in the band of the filter;
+    `score` and `in_band` are the same, joints together, relative to the best trial.
+    `durbin_watson`, the mean over joints, is 2 for a residual white up to the cutoff, NaN if all
+    segments are shorter than half its period; `effective_share` is the number of independent
+    samples, as a fraction of the 2 cutoff a second of a white residual.
     """
 
     cutoff: float
@@ -64,9 +62,7 @@ class CutoffTrial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CutoffSweep:
-    """Hold the trials in rising order, the cutoff that was chosen, why in a sentence, and the rule
-    by which recordings were held out to judge by.
-    """
+    """Hold the trials in rising order, the cutoff chosen [Hz], why, and the hold-out rule."""
 
     joint_names: tuple[str, ...]
     trials: tuple[CutoffTrial, ...]
@@ -149,12 +145,34 @@ def sweep_cutoffs(
     cutoffs: Sequence[float] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> CutoffSweep:
-    """Identify at several cutoffs and choose the lowest whose held-out error, against the torque as
-    recorded, is within 2 % of the smallest.
+    """Choose the lowest cutoff whose held-out error is within 2 % of the smallest.
 
-    Weighted least squares each time. The error in the filter's band falls with the cutoff whatever
-    the model is worth and must not choose it. Raises RecordingError where no cutoff leaves enough
-    samples, UsageError where the rule cannot be read.
+    Each cutoff is tried with weighted least squares. The error is against the torque as recorded,
+    since the error in the band of the filter falls with the cutoff whatever the model.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    recordings
+        Recordings to identify from.
+    drive
+        Drive terms.
+    chain
+        The signal chain; its cutoff is replaced.
+    holdout
+        Rule of what is held out; None: "blocks:2s:3".
+    cutoffs
+        Cutoffs to try [Hz]; None: ten around the one that the chain would choose.
+    progress
+        Called with the name of a step and the fraction done.
+
+    Raises
+    ------
+    RecordingError
+        If no cutoff leaves enough samples.
+    UsageError
+        If the rule cannot be read.
     """
     start = resolve_chain(chain or SignalChain(), *recordings)
     assert start.cutoff is not None
@@ -184,7 +202,7 @@ def sweep_cutoffs(
         found.append((cutoff, recorded, band, float(whiteness), float(share)))
     if not found:
         raise RecordingError(
-            "no cutoff leaves enough samples to learn from and to judge by; record longer (at"
+            "no cutoff leaves enough samples to train and to validate; record longer (at"
             f" {tried[-1]:.3g} Hz: {last})"
         )
     best = np.min([recorded for _, recorded, _, _, _ in found], axis=0)

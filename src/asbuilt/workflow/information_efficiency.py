@@ -1,7 +1,9 @@
-"""How much of what its robot could have shown a recording shows."""
+"""Information efficiency of a recording, relative to the best motion within the robot's limits."""
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,30 +19,37 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, pr
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import joined
+from asbuilt.findings import Cure, joined
 
 TOO_LITTLE = 1e-3
-"""Share of the attainable information on its worst told parameter below which a joint is said to
-have moved too little.
-"""
+"""Efficiency of a joint's worst parameter below which the joint moved too little."""
 SLOW = 0.25
-"""Top speed, as part of the limit, below which a joint is said to have moved slowly."""
+"""Top speed, as a share of the limit, below which a joint moved slowly."""
 NARROW = 0.3
-"""Travel, as part of its range or of one turn, below which a joint is said to have moved within a
-small range.
-"""
+"""Position range, as a share of the full one or of a turn, below which a joint moved little."""
 MOST_NAMED = 3
-"""Parameters named in words."""
+"""Parameters named in the text."""
+BETTER_MOTION = Cure("design a motion within the limits", call="design_motion")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Attainment:
-    """Hold the share of the attainable information that a recording carries, as a whole and at each
-    joint, for the drive terms of its torque source.
+class RecordedInformation:
+    """Hold the information efficiency of a recording, as a whole and of each joint.
 
-    `travel` (n,) is how much of its range, or of one turn where that is less, each joint went
-    through; `top_speed` (n,) its largest speed as part of the limit. `assumed` names the kinds of
-    limit that the description does not give.
+    Parameters
+    ----------
+    joint_names
+        Names of the n joints.
+    drive
+        Drive terms of the torque source.
+    efficiency
+        Information relative to the bound by the limits.
+    travel
+        Position range of each joint as a share of the full one, or of a turn if less, (n,).
+    top_speed
+        Largest speed of each joint as a share of the limit, (n,).
+    assumed
+        Kinds of limits that the description does not give.
     """
 
     joint_names: tuple[str, ...]
@@ -52,48 +61,46 @@ class Attainment:
 
     @property
     def too_little(self) -> tuple[str, ...]:
-        """Joints that moved too little, or too much like others, for their parameters to be told."""
+        """Joints that moved too little, or too much in step, to determine their parameters."""
         return tuple(self.joint_names[k] for k in self._lacking)
 
     @property
     def std_error_ratios(self) -> Array:
-        """Standard error of each joint's worst told parameter over that of the best motion of the
-        same length (n,); infinite where it is not told at all.
+        """Standard error of each joint's worst parameter over that of the best motion, (n,).
+
+        The best motion has the same length; infinite if the parameter is undetermined.
         """
         with np.errstate(divide="ignore"):
             return np.asarray(1.0 / np.sqrt(self.efficiency.by_joint))
 
-    def as_text(self) -> str:
-        """Return what is carried, which joints held it back and how, and which parameters suffer
-        most.
+    def as_text(self, cure_text: Callable[[Cure], str] = str) -> str:
+        """Return the efficiency, the joints that limit it, and the worst parameters, in 80 columns.
+
+        `cure_text` writes the cure, for an interface that adds the names of its commands.
         """
         limits = f"; limits of {joined(list(self.assumed))} assumed" if self.assumed else ""
-        whole = (
-            f"It carries {100 * self.efficiency.d_efficiency:.2g} % of the attainable information"
-            f" per sample (drive terms {self.drive}{limits})."
-        )
-        if not self._lacking:
-            return whole
-        slow = [k for k in self._lacking if self.top_speed[k] < SLOW]
-        narrow = [k for k in self._lacking if self.travel[k] < NARROW]
-        rest = [k for k in self._lacking if k not in slow and k not in narrow]
-        ways = [
-            self._listed("slowly, in parts of the speed limit: ", slow, self.top_speed),
-            self._listed("within a small range, in parts of the full one: ", narrow, self.travel),
-            (
-                "gently or too much like others: " + joined([self.joint_names[k] for k in rest])
-                if rest
-                else ""
-            ),
+        paragraphs = [
+            f"Information efficiency {100 * self.efficiency.d_efficiency:.2g} % of the bound by the"
+            f" limits (drive terms {self.drive}{limits})."
         ]
-        return (
-            f"{whole}\nMoved too little to tell all parameters -"
-            f" {'; '.join(way for way in ways if way)}.\n{self._worst()} asbuilt excite designs a"
-            " better motion."
-        )
+        if self._lacking:
+            slow = [k for k in self._lacking if self.top_speed[k] < SLOW]
+            narrow = [k for k in self._lacking if self.travel[k] < NARROW]
+            rest = [self.joint_names[k] for k in self._lacking if k not in {*slow, *narrow}]
+            parts = [
+                self._listed("slow, in shares of the speed limit: ", slow, self.top_speed),
+                self._listed("small range, in shares of the full one: ", narrow, self.travel),
+                "in step or gentle: " + joined(rest) if rest else "",
+            ]
+            advice = cure_text(BETTER_MOTION)
+            paragraphs += [
+                f"Joints that moved too little - {'; '.join(part for part in parts if part)}.",
+                f"{self._worst()} {advice[:1].upper()}{advice[1:]}.",
+            ]
+        return "\n".join(textwrap.fill(each, 80, subsequent_indent="  ") for each in paragraphs)
 
     def as_document(self) -> dict[str, Any]:
-        """Return plain numbers and names; None stands for a standard error that is infinite."""
+        """Return plain numbers and names; None is a standard error that is infinite."""
         by_joint = {
             "by_joint": self.efficiency.by_joint,
             "std_error_ratio": self.std_error_ratios,
@@ -116,45 +123,40 @@ class Attainment:
         return [k for k, part in enumerate(self.efficiency.by_joint) if part < TOO_LITTLE]
 
     def _listed(self, how: str, joints: list[int], parts: Array) -> str:
-        return (
-            how + joined([f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints])
-            if joints
-            else ""
-        )
+        named = [f"{self.joint_names[k]} {100 * parts[k]:.0f} %" for k in joints]
+        return how + joined(named) if named else ""
 
     def _worst(self) -> str:
-        worst = sorted(self._lacking, key=lambda k: -self.std_error_ratios[k])[:MOST_NAMED]
+        ratios = self.std_error_ratios
+        worst = sorted(self._lacking, key=lambda k: -ratios[k])[:MOST_NAMED]
         names = [
-            self.efficiency.base.names[index]
+            (self.efficiency.base.names[index], ratios[k])
             for k in worst
             if (index := self.efficiency.worst[k]) is not None
         ]
-        ratios = [self.std_error_ratios[k] for k in worst]
-        said = [
-            (
-                f"{name} {float(f'{ratio:.2g}'):g} times"
-                if np.isfinite(ratio)
-                else f"{name} not told at all"
-            )
-            for name, ratio in zip(names, ratios, strict=True)
+        listed = [
+            f"{name} {float(f'{ratio:.2g}'):g} times" if np.isfinite(ratio) else f"{name} infinite"
+            for name, ratio in names
         ]
-        return (
-            "Least told, by standard error against the best motion of the same length:"
-            f" {joined(said)}."
-        )
+        return f"Largest standard errors relative to the best motion: {joined(listed)}."
 
 
-def recorded_information(model: RobotModel, recording: Recording | RecordingStream) -> Attainment:
-    """Compare the states of a recording, after the default signal chain, with the best that the
-    robot's limits admit.
+def recorded_information(
+    model: RobotModel, recording: Recording | RecordingStream
+) -> RecordedInformation:
+    """Compare the states of a recording with the best that the robot's limits allow.
 
-    The drive terms are those that the torque source calls for. Raises RecordingError where the
-    recording is too short for the filters.
+    The recording passes the default signal chain; the drive terms are those of its torque source.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is too short for the filters.
     """
     drive = DriveSet.default(head_of(recording).torque_source)
     samples = prepare_logged(recording, SignalChain())
     travel, top_speed = _use_of_limits(model, samples)
-    return Attainment(
+    return RecordedInformation(
         model.joint_names,
         drive,
         information_efficiency(model, drive, samples),
@@ -165,9 +167,7 @@ def recorded_information(model: RobotModel, recording: Recording | RecordingStre
 
 
 def _use_of_limits(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
-    """Return the travel of each joint as part of its range or of one turn, and its top speed as
-    part of the limit, two (n,).
-    """
+    """Return position range and top speed of each joint, as shares of its limits, two (n,)."""
     bounds = MotionBounds.assumed(model)
     turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, np.inf)
     full = np.minimum(bounds.upper - bounds.lower, turn)

@@ -54,19 +54,31 @@ HOLDOUT = {
 class StudyOptions:
     """Configure `identify`.
 
-    | field | meaning |
-    |---|---|
-    | `drive` | drive terms; None: those usual for the torque source; "auto" (or "auto,spring:joints=2"): chosen on held-out blocks |
-    | `method` | the estimator, a key of `methods` |
-    | `chain` | the signal chain; what it leaves open is chosen from the recordings |
-    | `sweep_cutoff` | choose the cutoff of the low-pass by held-out error |
-    | `holdout` | a rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out |
-    | `undetermined` | directions that no motion excites stay at CAD and are named, or are refused |
-    | `mounting` | gravity points as described, or its direction is identified too |
-    | `errors` | standard errors from time blocks by formula, by drawing the blocks, or by the textbook |
-    | `block_seconds` | length of the time blocks [s]; None: 5 s, less in short recordings |
-    | `checked` | refuse recordings in which `check_recording` finds errors |
-    | `threads` | threads of the kernels; None: all cores if that pays |
+    Parameters
+    ----------
+    drive
+        Drive terms; None: those usual for the torque source; "auto" (or "auto,spring:joints=2"):
+        chosen on held-out blocks.
+    method
+        The estimator, a key of `methods`.
+    chain
+        The signal chain; what it leaves open is chosen from the recordings.
+    sweep_cutoff
+        Choose the cutoff of the low-pass by held-out error.
+    holdout
+        A rule of `hold_out`, such as "blocks:5s:3"; None holds nothing out.
+    undetermined
+        Directions that no motion excites stay at CAD and are named, or are refused.
+    mounting
+        Gravity points as described, or its direction is identified too.
+    errors
+        Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
+    block_seconds
+        Length of the time blocks [s]; None: 5 s, less in short recordings.
+    checked
+        Refuse recordings in which `check_recording` finds errors.
+    threads
+        Threads of the kernels; None: all cores if that pays.
 
     Raises
     ------
@@ -121,11 +133,14 @@ class StudyOptions:
 class ValidationOptions:
     """Configure `validate`.
 
-    | field | meaning |
-    |---|---|
-    | `chain` | the signal chain; None: that of the result, or else chosen for each recording |
-    | `cad` | another description of the robot with the same geometry, in place of the result's |
-    | `checked` | refuse recordings in which `check_recording` finds errors |
+    Parameters
+    ----------
+    chain
+        The signal chain; None: that of the result, or else chosen for each recording.
+    cad
+        Another description of the robot with the same geometry, in place of the result's.
+    checked
+        Refuse recordings in which `check_recording` finds errors.
     """
 
     chain: SignalChain | None = None
@@ -137,14 +152,21 @@ class ValidationOptions:
 class PayloadOptions:
     """Configure `identify_payload`.
 
-    | field | meaning |
-    |---|---|
-    | `frame` | link or frame that carries the payload; None: the flange |
-    | `arm` | the arm is refined with the payload, held by the result, or frozen |
-    | `gain_uncertainty` | relative error of the torque per ampere, for all joints or each; None: 7 % for currents, 5 % for motor torques, 0 for sensors |
-    | `chain` | the signal chain; what it leaves open is chosen from the loaded recordings |
-    | `holdout` | a rule of `hold_out`; None holds nothing out |
-    | `checked` | refuse recordings in which a check finds errors |
+    Parameters
+    ----------
+    frame
+        Link or frame that carries the payload; None: the flange.
+    arm
+        The arm is refined with the payload, held by the result, or frozen.
+    gain_uncertainty
+        Relative error of the torque per ampere, for all joints or each; None: 7 % for currents, 5 %
+        for motor torques, 0 for sensors.
+    chain
+        The signal chain; what it leaves open is chosen from the loaded recordings.
+    holdout
+        A rule of `hold_out`; None holds nothing out.
+    checked
+        Refuse recordings in which a check finds errors.
 
     Raises
     ------
@@ -174,11 +196,14 @@ class PayloadOptions:
 class ControllerOptions:
     """Configure `compare_controller`.
 
-    | field | meaning |
-    |---|---|
-    | `holdout` | what of the recording the models are validated on |
-    | `chain` | the signal chain; what it leaves open is chosen from the recording |
-    | `checked` | refuse a recording in which `check_recording` finds errors |
+    Parameters
+    ----------
+    holdout
+        What of the recording the models are validated on.
+    chain
+        The signal chain; what it leaves open is chosen from the recording.
+    checked
+        Refuse a recording in which `check_recording` finds errors.
     """
 
     holdout: str = BLOCKS
@@ -193,13 +218,18 @@ class ControllerOptions:
 class GainOptions:
     """Configure `find_gains`.
 
-    | field | meaning |
-    |---|---|
-    | `com` | centre of mass of the payload in the flange frame [m], if known |
-    | `frame` | link or frame that carries the payload; None: the flange |
-    | `drive` | drive terms; None: those usual for the torque source |
-    | `chain` | the signal chain; what it leaves open is chosen from all recordings |
-    | `checked` | refuse recordings in which a check finds errors other than wrong gains |
+    Parameters
+    ----------
+    com
+        Centre of mass of the payload in the flange frame [m], if known.
+    frame
+        Link or frame that carries the payload; None: the flange.
+    drive
+        Drive terms; None: those usual for the torque source.
+    chain
+        The signal chain; what it leaves open is chosen from all recordings.
+    checked
+        Refuse recordings in which a check finds errors other than wrong gains.
     """
 
     com: ArrayLike | None = None
@@ -213,12 +243,17 @@ class GainOptions:
 class ChannelOptions:
     """Configure `identify_channels`.
 
-    | field | meaning |
-    |---|---|
-    | `link_side` | drive terms behind the sensors; None: viscous, Coulomb and offset |
-    | `motor_side` | drive terms before the sensors; None: armature, viscous, Coulomb, offset, and those of coupled motors |
-    | `chain` | the signal chain; what it leaves open is chosen from the recordings of the sensors |
-    | `checked` | refuse recordings in which `check_recording` finds errors |
+    Parameters
+    ----------
+    link_side
+        Drive terms behind the sensors; None: viscous, Coulomb and offset.
+    motor_side
+        Drive terms before the sensors; None: armature, viscous, Coulomb, offset, and those of
+        coupled motors.
+    chain
+        The signal chain; what it leaves open is chosen from the recordings of the sensors.
+    checked
+        Refuse recordings in which `check_recording` finds errors.
     """
 
     link_side: DriveSet | None = None

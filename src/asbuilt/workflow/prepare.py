@@ -13,8 +13,8 @@ from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 
 Progress = Callable[[str, float], None]
@@ -27,14 +27,20 @@ DIGESTED = 50_000
 class Prepared:
     """Hold recordings as samples, and how they were made.
 
-    | attribute | what |
-    |---|---|
-    | `chain` | the signal chain, its open choices settled; None if samples were given |
-    | `holdout` | the rule by which `held_out` was divided from `training` |
-    | `checks` | the checks of all recordings, in the order given |
-    | `training`, `held_out` | the two parts of the recordings, or all of them and nothing |
-    | `validation`, `others` | other recordings, and groups of them, whole |
-    | `digests` | fingerprints of the recordings, empty for samples |
+    Attributes
+    ----------
+    chain
+        The signal chain, its open choices settled; None if samples were given.
+    holdout
+        The rule by which `held_out` was divided from `training`.
+    checks
+        The checks of all recordings, in the order given.
+    training, held_out
+        The two parts of the recordings, or all of them and nothing.
+    validation, others
+        Other recordings, and groups of them, whole.
+    digests
+        Fingerprints of the recordings, empty for samples.
     """
 
     chain: SignalChain | None

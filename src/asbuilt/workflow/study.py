@@ -45,15 +45,22 @@ from asbuilt.workflow.prepare import Prepared, Progress, prepare
 class Study:
     """Hold a result with all that is said of it.
 
-    | attribute | what |
-    |---|---|
-    | `result` | the identified robot |
-    | `findings` | what is wrong, or worth knowing, errors first |
-    | `checks` | the checks of the recordings |
-    | `training` | predictions of the training data |
-    | `validations` | predictions of what was held out, then of the other recordings |
-    | `cutoffs` | how the cutoff was chosen, if it was swept |
-    | `attribution` | which causes explain the error of CAD; None if the recordings are too short |
+    Attributes
+    ----------
+    result
+        The identified robot.
+    findings
+        What is wrong, or worth knowing, errors first.
+    checks
+        The checks of the recordings.
+    training
+        Predictions of the training data.
+    validations
+        Predictions of what was held out, then of the other recordings.
+    cutoffs
+        How the cutoff was chosen, if it was swept.
+    attribution
+        Which causes explain the error of CAD; None if the recordings are too short.
 
     A study that is read from a file has the result and the findings alone.
     """

@@ -18,7 +18,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Finding
 from asbuilt.identification.drives.spring_search import suspected_springs
 from asbuilt.identification.identify import identify_samples
-from asbuilt.validation.generalisation.hidden_causes import with_hidden_causes
+from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.workflow.study import StudyOptions, identify
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
@@ -92,8 +92,8 @@ def test_described_springs_stay_while_others_are_looked_for(trial) -> None:
         identify_samples(case.model, samples, drive=described),
         findings=(Finding("consistent_fit_rejected", "warning", "no real bodies"),),
     )
-    _, said = with_hidden_causes(refused, [samples], described).warnings
-    advised = said.message.rpartition("--drive ")[2].rstrip(".")
+    (said,) = hidden_cause_findings(refused, [samples], described)
+    advised = said.cure.settings["drive"]
     assert DriveSet.parse(advised) == DRIVE.with_term(*DriveSet.parse("spring:joints=4/5").terms)
 
 
@@ -120,11 +120,12 @@ def test_a_study_says_what_a_spring_would_explain(shared) -> None:
     study = identify(
         model, recordings[:1], validation=recordings[1:], options=StudyOptions(method="auto")
     )
-    (said,) = [
-        warning.text for warning in study.findings if warning.code == "spring_suspected"
-    ]
-    assert "lwr_6_joint" in said
-    assert "--mounting estimate --drive viscous,coulomb,offset,spring:joints=7" in said
+    (said,) = [finding for finding in study.findings if finding.code == "spring_suspected"]
+    assert "lwr_6_joint" in said.message
+    assert said.cure.settings == {
+        "drive": "viscous,coulomb,offset,spring:joints=7",
+        "mounting": "estimate",
+    }
     drive = DriveSet.parse("viscous,coulomb,offset,spring:joints=7")
     sprung_study = identify(
         model,

@@ -54,7 +54,7 @@ def test_every_parameter_is_in_one_class_by_its_error() -> None:
         len(told.well) + len(told.fairly) + len(told.hardly) + len(told.not_at_all) == result.n_base
     )
     assert told.in_short.startswith(
-        f"Determined to 10 % or better: {len(told.well)} of {result.n_base}"
+        f"Standard error at most 10 %: {len(told.well)} of {result.n_base}"
     )
 
 
@@ -77,7 +77,7 @@ def test_what_is_hardly_known_is_poorly_determined_or_makes_next_to_no_torque() 
     assert 0 < len(told.negligible) < len(told.hardly)
     for name in told.hardly:
         assert (felt[base.names.index(name)] < 0.05) == (name in told.negligible)
-    assert f"{len(told.negligible)} of which make next to no torque" in told.in_short
+    assert f"{len(told.negligible)} of which change the torque of this motion" in told.in_short
 
 
 def test_a_joint_that_stands_still_is_said_and_moving_it_is_advised() -> None:
@@ -98,7 +98,7 @@ def test_trade_offs_are_directions_that_hardly_change_the_torque() -> None:
         j = result.base.names.index(each.names[0])
         inflation = np.sqrt(result.covariance[j, j] * information[j, j])
         assert inflation >= each.spread * 0.99 >= 2.0
-    assert any("Trade-off" in line for line in told.sentences)
+    assert any("Correlated" in line for line in told.sentences)
 
 
 def test_advised_motion_really_helps() -> None:

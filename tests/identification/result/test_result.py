@@ -13,12 +13,13 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
-from asbuilt.errors import IdentifiabilityError, ResultError
+from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.findings import Finding
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.information.square_root_information import accumulate
@@ -30,6 +31,7 @@ from asbuilt.identification.result.result import (
     IdentifiedParameter,
 )
 from asbuilt.identification.result.summary import summarise
+from asbuilt.identification.result.torque_prediction import carrying
 
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 GOLDEN = Path(__file__).parent / "summary.txt"
@@ -114,13 +116,18 @@ def invented(arm, **changes):
         "cad": torque_metrics(measured, 0.7 * measured, "other.csv", model.joint_names),
         "physically_consistent": True,
         "consistency_margin": 8.4e-4,
-        "warnings": (
-            Finding("not_excited", "warning",
-                f"Not excited by this recording, kept at CAD: {base.names[-1]}. Move these joints"
-                " more.",
+        "findings": (
+            Finding(
+                "not_excited",
+                "warning",
+                f"Not excited by this recording, kept at CAD: {base.names[-1]}",
+                Cure("move these joints more"),
             ),
-            Finding("poorly_determined", "warning",
-                f"Poorly determined: {base.names[-2]}. Lengthen or enrich the motion.",
+            Finding(
+                "poorly_determined",
+                "warning",
+                f"Poorly determined: {base.names[-2]}",
+                Cure("record longer, or enrich the motion"),
             ),
         ),
         "provenance": ("made up for a test",),
@@ -143,13 +150,13 @@ def test_bad_news_is_shouted(arm):
         physically_consistent=False,
         consistency_margin=-0.099,
     )
-    text = summarise(result).as_text()
+    text = summarise(result).as_text(full=True)
     for words in (
-        "1 DIRECTION NOT EXCITED",
+        "1 DIRECTION UNDETERMINED",
         "1 PARAMETER POORLY DETERMINED",
-        "IMPOSSIBLE FOR REAL BODIES",
+        "PHYSICALLY INCONSISTENT",
         "infinite",
-        "NOT EXCITED",
+        " UNDETERMINED\n",
     ):
         assert words in text
     good = replace(result.parameters[0], determined=True, poorly_determined=False)
@@ -166,7 +173,7 @@ def test_bad_news_is_shouted(arm):
     assert good == calm.parameters[0]
     heading = dict(summarise(calm).heading)
     assert heading["status"] == "OK"
-    assert heading["consistency"] == "not decided"
+    assert heading["consistency"] == "not checked"
 
 
 def test_html_is_well_formed_and_escaped_and_csv_has_numbers_in_full(arm):
@@ -191,7 +198,10 @@ def test_html_is_well_formed_and_escaped_and_csv_has_numbers_in_full(arm):
 
 def test_json_round_trip_to_the_last_bit(arm):
     model, base = arm
-    for result in (invented(arm), identify_samples(model, recorded(model, base, still=(1,)), drive=DRIVE)):
+    for result in (
+        invented(arm),
+        identify_samples(model, recorded(model, base, still=(1,)), drive=DRIVE),
+    ):
         text = result.to_json()
         again = IdentificationResult.from_json(text)
         assert again.to_json() == text
@@ -367,3 +377,89 @@ def test_a_result_of_a_version_that_did_not_say_how_is_read(arm):
     assert old.errors.kind == "unstated"
     assert not old.dropped.any()
     assert str(summarise(old)) == str(summarise(invented(arm)))
+
+
+@pytest.mark.parametrize(
+    "drive", ["viscous,coulomb,offset", "armature,viscous,load_friction", "none"]
+)
+def test_torque_is_the_observation_matrix_times_the_estimates(drive):
+    model, drives = load_robot("kuka-iiwa7-r800"), DriveSet.parse(drive)
+    base = find_base_parameters(model, drives)
+    result = invented_of(model, base)
+    rng = np.random.default_rng(3)
+    q, qd, qdd = rng.normal(size=(3, 5, 7))
+    loaded = carrying(model, base, result.estimates)
+    w = observation_matrix(loaded, q, qd, qdd, drive=drives, columns=base.columns)
+    torque = result.torque(q, qd, qdd)
+    np.testing.assert_allclose(torque.ravel(), w @ result.estimates, atol=1e-9)
+    for k in range(5):
+        np.testing.assert_allclose(result.torque(q[k], qd[k], qdd[k]), torque[k], atol=1e-10)
+    matrix, gravity = result.mass_matrix(q), result.gravity(q)
+    links = result.torque_model.parameters
+    assert matrix.shape == (5, 7, 7)
+    for j in range(7):
+        unit = np.zeros_like(q)
+        unit[:, j] = 1.0
+        column = inverse_dynamics(model, q, 0 * q, unit, parameters=links) - gravity
+        np.testing.assert_allclose(matrix[:, :, j], column, atol=1e-9)
+    np.testing.assert_allclose(
+        result.friction(qd, q),
+        result.torque(q, qd, 0 * q) - inverse_dynamics(model, q, qd, 0 * q, parameters=links),
+        atol=1e-9,
+    )
+    if "load" in drive:
+        with pytest.raises(UsageError, match="give q too"):
+            result.friction(qd)
+    else:
+        np.testing.assert_allclose(result.friction(qd), result.friction(qd, q), atol=1e-12)
+    assert result.friction(qd[0], q[0]).shape == (7,)
+
+
+def invented_of(model, base):
+    """A result of this robot whose values are random."""
+    rng, p, n = np.random.default_rng(1), base.n_base, model.n_joints
+    values = rng.normal(size=p)
+    metrics = torque_metrics(np.eye(n), 0.9 * np.eye(n), "log.csv", model.joint_names)
+    parameters = tuple(
+        IdentifiedParameter(
+            int(base.ids[j]), base.names[j], "", "", "", 0.0, values[j], 1.0, 1.0, True, False
+        )
+        for j in range(p)
+    )
+    return IdentificationResult(
+        model=model,
+        base=base,
+        method="wls",
+        sources=("log.csv",),
+        n_samples=10,
+        rate=1.0,
+        duration=10.0,
+        parameters=parameters,
+        covariance=np.eye(p),
+        textbook_covariance=np.eye(p),
+        sigma=np.ones(n),
+        effective_samples=5.0,
+        rank=p,
+        singular_values=np.ones(p),
+        condition_number=1.0,
+        scaled_condition_number=1.0,
+        undetermined=(),
+        train=metrics,
+        validation=(),
+        cad=metrics,
+        physically_consistent=None,
+        consistency_margin=None,
+        findings=(),
+        provenance=(),
+    )
+
+
+def test_a_result_shows_itself_in_one_screen(arm):
+    result = invented(arm)
+    assert repr(result) == (
+        "<IdentificationResult of two-link: wls, 14 base parameters (rank 13) from 5312 samples;"
+        " relative torque error 5.1 %, held out 7.7 %>"
+    )
+    page = result._repr_html_()
+    assert page.count("<tr") == result.n_base + 1
+    assert result.base.expressions[0] in page

@@ -13,6 +13,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.result.torque_prediction import predict_torque
 from asbuilt.validation.comparison.drift import compare_results
 from asbuilt.workflow.controller_model import compare_controller
+from asbuilt.workflow.options import ControllerOptions
 from asbuilt.writers.reports.drift_report import drift_html
 
 ARM = "kuka-iiwa7-r800"
@@ -40,7 +41,7 @@ def test_nothing_changed_between_two_recordings_of_the_same_robot() -> None:
     assert not any(change.matters for change in drift.parameters)
     assert not any(joint.holm <= 0.05 for joint in drift.joints)
     assert all(joint.torque < 3.0 * joint.by_chance for joint in drift.joints)
-    assert "at no joint beyond doubt" in drift.as_text()
+    assert "changed significantly at no joint" in drift.as_text()
 
 
 def test_torque_of_the_changes_is_that_of_two_predictions() -> None:
@@ -88,9 +89,8 @@ def test_other_drive_terms_are_not_taken_for_wear_without_a_word(drive: str, sai
     before, after = identified(ARM, "f"), identified(ARM, "f", seed=2, drive=drive)
     drift = compare_results(before, after, labels=("January", "July"))
     assert drift.sentences[0].startswith(f"DIFFERENT DRIVE TERMS: {said}")
-    assert drift.sentences[0].endswith(
-        f"--drive {max(plain, drive, key=lambda terms: terms.count(','))}"
-    )
+    richer = max(plain, drive, key=lambda terms: terms.count(","))
+    assert drift.sentences[0].endswith(f"identify both with {richer}.")
     assert drift.as_text().index("DIFFERENT") < drift.as_text().index(
         "The torque of the same motion"
     )
@@ -109,8 +109,8 @@ def test_other_shapes_of_a_term_are_said() -> None:
         compare_results(one, two)
         .sentences[0]
         .startswith(
-            "DIFFERENT DRIVE TERMS: both have stribeck, with other nonlinear parameters or at other joints. The"
-            " other terms"
+            "DIFFERENT DRIVE TERMS: both have stribeck, with other nonlinear parameters or at other"
+            " joints. What follows"
         )
     )
 
@@ -129,7 +129,7 @@ def test_the_controllers_own_model_is_recovered() -> None:
     found = compare_controller(
         identified(ARM, "pf"),
         replace(recording, extra={"tau_ext": external}),
-        holdout="blocks:2s:3",
+        options=ControllerOptions(holdout="blocks:2s:3"),
     )
     assert found.rebuilt.relative_error < 0.02
     np.testing.assert_allclose(found.controller.rms, found.cad.rms, rtol=0.05)
@@ -140,7 +140,7 @@ def test_the_controllers_own_model_is_recovered() -> None:
         assert abs(friction[f"Fc{k}"].after - 2.0) < 0.1
     assert "controller" in found.as_text()
     assert "changed" not in found.as_text().lower()
-    assert "Coulomb friction 0.0" in found.as_text()
+    assert "Coulomb friction 0.0" in " ".join(found.as_text().split())
 
 
 def test_a_log_without_external_torque_is_refused() -> None:

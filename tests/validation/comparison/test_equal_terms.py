@@ -72,7 +72,7 @@ def test_a_robot_that_did_not_change_is_not_said_to_have_because_the_estimators_
     assert drift.n_changed == 0
     assert drift.chi_square.probability > 0.01
     assert not alarmed(drift)
-    assert any(sentence.startswith("Compared on equal terms") for sentence in drift.sentences)
+    assert any(sentence.startswith("Compared by wls of both") for sentence in drift.sentences)
     plain = compare_results(identified(0, method="wls"), identified(1, method="wls"))
     np.testing.assert_allclose(
         [each.sigmas for each in drift.parameters],
@@ -147,7 +147,7 @@ def test_files_without_free_values_load_and_damaged_ones_are_refused() -> None:
     whole = json.loads(identified(0).to_json())
     old = {name: value for name, value in whole.items() if name != "free"}
     assert IdentificationResult.from_json(json.dumps(old)).free is None
-    with pytest.raises(ResultError, match="free values are damaged"):
+    with pytest.raises(ResultError, match="stored result is damaged"):
         IdentificationResult.from_json(
             json.dumps(whole | {"free": whole["free"] | {"covariance": "AAAA"}})
         )

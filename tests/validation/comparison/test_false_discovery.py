@@ -20,7 +20,9 @@ def study_of_a_robot_as_designed(name: str, seed: int) -> Study:
     recording = robot.record(
         random_fourier(robot.model, 1000 + seed, duration=30.0), rng=seed
     ).recording
-    return identify(robot.described, [recording], options=StudyOptions(holdout="blocks:2s:3"))
+    return identify(
+        robot.described, [recording], options=StudyOptions(holdout="blocks:2s:3", method="wls")
+    )
 
 
 @pytest.mark.parametrize("name", ["kuka-iiwa7-r800", "ur10e", "scara"])

@@ -119,7 +119,7 @@ def test_what_matters_comes_first_and_is_not_what_differs() -> None:
     assert comparison.ranked[0].matters
     assert comparison.ranked[0].verdict == "differs"
     assert 0 < comparison.n_mattering < comparison.n_compared
-    text = comparison.as_text()
+    text = comparison.as_text(full=True)
     assert "matters" in text
     assert "chi-square" in text
     figure = difference_figure(comparison)

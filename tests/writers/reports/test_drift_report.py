@@ -21,6 +21,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.validation.comparison.drift import Drift, compare_results
 from asbuilt.workflow.controller_model import ControllerComparison, compare_controller
+from asbuilt.workflow.options import ControllerOptions
 from asbuilt.writers.figures.drift_figure import drift_figure
 from asbuilt.writers.reports.compare_files import write_drift
 from asbuilt.writers.reports.drift_report import drift_html
@@ -50,7 +51,7 @@ def controller() -> ControllerComparison:
     return compare_controller(
         identified(ARM, "pf"),
         replace(recording, extra={"tau_ext": external}),
-        holdout="blocks:2s:3",
+        options=ControllerOptions(holdout="blocks:2s:3"),
     )
 
 

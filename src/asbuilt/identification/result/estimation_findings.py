@@ -9,8 +9,9 @@ import numpy as np
 from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.errors.error_basis import TELLING_GROWTH
 from asbuilt.identification.errors.uncertainty import Uncertainty
-from asbuilt.identification.estimators.least_squares import LARGE_CONDITION, Estimate
+from asbuilt.identification.estimators.least_squares import LARGE_CONDITION
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.result.result import IdentifiedParameter
 from asbuilt.tables import plus_minus
 
@@ -104,8 +105,8 @@ def _error_findings(estimate: Estimate, uncertainty: Uncertainty) -> Iterator[Fi
         yield Finding(
             "bootstrap_near_bounds",
             "warning",
-            "Bootstrap errors of single parameters on or near a bound of physical consistency may be"
-            " too small, though not over all parameters",
+            "Bootstrap errors of single parameters near a bound of physical consistency may be too"
+            " small, though not over all parameters",
             Cure("estimate errors by formula, which are rather too large", blocks),
         )
 

@@ -88,30 +88,56 @@ class IdentificationResult:
 
     Base parameters include those of drive terms. A result is made once and never changed.
 
-    | attribute | what |
-    |---|---|
-    | `model`, `base` | the robot as designed and its base parameters |
-    | `method` | `"ols"`, `"wls"`, ... |
-    | `sources` | the recordings identified from |
-    | `n_samples`, `rate`, `duration` | samples used (each gives n torques), Hz and s, after filtering and decimation |
-    | `parameters` | p of `IdentifiedParameter` |
-    | `errors` | how standard errors were estimated |
-    | `covariance` | (p, p) accordingly; rows and columns of dropped parameters are zero |
-    | `textbook_covariance` | (p, p), residuals taken as white |
-    | `sigma` | (n,) standard deviation of the torque residual of each joint |
-    | `effective_samples` | number of independent samples with the same information |
-    | `rank`, `singular_values` | rank of this recording and the (p,) singular values of the weighted, column-scaled stack, largest first |
-    | `condition_number`, `scaled_condition_number` | of the weighted stack, and with columns scaled to unit length |
-    | `undetermined` | combinations of parameters that this recording does not excite |
-    | `train`, `validation`, `cad` | torque metrics: on the training data, on validation data, and of the CAD values on the latter (else on the former) |
-    | `physically_consistent`, `consistency_margin` | whether physically consistent links and passive drives have these parameters, and by what margin; None if unknown |
-    | `findings` | what the estimation concludes; a `Study` has more |
-    | `provenance` | how the samples were made |
-    | `notes` | what the estimator decided |
-    | `chain`, `holdout` | the signal chain, and the rule by which part of the recordings was held out |
-    | `digests` | fingerprints of the recordings identified from |
-    | `cause_data` | what `attribute` works from; None if it was not gathered |
-    | `free` | the parameters by weighted least squares alone, for comparing results; None if `method` is that |
+    Attributes
+    ----------
+    model, base
+        The robot as designed and its base parameters.
+    method
+        `"ols"`, `"wls"`, ...
+    sources
+        The recordings identified from.
+    n_samples, rate, duration
+        Samples used (each gives n torques), Hz and s, after filtering and decimation.
+    parameters
+        P of `IdentifiedParameter`.
+    errors
+        How standard errors were estimated.
+    covariance
+        (p, p) accordingly; rows and columns of dropped parameters are zero.
+    textbook_covariance
+        (p, p), residuals taken as white.
+    sigma
+        (n,) standard deviation of the torque residual of each joint.
+    effective_samples
+        Number of independent samples with the same information.
+    rank, singular_values
+        Rank of this recording and the (p,) singular values of the weighted, column-scaled stack,
+        largest first.
+    condition_number, scaled_condition_number
+        Of the weighted stack, and with columns scaled to unit length.
+    undetermined
+        Combinations of parameters that this recording does not excite.
+    train, validation, cad
+        Torque metrics: on the training data, on validation data, and of the CAD values on the
+        latter (else on the former).
+    physically_consistent, consistency_margin
+        Whether physically consistent links and passive drives have these parameters, and by what
+        margin; None if unknown.
+    findings
+        What the estimation concludes; a `Study` has more.
+    provenance
+        How the samples were made.
+    notes
+        What the estimator decided.
+    chain, holdout
+        The signal chain, and the rule by which part of the recordings was held out.
+    digests
+        Fingerprints of the recordings identified from.
+    cause_data
+        What `attribute` works from; None if it was not gathered.
+    free
+        The parameters by weighted least squares alone, for comparing results; None if `method` is
+        that.
     """
 
     model: RobotModel

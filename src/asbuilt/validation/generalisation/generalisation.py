@@ -21,15 +21,23 @@ from asbuilt.validation.prediction import Validation
 class GeneralisationLimits:
     """Say what validation data must not exceed; own choices, from recordings of seven real robots.
 
-    | field | meaning |
-    |---|---|
-    | `overfit` | error of a joint, in multiples of its training error |
-    | `noticeable` | error of a joint as a fraction of its torque, below which `overfit` is no matter |
-    | `behind_cad` | error of a joint as built, in multiples of that of CAD |
-    | `repeated` | share of states that the training motion came near to: 0 to 0.2 for other motions, 0.5 for 2 s blocks of a slow one |
-    | `resting_energy` | share of a joint's squared error at rest, |
-    | `resting_ratio` | its error at rest in multiples of that in motion, |
-    | `resting_time` | and its share of the time at rest, from which static friction is named |
+    Parameters
+    ----------
+    overfit
+        Error of a joint, in multiples of its training error.
+    noticeable
+        Error of a joint as a fraction of its torque, below which `overfit` is no matter.
+    behind_cad
+        Error of a joint as built, in multiples of that of CAD.
+    repeated
+        Share of states that the training motion came near to: 0 to 0.2 for other motions, 0.5 for 2
+        s blocks of a slow one.
+    resting_energy
+        Share of a joint's squared error at rest,.
+    resting_ratio
+        Its error at rest in multiples of that in motion,.
+    resting_time
+        And its share of the time at rest, from which static friction is named.
     """
 
     overfit: float = 2.0

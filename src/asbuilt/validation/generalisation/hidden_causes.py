@@ -26,11 +26,14 @@ BADLY_FITTING = ("consistent_fit_costly", "consistent_fit_rejected")
 class HiddenCauseLimits:
     """Say when a hidden cause is named; own choices, tested on virtual and real robots.
 
-    | field | meaning |
-    |---|---|
-    | `tilt` | base tilt [rad] that nested models must find |
-    | `relief` | part of the torque residual that a tilt must take away if both are searched |
-    | `searched` | samples up to which a base tilt and springs are searched |
+    Parameters
+    ----------
+    tilt
+        Base tilt [rad] that nested models must find.
+    relief
+        Part of the torque residual that a tilt must take away if both are searched.
+    searched
+        Samples up to which a base tilt and springs are searched.
     """
 
     tilt: float = np.deg2rad(0.5)
@@ -122,7 +125,7 @@ def _spring_findings(
     drive: DriveSet,
     block_seconds: float | None,
 ) -> Iterator[Finding]:
-    """Name springs that would explain what consistent links cannot follow, on the mounting found."""
+    """Name springs that would explain what consistent links cannot, on the mounting found."""
     tilted = mounting is not None and mounting.is_tilted
     model = mounting.model if mounting is not None and tilted else result.model
     springs = suspected_springs(model, training, drive, block_seconds=block_seconds)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.validation.residuals import contiguous_runs
+from asbuilt.validation.residuals import contiguous_segments
 
 
 def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
@@ -18,7 +18,7 @@ def thinned(t: Array, *curves: Array, points: int) -> tuple[Array, ...]:
     kept: list[list[Array]] = [[] for _ in curves]
     share = points / max(len(t), 1)
     gap = np.array([np.nan])
-    for start, stop in contiguous_runs(t):
+    for start, stop in contiguous_segments(t):
         index = start + _extremes(
             [curve[start:stop] for curve in curves], max(2, int(share * (stop - start)))
         )

@@ -1,7 +1,4 @@
-"""The identified robot for other software.
-
-URDF, MJCF, C code and the robot file, all from one model.
-"""
+"""Export of the identified robot: URDF, MJCF, C code and robot file."""
 
 from __future__ import annotations
 
@@ -15,10 +12,11 @@ import numpy as np
 from asbuilt.description.formats.xml import described_text, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.standard_parameters import StandardParameters, random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import significant
-from asbuilt.validation.nearest_consistent import StandIn, stand_in
+from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
 from asbuilt.writers.files import file_lines, path_texts
 from asbuilt.writers.models.as_built import (
     AsBuilt,
@@ -28,7 +26,7 @@ from asbuilt.writers.models.as_built import (
 )
 from asbuilt.writers.models.c.c_code import write_c
 from asbuilt.writers.models.mjcf import write_mjcf
-from asbuilt.writers.models.physical import refuse_bad_stand_in, refuse_impossible_result
+from asbuilt.writers.models.physical import refuse_inconsistent_result, refuse_poor_nearest_model
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 
@@ -37,18 +35,26 @@ Place = str | os.PathLike[str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Export:
-    """Say which files were written, by kind, and for each what its reader must know.
+    """Hold the files written, by kind, with notes.
 
-    `cost` holds a model that is only the nearest possible against the identified one, on the
-    recordings; None where the identified torques are kept exactly, or the result carries no
-    cause data. `beyond` says how far apart the two are where no recording was.
+    Parameters
+    ----------
+    robot, verdict
+        Name of the robot, and what its standard parameters are.
+    files, notes
+        Path and notes of each kind of file.
+    cost
+        Errors of the nearest consistent model on the recordings; None if the identified torques
+        are exact or the result has no cause data.
+    beyond
+        Torque difference of the two models in random motion, as a sentence.
     """
 
     robot: str
     verdict: str
     files: dict[str, Path]
     notes: dict[str, tuple[str, ...]]
-    cost: StandIn | None = None
+    cost: NearestModel | None = None
     beyond: str = ""
 
     def as_document(self) -> dict[str, Any]:
@@ -83,39 +89,59 @@ def export_result(
     nearest: bool = False,
     force: bool = False,
 ) -> Export:
-    """Write the identified robot into each file asked for; a `.c` file comes with its header.
+    """Write the identified robot into the files named.
 
-    `original` is the URDF that is edited; by default the description the robot was identified with,
-    where that was a URDF and is still there. Without one the URDF is written afresh, without
-    shapes. The standard parameters are real bodies that give the identified torques exactly and are
-    closest to CAD; where there are none, `nearest` takes the real ones whose torque on the data
-    used differs least.
+    The links have the identified torques exactly and are closest to CAD.
+
+    Parameters
+    ----------
+    result
+        The identified robot.
+    urdf, mjcf, toml, c
+        Files to write; a `.c` file comes with its header.
+    original
+        URDF to edit; by default the description that the robot was identified with. Without one a
+        URDF without shapes is written.
+    nearest
+        If the identified parameters are physically inconsistent, write the nearest consistent
+        model: that with the least torque difference on the data used.
+    force
+        Write the nearest consistent model however large its error.
+
+    Returns
+    -------
+    Export
+        The files, with notes on what each cannot hold.
 
     Raises
     ------
     InertiaError
-        If no rigid bodies and drives can have this model, or the nearest that can predicts the
+        If the model is physically inconsistent, or the nearest consistent one predicts the
         recordings badly and `force` is not set; nothing is written then.
     UsageError
-        If no file is asked for, or options do not go together.
+        If no file is named, or options do not go together.
     """
     if all(place is None for place in (urdf, mjcf, toml, c)):
+        files_to_name = dict.fromkeys(("urdf", "mjcf", "toml", "c"), "FILE")
         raise UsageError(
-            "nothing to export: name at least one file with --urdf, --mjcf, --toml or --c"
+            "no file to export is named", cure=Cure("name at least one", files_to_name)
         )
     if original is not None and urdf is None:
-        raise UsageError("--original is the URDF to edit, so it needs --urdf FILE to write")
+        raise UsageError(
+            f"{original} is to be edited, but no URDF to write is named",
+            cure=Cure("name the URDF to write", {"urdf": "FILE"}),
+        )
     if force and not nearest:
         raise UsageError(
-            "--force writes the nearest possible robot whatever it costs, so it needs --nearest; an"
-            " impossible robot is never written"
+            "force applies to the nearest consistent model, which is not asked for",
+            cure=Cure("ask for it", {"nearest": True}),
         )
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
-    refuse_impossible_result(result, model)
-    cost = None if found.exact else stand_in(result, found.beta)
+    refuse_inconsistent_result(result, model)
+    cost = None if found.exact else nearest_model(result, found.beta)
     if not (found.exact or force):
-        refuse_bad_stand_in(result, found.beta, cost)
+        refuse_poor_nearest_model(result, found.beta, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     (in_simulators, kept), load = (
@@ -149,30 +175,24 @@ def export_result(
 
 
 def _beyond(result: IdentificationResult, found: StandardParameters) -> str:
-    """Say how far apart the identified model and the one written are in random motion, and how sure
-    the identified one is of itself there.
-    """
+    """Return the torque difference of the two models in random motion, beside its error."""
     W = random_motion_rows(result.model, result.base)
-    unsure = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
+    error = np.sqrt(np.mean(np.einsum("ij,jk,ik->i", W, result.covariance, W)))
     apart, of = (
         float(np.sqrt(np.mean(torque**2)))
         for torque in (found.torque_rms, found.torque_rms_of_motion)
     )
     return (
-        f"In random motion, where no recording was, the two are {significant(apart, 2)} N m RMS"
-        f" apart (of {significant(of)}); the standard error of the identified one is"
-        f" {significant(float(unsure), 2)} N m there."
+        f"In random motion the torques of the two models differ by {significant(apart, 2)} N m RMS"
+        f" (of {significant(of)}); the standard error of the identified torque there is"
+        f" {significant(float(error), 2)} N m."
     )
 
 
 def urdf_to_edit(
     model: RobotModel, given: Place | None = None
 ) -> tuple[Path | None, tuple[str, ...]]:
-    """Return the URDF to edit.
-
-    The one given, else the one that the robot was read from, None where there is none, with a note
-    where there was one.
-    """
+    """Return the URDF to edit, given or that of the robot, and a note if that is missing."""
     place = Path(given if given is not None else model.source)
     if given is not None or place.is_file():
         content, source = described_text(place)
@@ -180,27 +200,29 @@ def urdf_to_edit(
             return place, ()
         if given is not None:
             raise DescriptionError(
-                f"{source} is no URDF; --original takes the URDF that the robot was identified with"
+                f"{source} is no URDF",
+                cure=Cure("give the URDF that the robot was identified with"),
+                file=source,
             )
         return None, ()
     if place.suffix.lower() == ".urdf":
         said = (
-            f"the URDF it was identified with, {place}, is not there any more, so a fresh one"
-            " without shapes was written; name it with --original"
+            f"{place}, with which the robot was identified, does not exist: a URDF without shapes"
+            " was written; name the original to keep its shapes"
         )
         return None, (said,)
     return None, ()
 
 
 def load_note(result: IdentificationResult, built: AsBuilt) -> tuple[str, ...]:
-    """Return a note where friction that depends on load is not quite that of the result."""
+    """Return a note if load-dependent friction differs from that of the result."""
     apart = load_counted(result, built)
     if not apart:
         return ()
     return (
         (
-            "load-dependent friction sees the load of the links alone; in the result the load"
-            f" counts armatures that cannot be told from a link: up to {apart:.2g} N m of torque in"
-            " random motion"
+            "load-dependent friction acts on the load of the links alone; in the result the load"
+            " includes armatures grouped with a link. The torques differ by up to"
+            f" {apart:.2g} N m in random motion"
         ),
     )

@@ -1,4 +1,4 @@
-"""Models that no robot can have, refused before they are written for other software."""
+"""Physically inconsistent models, refused before they are written for other software."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from asbuilt.description.consistency import inconsistencies
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import available_terms
 from asbuilt.errors import InertiaError
+from asbuilt.findings import Cure
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.bodies.inconsistency import find_inconsistency
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import SIGNIFICANT_SIGMAS, significant
 from asbuilt.validation.comparison.significance import chi_square
-from asbuilt.validation.nearest_consistent import BADLY, StandIn
+from asbuilt.validation.nearest_consistent import POOR, NearestModel
 
 UNKNOWN = 100.0
-"""Standard error of a parameter that was dropped, in values that it has in CAD, beside which it
-counts as unknown.
-"""
-CURES = (
-    "Identify with real bodies imposed (identify --method consistent, or entropic), which the"
-    " report then judges; let it find how the robot stands (--mounting estimate), for free links"
-    " imitate a tilt that real ones cannot; or change the drive terms (--drive), for links imitate"
-    " what those lack"
+"""Standard error of a dropped parameter, in multiples of its CAD value, that leaves it unknown."""
+CURE = Cure(
+    "identify with physical consistency, identify the base tilt, change the drive terms, or export"
+    " the nearest consistent model",
+    {"method": "consistent", "mounting": "estimate", "drive": "LIST", "nearest": True},
+)
+FORCED = Cure(
+    "identify with physical consistency, identify the base tilt, change the drive terms, or export"
+    " it all the same",
+    {**CURE.settings, "force": True},
 )
 
 
 def impossibilities(model: RobotModel) -> tuple[str, ...]:
-    """Return one sentence per link that no rigid body can be and per drive that would push.
-
-    Negative armature, viscous or Coulomb friction.
-    """
+    """Return one sentence per inconsistent link and per non-passive drive parameter."""
     reasons = list(inconsistencies(model))
     for number, joint in enumerate(model.joints, start=1):
         for name in ("armature", "viscous", "coulomb"):
@@ -58,8 +58,9 @@ def impossibilities(model: RobotModel) -> tuple[str, ...]:
 
 
 def in_plain_friction(model: RobotModel) -> RobotModel:
-    """Return a robot whose asymmetric dry friction is symmetric friction and an offset, and whose
-    smooth one is dry, for files that have no other.
+    """Return a robot with plain Coulomb friction, for files that hold no other.
+
+    Asymmetric friction becomes symmetric friction and an offset, smooth friction dry friction.
     """
     joints = []
     for joint in model.joints:
@@ -82,9 +83,7 @@ def in_plain_friction(model: RobotModel) -> RobotModel:
 
 
 def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> tuple[str, ...]:
-    """Return a note that names the further drive terms which a kind of file does not carry, with
-    the joints that have them; none where it carries all.
-    """
+    """Return a note on drive terms, with their joints, that a kind of file does not hold."""
     joints: dict[str, list[str]] = {}
     for joint in model.joints:
         for key in joint.drive.terms:
@@ -98,44 +97,37 @@ def left_out_drives(model: RobotModel, carried: Collection[str], kind: str) -> t
     )
     return (
         (
-            f"{kind} has no place for the drive terms {said}; they are left out, and its torques"
-            " lack them (robot files of asbuilt, --toml, carry all)"
+            f"{kind} has no place for the drive terms {said}; its torques lack them (robot files"
+            " of asbuilt hold all)"
         ),
     )
 
 
-def refuse_impossible(model: RobotModel, cure: str = "take the nearest possible robot") -> None:
-    """Raise `InertiaError` with every reason and the cure where the model is impossible.
-
-    Simulators would refuse it or blow up.
-    """
+def refuse_inconsistent(model: RobotModel) -> None:
+    """Raise `InertiaError` with every reason if the model is physically inconsistent."""
     reasons = impossibilities(model)
     if reasons:
         raise InertiaError(
-            f"{model.name} is not exported, for no robot can have this model: {'; '.join(reasons)}."
-            f" Identify with physical consistency (--method consistent), {cure}, or leave out drive"
-            " terms that the recording does not tell"
+            f"{model.name} is not exported, because its model is physically inconsistent:"
+            f" {'; '.join(reasons)}",
+            cure=CURE,
         )
 
 
-def refuse_impossible_result(result: IdentificationResult, model: RobotModel) -> None:
-    """Raise `InertiaError` where the robot as built is impossible, with what proves it and the
-    cures.
-    """
+def refuse_inconsistent_result(result: IdentificationResult, model: RobotModel) -> None:
+    """Raise `InertiaError` with the proof if the robot as built is physically inconsistent."""
     if impossibilities(model):
         raise InertiaError(
-            f"{result.robot} is not exported, for no robot can have this model:"
-            f" {_reasons(result, model)}. {CURES}; or write the nearest robot that can be"
-            " (--nearest)"
+            f"{result.robot} is not exported, because its model is physically inconsistent:"
+            f" {_reasons(result, model)}",
+            cure=CURE,
         )
 
 
 def _reasons(result: IdentificationResult, model: RobotModel) -> str:
-    """Say which base parameters no robot has.
+    """Return which base parameters are inconsistent, or else what of the model is.
 
-    Where they alone are possible but for a drive or by rounding, what of the model is not.
-
-    Dropped parameters prove nothing: they count as all but unknown.
+    Dropped parameters prove nothing: they count as unknown.
     """
     prior, dropped = cad_prior(result.model, result.base.drive), np.flatnonzero(result.dropped)
     covariance = np.array(result.covariance)
@@ -145,42 +137,37 @@ def _reasons(result: IdentificationResult, model: RobotModel) -> str:
     proof = find_inconsistency(result.base, prior, result.estimates, covariance)
     if proof is not None and (not dropped.size or proof.sigmas >= SIGNIFICANT_SIGMAS):
         return proof.sentence
-    zero = (
-        f"; the {len(dropped)} parameters that were dropped as needless count as zero, which those"
-        " of bodies seldom are"
-    )
+    zero = f"; the {len(dropped)} dropped parameters count as zero, which those of links seldom are"
     return "; ".join(impossibilities(model)) + (zero if dropped.size else "")
 
 
-def refuse_bad_stand_in(result: IdentificationResult, beta: Array, cost: StandIn | None) -> None:
-    """Raise `InertiaError` where the nearest possible robot, of base parameters beta (p,), predicts
-    the recordings badly.
+def refuse_poor_nearest_model(
+    result: IdentificationResult, beta: Array, cost: NearestModel | None
+) -> None:
+    """Refuse a nearest consistent model, of base parameters beta (p,), that predicts poorly.
 
-    `cost` says so joint by joint; without it, as the result carries no cause data, the growth of the
-    error on the data used does.
+    Without `cost`, since the result has no cause data, the growth of the training error decides.
+    Raises `InertiaError`.
     """
     head = (
-        f"{result.robot} is not exported, for the nearest robot that can be predicts the recordings"
-        " badly"
+        f"{result.robot} is not exported: the nearest consistent model predicts the recordings"
+        " poorly"
     )
     if cost is not None:
         if cost.bad or cost.worse_than_cad:
-            raise InertiaError(
-                f"{head}: on {cost.judged_by}, {cost.complaint()}. {CURES}; or write it all the"
-                " same (--nearest --force)"
-            )
+            raise InertiaError(f"{head}: on {cost.judged_by}, {cost.objection()}", cure=FORCED)
         return
     grown = _error_growth(result, beta)
-    if grown > BADLY:
+    if grown > POOR.error:
         raise InertiaError(
-            f"{head}: its error on the data used is {significant(grown)} times that of the"
-            f" identified one. {CURES}; or write it all the same (--nearest --force)"
+            f"{head}: its error on the training data is {significant(grown)} times that of the"
+            " identified one",
+            cure=FORCED,
         )
 
 
 def _error_growth(result: IdentificationResult, beta: Array) -> float:
-    """Return the weighted RMS torque error of other base parameters (p,) on the data used, in
-    multiples of that of the estimate.
+    """Return the error of other base parameters (p,) on the data used relative to the estimate's.
 
     `sqrt(1 + d^T C^+ d / (N n - p))` with the textbook covariance C, whose unit is the estimate's
     own error: exact for least squares.
