@@ -1,4 +1,4 @@
-"""Write a file whole or not at all, and say which were written."""
+"""Files written whole or not at all, and the lines that list them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from asbuilt.errors import UsageError
 
 
 def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
-    """Write `data` (text as UTF-8, line ends kept) under a temporary name beside `path`, then
-    rename it onto `path`.
+    """Write `data` under a temporary name beside `path`, then rename it onto `path`.
 
-    Missing folders are made. Raises UsageError, with the system's reason, where the place is not
-    writable.
+    Text is written as UTF-8 with its line ends. Missing folders are made. Raises `UsageError` with
+    the system's reason if the place is not writable.
     """
     target = Path(path)
     content = data.encode("utf-8") if isinstance(data, str) else data
@@ -42,8 +41,7 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
     except OSError as error:
         Path(temporary).unlink(missing_ok=True)
         raise UsageError(
-            f"cannot write {target}: {error.strerror or error}; {len(content)} bytes were to be"
-            " written"
+            f"cannot write {len(content)} bytes to {target}: {error.strerror or error}"
         ) from error
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
@@ -52,18 +50,16 @@ def atomic_write(path: str | os.PathLike[str], data: str | bytes) -> Path:
 
 
 def path_texts(files: Mapping[str, str | os.PathLike[str]] | None) -> dict[str, str]:
-    """Return the paths of what was written as texts, by kind, for documents.
-
-    None where nothing was.
-    """
+    """Return the paths of files by kind as text, for documents."""
     return {kind: os.fspath(path) for kind, path in (files or {}).items()}
 
 
 def file_lines(
     files: Mapping[str, Path], notes: Mapping[str, Sequence[str]], width: int
 ) -> list[str]:
-    """Return the lines that name every file by kind, in a column of this width, with what is to be
-    known of it; of a kind without a file the notes stand in its place.
+    """Return a line for every file, its kind in a column of this width, and a line for each note.
+
+    A kind without a file has its first note in the place of the path.
     """
     lines = []
     for kind in dict.fromkeys((*files, *notes)):
@@ -74,10 +70,7 @@ def file_lines(
 
 
 def check_writable(folder: Path) -> None:
-    """Raise `UsageError` unless files can be written into a folder, or the folder itself be made.
-
-    Nothing is made.
-    """
+    """Raise `UsageError` unless a folder is writable or can be made; nothing is made."""
     try:
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
     except OSError as error:
@@ -99,7 +92,7 @@ def check_writable(folder: Path) -> None:
 
 
 def _permissions(target: Path) -> int:
-    """Return the mode of the file that is replaced, or what the process' umask leaves of rw-rw-rw-."""
+    """Return the mode of the file that is replaced, or rw-rw-rw- less the umask."""
     if target.exists():
         return target.stat().st_mode & 0o777
     mask = os.umask(0)

@@ -208,12 +208,12 @@ def test_command_refuses_without_writing(
     assert call(capsys, "export", tmp_path / "nowhere.json", "--mjcf", target)[0] in (1, 2)
 
 
-def test_friction_that_pushes_is_refused() -> None:
+def test_non_passive_friction_is_refused() -> None:
     model = bundled_robot("two-link")
     result = result_of(model, as_if_identified(model, 2))
-    pushing = tuple(replace(p, estimate=-0.3) if p.name == "Fv1" else p for p in result.parameters)
-    with pytest.raises(InertiaError, match=r"Fv1 is found to be -0\.300 \+/- 0\.010 \(base"):
-        export_result(replace(result, parameters=pushing), mjcf="nowhere.xml")
+    negative = tuple(replace(p, estimate=-0.3) if p.name == "Fv1" else p for p in result.parameters)
+    with pytest.raises(InertiaError, match=r"Fv1 is -0\.300 \+/- 0\.010 \(base"):
+        export_result(replace(result, parameters=negative), mjcf="nowhere.xml")
     assert not Path("nowhere.xml").exists()
 
 

@@ -315,7 +315,7 @@ def test_show_lists_further_terms(tmp_path: Path, capsys: pytest.CaptureFixture[
     robot = export_result(rich_result("kuka-iiwa7-r800"), toml=tmp_path / "robot.toml").files[
         "toml"
     ]
-    status, out, _ = call(capsys, "show", robot)
+    status, out, _ = call(capsys, "show", robot, "--full")
     assert status == 0
     assert "further drive terms" in out
     assert "spring Ks" in out

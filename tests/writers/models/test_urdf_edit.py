@@ -101,7 +101,7 @@ def test_descriptions_of_strangers(shared: Path, name: str) -> None:
     assert edited.joints == model.joint_names
     assert edited.reread_difference.max() < 1e-9
     check_reloads(edited.content, model, tolerance=1e-9 + 2.0 * edited.literal_difference.max())
-    rounds = any("to the letter" in note for note in edited.notes)
+    rounds = any("taken literally" in note for note in edited.notes)
     assert (
         rounds
         == (edited.literal_difference.max() > 1e-9)

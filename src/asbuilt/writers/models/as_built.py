@@ -1,4 +1,4 @@
-"""The robot as built: a result made into a whole robot, bodies and drives."""
+"""The robot as built: standard parameters and drives of a result."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.writers.models.sample_states import sample_states
 
 QUIETEST = 1e-6
-"""Noise of a joint, as a part of the largest, below which its weight grows no further: simulations
-have none.
-"""
+"""Least noise of a joint relative to the largest; its weight grows no further (simulations)."""
 INFORMATION_TOLERANCE = 1e-13
-"""Directions whose scaled variance is smaller than this part of the largest are taken as not told."""
+"""Least scaled variance relative to the largest; directions below it are undetermined."""
 CHECKED_STATES = 100
-"""Random motions on which torques are compared."""
+"""Random states at which torques are compared."""
 SAME_TORQUE = 1e-9
 """Torques [N m or N] that differ by less are the same."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AsBuilt:
-    """Hold the standard parameters found for a result, drives included, and the robot that has
-    them: all identified drive terms and no others.
+    """Hold the standard parameters of a result and the robot that has them.
+
+    The robot has all identified drive terms and no others.
     """
 
     parameters: StandardParameters
@@ -43,12 +42,11 @@ class AsBuilt:
 
 
 def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
-    """Return the robot as built.
+    """Return the robot with the identified torques whose links are closest to CAD.
 
-    Real bodies closest to CAD that give the identified torques exactly.
-
-    Where no real bodies do, either impossible ones that do, or (`nearest`) the real ones whose
-    torque on the data used differs least, joints weighted by their noise.
+    If no physically consistent links have these torques, the links are inconsistent, or, with
+    `nearest`, the consistent ones with the least torque difference on the data used, joints
+    weighted by their noise.
     """
     found = standard_parameters(
         result.model,
@@ -98,8 +96,9 @@ def _torque_information(result: IdentificationResult) -> Array:
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:
-    """Return a robot with other standard parameters (n_standard,), and these drive terms with their
-    values and nonlinear parameters in place of its own; friction that is below zero by rounding is zero.
+    """Return a robot with other standard parameters (n_standard,) and drive terms.
+
+    Friction that is below zero by rounding becomes zero.
     """
     rigid = 10 * model.n_joints
     robot = model.with_parameters(parameters[:rigid])
@@ -134,11 +133,10 @@ def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Arr
 def keeping_described_drives(
     robot: RobotModel, described: RobotModel
 ) -> tuple[RobotModel, tuple[str, ...]]:
-    """Return a robot with the plain drive values of its description where it has none itself, such
-    as the damping that a simulator wants, and what is to be said of them.
+    """Return a robot with the described values of plain drive terms not identified, and notes.
 
-    Where a richer term was identified in the place of a plain one (`power` in that of `viscous`),
-    the described value would count the same friction twice: it is zero there.
+    If a richer term was identified in place of a plain one (`power` in that of `viscous`), the
+    plain one is zero, since it would count the same friction twice.
     """
     joints, as_described, replaced = [], set(), dict[tuple[str, str], list[str]]()
     for joint, before in zip(robot.joints, described.joints, strict=True):
@@ -176,11 +174,10 @@ def keeping_described_drives(
 
 
 def load_counted(result: IdentificationResult, built: AsBuilt) -> float:
-    """Return the largest torque difference [N m or N] to the result over random states that
-    friction depending on load makes, zero without such friction.
+    """Return the largest torque difference [N m or N] to the result from load-dependent friction.
 
-    The base parameters of a result count among the load what they cannot tell from a link, such as
-    the armature of the first joint; the robot as built has it apart.
+    In the base parameters of a result the load contains what is grouped with a link, such as the
+    armature of the first joint; the robot as built has it apart.
     """
     drive = result.base.drive
     if not drive.needs_load:

@@ -11,21 +11,16 @@ import numpy as np
 from asbuilt.description.formats.mjcf_text import mjcf_text
 from asbuilt.description.model import RobotModel
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_impossible
+from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_inconsistent
 
 STIFF_FRICTION = ("0.002 1", "0.9999 0.9999 0.001 0.5 2")
-"""Reference and impedance that let dry friction reach its full size at small speeds.
-
-Two time steps of 1 ms, and a constraint as hard as MuJoCo has them.
-"""
+"""Reference (two steps of 1 ms) and impedance (the hardest) of dry friction at small speeds."""
 CARRIED = frozenset(("spring", "motor_armature", "motor_viscous", "motor_coulomb"))
-"""Further drive terms that MuJoCo has a place for, beside friction that is written as plain one."""
+"""Drive terms that MJCF holds, beside plain ones and friction written as plain friction."""
 
 
 def exported_mjcf(model: RobotModel) -> str:
-    """Return the robot as MJCF.
-
-    `mjcf_text` with all of the drives that MuJoCo has, and in comments what MJCF cannot say.
+    """Return the robot as MJCF, with what MJCF cannot hold in comments.
 
     Armature, viscous and dry friction are the joint's; asymmetric dry friction is symmetric
     friction and an offset, smooth friction a dry one; a spring is the joint's stiffness; a motor
@@ -37,9 +32,9 @@ def exported_mjcf(model: RobotModel) -> str:
     Raises
     ------
     InertiaError
-        If the model is impossible for rigid bodies and drives.
+        If the model is physically inconsistent.
     """
-    refuse_impossible(model)
+    refuse_inconsistent(model)
     plain = in_plain_friction(model)
     root = fromstring(mjcf_text(plain))
     elements = {element.get("name"): element for element in root.iter("joint")}
@@ -54,17 +49,14 @@ def exported_mjcf(model: RobotModel) -> str:
             motor.tag = "general"
             motor.attrib.update(biastype="affine", biasprm=f"{-offset!r} 0 0")
     _add_motors(root, model)
-    for place, note in enumerate((*model.notes, *unsaid_in_mjcf(model))):
+    for place, note in enumerate((*model.notes, *mjcf_notes(model))):
         root.insert(place, Comment(f" {' '.join(note.replace('--', '- -').split()).rstrip('-')} "))
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
 
 def _add_motors(root: Element, model: RobotModel) -> None:
-    """Add a fixed tendon for every motor that several joints turn.
-
-    Its length is the motor's coordinate `s = T q`.
-    """
+    """Add a fixed tendon, of length `s = T q`, for every motor that several joints turn."""
     tendons = Element("tendon")
     for joint, shares in zip(model.joints, model.motor_shares, strict=True):
         armature, viscous, coulomb = (
@@ -95,10 +87,8 @@ def _dry_friction(size: float) -> dict[str, str]:
     return {"frictionloss": repr(size), "solreffriction": reference, "solimpfriction": impedance}
 
 
-def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
-    """Return a note for what changes torques and has no place in MJCF, or one where it is easily
-    overlooked.
-    """
+def mjcf_notes(model: RobotModel) -> tuple[str, ...]:
+    """Return notes on what changes torques and has no, or an unexpected, place in MJCF."""
     plain = in_plain_friction(model)
     offsets = [
         f"{joint.name} {joint.drive.offset:.6g}" for joint in plain.joints if joint.drive.offset
@@ -107,8 +97,8 @@ def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
     if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
         notes = (
             (
-                "MuJoCo has smooth Coulomb friction as dry friction: the same torque where a joint"
-                " moves faster than its width"
+                "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
+                " faster than its width"
             ),
             *notes,
         )
@@ -116,13 +106,13 @@ def unsaid_in_mjcf(model: RobotModel) -> tuple[str, ...]:
         return notes
     return (
         (
-            "the offsets of the drives are the bias of the actuators, so mj_inverse does not count"
-            f" them (Fo [N m, or N where it slides]: {', '.join(offsets)})"
+            "the offsets of the drives are the bias of the actuators, which mj_inverse leaves out"
+            f" (Fo [N m, or N for prismatic joints]: {', '.join(offsets)})"
         ),
         *notes,
     )
 
 
 def write_mjcf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
-    """Write the robot for MuJoCo; returns the path and notes on what the reader must know."""
-    return atomic_write(path, exported_mjcf(model)), unsaid_in_mjcf(model)
+    """Write the robot for MuJoCo; returns the path and notes on what the file cannot hold."""
+    return atomic_write(path, exported_mjcf(model)), mjcf_notes(model)

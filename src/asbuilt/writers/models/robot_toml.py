@@ -1,6 +1,4 @@
-"""A robot, as designed or as identified, as a robot file in TOML that reads back to the same
-torques.
-"""
+"""A robot as a robot file in TOML."""
 
 from __future__ import annotations
 
@@ -19,29 +17,21 @@ from asbuilt.description.model import PLAIN_TERMS, ROOT, Joint, Link, RobotModel
 from asbuilt.writers.files import atomic_write
 
 SAME_LENGTH = 1e-12
-"""Symbols are written for a length where they give it to within this [m]."""
+"""Largest difference [m] of a length from its symbols, which are written in its place."""
 
 _TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "jerk", "torque")
 
 
 def robot_toml(model: RobotModel) -> str:
-    """Return the text of a robot file.
-
-    Placements as rotation matrices, inertias about link origins, numbers in full precision.
-    """
+    """Return a robot file: rotation matrices, inertias about link origins, full precision."""
     head = [
         f"name = {_text(model.name)}",
         f"citation = {_text(model.citation)}" if model.citation else "",
         f"notes = {_texts(model.notes)}" if model.notes else "",
         f"gravity = {_numbers(model.gravity)}",
         f"root_link = {_text(model.root_link)}",
-        (
-            "lengths ="
-            f" {{{', '.join(f'{_key(symbol)} = {_float(value)}' for symbol, value in model.lengths.items())}}}"
-            if model.lengths
-            else ""
-        ),
+        f"lengths = {_table(model.lengths)}" if model.lengths else "",
     ]
     blocks = ["\n".join(line for line in head if line)]
     blocks += [
@@ -108,10 +98,8 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         if (value := getattr(joint.drive, name)) is not None
     ]
     if joint.drive.terms:
-        fields.append(
-            "terms ="
-            f" {{{', '.join(f'{key} = {_table(numbers)}' for key, numbers in joint.drive.terms.items())}}}"
-        )
+        terms = [f"{key} = {_table(numbers)}" for key, numbers in joint.drive.terms.items()]
+        fields.append(f"terms = {{{', '.join(terms)}}}")
     if fields:
         lines.append(f"drive = {{{', '.join(fields)}}}")
     if by_parts:

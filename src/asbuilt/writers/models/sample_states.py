@@ -1,4 +1,4 @@
-"""Motions on which a written robot is compared with the model it was written from."""
+"""Random states at which a written robot is compared with its model."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 
 FASTEST = 3.0
-"""Speed [rad/s or m/s] of a joint whose limit is not known."""
+"""Largest speed [rad/s or m/s]."""
 SHARPEST = 10.0
-"""Acceleration [rad/s^2 or m/s^2]."""
+"""Largest acceleration [rad/s^2 or m/s^2]."""
 
 
 def sample_states(model: RobotModel, count: int) -> tuple[Array, Array, Array]:
-    """Return `count` random q, qd, qdd within the limits of the robot, each (count, n).
-
-    Always the same ones for one robot.
-    """
+    """Return `count` random q, qd, qdd within the limits, each (count, n); the same every time."""
     rng, n = np.random.default_rng(0), model.n_joints
     reach = [np.pi if joint.is_revolute else 0.5 for joint in model.joints]
     lower = np.array(

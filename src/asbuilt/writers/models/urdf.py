@@ -1,4 +1,4 @@
-"""A robot as a URDF of its own, without shapes: for robots that did not come from a URDF."""
+"""A robot as a URDF without shapes, for robots that were not read from a URDF."""
 
 from __future__ import annotations
 
@@ -14,33 +14,31 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import ROOT, Joint, Link, RobotModel
 from asbuilt.description.rotation import composed, inverted, placement, rpy_from_rotation
 from asbuilt.writers.files import atomic_write
-from asbuilt.writers.models.physical import in_plain_friction, refuse_impossible
-from asbuilt.writers.models.urdf_edit import edited_urdf, unsaid_in_urdf
+from asbuilt.writers.models.physical import in_plain_friction, refuse_inconsistent
+from asbuilt.writers.models.urdf_edit import edited_urdf, urdf_notes
 
 UNLIMITED = 1e9
-"""Written where URDF wants a limit and none is known [rad, m, rad/s, m/s, N m or N]."""
+"""Value of a required limit that is unknown [rad, m, rad/s, m/s, N m or N]."""
 ON_AXIS = 1e-12
-"""A link origin this near the joint axis [m] is on it."""
+"""Largest distance [m] of a link origin on the joint axis."""
 
 
 def urdf_text(model: RobotModel) -> str:
-    """Return the robot as a URDF.
+    """Return the robot as a URDF in full precision, with what URDF cannot hold in comments.
 
-    Links, joints, inertials, limits and joint dynamics, in full precision.
-
-    URDF has the joint axis through the origin of the link frame. Where the model has the origin
+    URDF has the joint axis through the origin of the link frame. If the model has the origin
     elsewhere (standard Denavit-Hartenberg parameters with a length a), the URDF link frame is the
     joint frame, the inertial is given in it, and a fixed link `<name>_frame` marks the frame of the
-    model. Named frames become fixed links without mass. What URDF cannot say stands in comments.
+    model. Named frames become fixed links without mass.
 
     Raises
     ------
     InertiaError
-        If the model is impossible for rigid bodies and drives.
+        If the model is physically inconsistent.
     """
-    refuse_impossible(model)
+    refuse_inconsistent(model)
     root = Element("robot", name=model.name)
-    for note in (*model.notes, *unsaid_in_urdf(model)):
+    for note in (*model.notes, *urdf_notes(model)):
         root.append(Comment(f" {_without_dashes(note)} "))
     taken = {model.root_link, *model.link_names, *(frame.name for frame in model.frames)}
     SubElement(root, "link", name=model.root_link)
@@ -70,22 +68,19 @@ def urdf_text(model: RobotModel) -> str:
 def write_urdf(
     path: str | os.PathLike[str], model: RobotModel, *, original: str | Path | None = None
 ) -> tuple[Path, tuple[str, ...]]:
-    """Write `original` with the inertias and friction of the model and every other byte kept, or a
-    URDF of its own where there is no original.
+    """Write `original` with the inertias and friction of the model, or else a new URDF.
 
-    Returns the path and notes on what the reader must know. Raises as `edited_urdf` and `urdf_text`
+    Returns the path and notes on what the file cannot hold; raises as `edited_urdf` and `urdf_text`
     do.
     """
     if original is None:
-        return atomic_write(path, urdf_text(model)), unsaid_in_urdf(model)
+        return atomic_write(path, urdf_text(model)), urdf_notes(model)
     edited = edited_urdf(original, model)
     return atomic_write(path, edited.content), edited.notes
 
 
 def _shift(joint: Joint) -> Array:
-    """Return the pose of the model's link frame in the URDF's, the identity where the joint axis
-    passes through the link origin.
-    """
+    """Return the pose of the model's link frame in that of the URDF."""
     if not joint.is_revolute or np.abs(joint.after[:2, 3]).max() <= ON_AXIS:
         return np.eye(4)
     return np.array(joint.after)

@@ -1,6 +1,4 @@
-"""The user's own URDF with the inertials and joint dynamics as built, and every other byte as it
-was.
-"""
+"""The user's URDF with inertials and joint dynamics as built, all other bytes kept."""
 
 from __future__ import annotations
 
@@ -16,28 +14,36 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, RobotModel
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.errors import DescriptionError
-from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_impossible
+from asbuilt.findings import Cure
+from asbuilt.writers.models.physical import in_plain_friction, left_out_drives, refuse_inconsistent
 from asbuilt.writers.models.sample_states import sample_states
 from asbuilt.writers.models.xml_spans import Edit, Span, XmlFile, attribute_edits
 
 SAME_PLACE = 1e-9
-"""Entries of placements [m, 1] may differ by this much in two descriptions of one robot."""
+"""Largest difference of placements [m, 1] in two descriptions of one robot."""
 NOTABLE = 1e-9
-"""A difference of torques [N m or N] beyond this is worth a note."""
+"""Torque difference [N m or N] from which a note is written."""
 
 _TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EditedUrdf:
-    """Hold the edited file: `content` in the encoding of the original, and `notes` on what a reader
-    must know.
+    """Hold the edited file and notes on what it cannot hold.
 
-    `links` and `joints` name what was changed, `emptied` the links behind fixed joints whose
-    inertia went to the link that carries them. `reread_difference` (n,) is the largest torque
-    difference between the model and the file as asbuilt reads it, `literal_difference` (n,) as a
-    program reads it that takes rounded right angles (1.5708) to the letter [N m or N], over random
-    motions.
+    Parameters
+    ----------
+    content
+        The file, in the encoding of the original.
+    links, joints
+        Names of what was changed.
+    emptied
+        Links behind fixed joints whose inertia was moved to the link that carries them.
+    reread_difference, literal_difference
+        Largest torque difference (n,) [N m or N] to the model over random states, for the file as
+        asbuilt reads it and for rounded right angles (1.5708) taken literally.
+    notes
+        What the file cannot hold.
     """
 
     content: bytes
@@ -50,23 +56,22 @@ class EditedUrdf:
 
 
 def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
-    """Put the inertias and the viscous and Coulomb friction of `model` into a URDF of the same
-    robot and keep all other bytes.
+    """Put inertias, viscous and Coulomb friction of `model` into a URDF of the same robot.
 
-    The identified inertia of a moving link is that of everything fixed to it. Links behind fixed
-    joints keep their inertials and the moving link gets the remainder, where that is a possible
-    body; else the moving link gets the whole and theirs are removed, with a note. Inertials are
-    written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values on which the model
-    is silent stay as they are.
+    All other bytes are kept. The identified inertia of a moving link is that of everything fixed to
+    it: links behind fixed joints keep their inertials and the moving link gets the remainder if
+    that is physically consistent; else it gets the whole and theirs are removed, with a note.
+    Inertials are written in link axes (`rpy="0 0 0"`) about the centre of mass. Drive values that
+    the model does not have stay as they are.
 
     Raises
     ------
     InertiaError
-        If the model is impossible for rigid bodies and drives.
+        If the model is physically inconsistent.
     DescriptionError
         If the file is no URDF or describes another robot.
     """
-    refuse_impossible(model)
+    refuse_inconsistent(model)
     plain = in_plain_friction(model)
     content, source = described_text(original)
     described = read_urdf(original)
@@ -111,30 +116,28 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     reread, literal = (
         _difference(model, read_urdf(edited, straighten=exact)) for exact in (True, False)
     )
-    notes = (*_rounding_note(model, literal), *_emptied_note(emptied), *unsaid_in_urdf(model))
+    notes = (*_rounding_note(model, literal), *_emptied_note(emptied), *urdf_notes(model))
     return EditedUrdf(
         edited, tuple(changed_links), tuple(changed_joints), tuple(emptied), reread, literal, notes
     )
 
 
-def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
-    """Return a note for each thing of the model that changes torques and for which URDF has no
-    place.
-    """
+def urdf_notes(model: RobotModel) -> tuple[str, ...]:
+    """Return notes on what changes torques and has no place in URDF."""
     plain, notes = in_plain_friction(model), []
     if any("asymmetric_coulomb" in joint.drive.terms for joint in model.joints):
         notes.append(
-            "asymmetric Coulomb friction is written as symmetric friction; the rest of it is in the"
-            " offset"
+            "asymmetric Coulomb friction is written as symmetric friction; the offset holds the"
+            " rest"
         )
     if any("smooth_coulomb" in joint.drive.terms for joint in model.joints):
         notes.append(
-            "smooth Coulomb friction is written as dry friction: the same torque where a joint"
-            " moves faster than its width"
+            "smooth Coulomb friction is written as dry friction: equal torques if a joint moves"
+            " faster than its width"
         )
     for key, symbol, unit in (
-        ("armature", "Ia", "kg m^2, or kg where it slides"),
-        ("offset", "Fo", "N m, or N where it slides"),
+        ("armature", "Ia", "kg m^2, or kg for prismatic joints"),
+        ("offset", "Fo", "N m, or N for prismatic joints"),
     ):
         values = {
             joint.name: getattr(joint.drive, key)
@@ -144,15 +147,15 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
         if values:
             said = ", ".join(f"{name} {value:.6g}" for name, value in values.items())
             notes.append(
-                f"URDF has no place for the {key} of the drives, add it yourself ({symbol}"
+                f"URDF has no place for the {key} of the drives; add it in the simulator ({symbol}"
                 f" [{unit}]: {said})"
             )
     notes += left_out_drives(plain, (), "URDF")
     if not np.array_equal(model.gravity, USUAL_GRAVITY):
         notes.append(
             "URDF has no place for gravity; the model has"
-            f" ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame, set it"
-            " where the file is loaded"
+            f" ({', '.join(f'{g:.6g}' for g in model.gravity)}) m/s^2 in the root frame; set it in"
+            " the simulator"
         )
     return tuple(notes)
 
@@ -160,8 +163,9 @@ def unsaid_in_urdf(model: RobotModel) -> tuple[str, ...]:
 def _check_same_robot(described: RobotModel, model: RobotModel, source: str) -> None:
     def refuse(what: str) -> None:
         raise DescriptionError(
-            f"{source} describes another robot than {model.name}: {what}; give the URDF that the"
-            " robot was identified with"
+            f"{source} describes another robot than {model.name}: {what}",
+            cure=Cure("give the URDF that the robot was identified with"),
+            file=source,
         )
 
     if described.joint_names != model.joint_names:
@@ -245,8 +249,8 @@ def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
     worst = int(np.argmax(literal))
     return (
         (
-            "the file rounds right angles (1.5708), which asbuilt reads as exact; a program that"
-            f" reads them to the letter gets torques that differ by up to {literal[worst]:.2g}"
+            "the file rounds right angles (1.5708), which asbuilt reads as exact; taken literally"
+            f" they change torques by up to {literal[worst]:.2g}"
             f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint"
             f" {model.joint_names[worst]})"
         ),
@@ -258,8 +262,8 @@ def _emptied_note(emptied: list[str]) -> tuple[str, ...]:
         return ()
     return (
         (
-            f"the inertials of {', '.join(emptied)} were removed: what is left of the carrier"
-            " without them would be no possible body, so the carrier has the inertia of the whole"
+            f"the inertials of {', '.join(emptied)} were removed, because the remainder of their"
+            " carrier would be physically inconsistent; the carrier has the inertia of the whole"
         ),
     )
 

@@ -1,6 +1,4 @@
-"""Where the elements and attribute values of an XML file stand, so that some can be changed and
-every other byte kept.
-"""
+"""Byte positions of the elements and attributes of an XML file, to edit some and keep the rest."""
 
 from __future__ import annotations
 
@@ -24,12 +22,11 @@ _DECLARED = re.compile(rb"""^<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)["'
 
 @dataclass(eq=False)
 class Span:
-    """One element: its tag without namespace, its attributes, and where it stands in the text
-    (counted in bytes of UTF-8).
+    """Hold one element: tag without namespace, attributes, and positions in bytes of UTF-8.
 
-    `start` is at the `<`, `inner` behind the `>` of the start tag, `close` at the `</` (None where
-    the tag closes itself), `stop` behind the element. `values` gives the text of each attribute
-    between its quotes, `named` ends behind the last attribute.
+    `start` is at the `<`, `inner` behind the `>` of the start tag, `close` at the `</` (None if the
+    tag closes itself), `stop` behind the element. `values` has the span of each attribute value
+    without its quotes, `named` is behind the last attribute.
     """
 
     tag: str
@@ -68,10 +65,7 @@ class Edit:
 
 @dataclass(frozen=True, eq=False)
 class XmlFile:
-    """An XML file with the place of everything in it.
-
-    `edited` changes some places and keeps all other bytes.
-    """
+    """Hold an XML file with the position of every element."""
 
     text: bytes
     encoding: str
@@ -79,9 +73,7 @@ class XmlFile:
 
     @classmethod
     def of(cls, content: bytes, source: str) -> XmlFile:
-        """Locate every element; raises `DescriptionError` where the file is not well-formed or not
-        in the encoding it declares.
-        """
+        """Locate every element; raises `DescriptionError` if the file cannot be edited."""
         encoding = _encoding(content)
         try:
             decoded = content.decode(encoding)
@@ -124,9 +116,7 @@ class XmlFile:
         return self.text[at : element.start].decode()
 
     def appended(self, parent: Span, markup: str) -> Edit:
-        """Return the edit that adds an element behind the last child, on a line of its own where
-        that child has one.
-        """
+        """Return the edit that adds an element behind the last child, indented like it."""
         if not parent.children:
             return self.prepended(parent, markup)
         last = parent.children[-1]
@@ -165,7 +155,7 @@ def attribute_edits(element: Span, values: Mapping[str, str]) -> list[Edit]:
 
 
 class _Spotter:
-    """The target of an expat parser: writes down where each tag stands."""
+    """Record the position of each tag, as the target of an expat parser."""
 
     def __init__(self, text: bytes) -> None:
         self.text = text

@@ -1,7 +1,4 @@
-"""A robot's inverse dynamics, gravity torque and regressor as plain C99 with its numbers in.
-
-No allocation, of libm sin and cos and what drive terms need.
-"""
+"""Inverse dynamics, gravity torque and regressor of a robot as C99 with its numbers folded in."""
 
 from __future__ import annotations
 
@@ -22,6 +19,7 @@ from asbuilt.dynamics.drives.torque import described_drive, drive_torque
 from asbuilt.dynamics.newton_euler import gravity_torque, inverse_dynamics
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.errors import UsageError
+from asbuilt.findings import Cure
 from asbuilt.writers.files import atomic_write
 from asbuilt.writers.models.c.c_drives import drive_entries
 from asbuilt.writers.models.c.c_dynamics import Mechanism
@@ -29,11 +27,11 @@ from asbuilt.writers.models.c.c_expressions import StraightLine, Term
 from asbuilt.writers.models.sample_states import sample_states
 
 CHECKED_STATES = 3
-"""Motions in the self-test of the C file."""
+"""States in the self-test of the C file."""
 SAME_TORQUE = 1e-12
-"""Torques that differ by less than this part of the largest differ by rounding."""
+"""Relative torque difference that is rounding."""
 LONGEST_TEXT = 2000
-"""Characters of a string in C; compilers must take 4095."""
+"""Longest string; C99 compilers accept 4095 characters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,12 +56,12 @@ def c_code(
 ) -> CCode:
     """Write a robot as C99.
 
-    `PREFIX_inverse_dynamics(q, qd, qdd, tau)` and `PREFIX_gravity_torque(q, tau)` run straight
-    through with the numbers folded in. They use base parameters in place of standard ones, which
-    gives the same torques with fewer operations. `PREFIX_regressor(q, qd, qdd, Y)` fills the (n, p)
-    regressor of the base parameters row by row, `PREFIX_base_values` and `PREFIX_base_parameters`
-    hold their values, names and units: `tau = Y beta`. Drive terms add to inverse dynamics and
-    regressor; `drive` and `drive_values` (joint by joint) default to those of the model.
+    `PREFIX_inverse_dynamics(q, qd, qdd, tau)` and `PREFIX_gravity_torque(q, tau)` use base
+    parameters, which give the torques of the standard ones with fewer operations.
+    `PREFIX_regressor(q, qd, qdd, Y)` fills the (n, p) regressor of the base parameters row by row;
+    `PREFIX_base_values` and `PREFIX_base_parameters` hold their values, names and units: `tau = Y
+    beta`. Drive terms add to inverse dynamics and regressor; `drive` and `drive_values` (joint by
+    joint) default to those of the model. The code allocates nothing and calls libm only.
 
     Raises
     ------
@@ -116,8 +114,8 @@ def c_code(
     source = "\n\n".join(
         [
             _comment(
-                f"{model.name}: inverse dynamics, gravity torque and regressor; see {stem}.h for units"
-                " and conventions."
+                f"{model.name}: inverse dynamics, gravity torque and regressor; see {stem}.h for"
+                " units and conventions."
             ),
             f'#include "{stem}.h"\n\n#include <math.h>',
             _tables(base, beta, name),
@@ -138,25 +136,21 @@ def write_c(
     """Write `NAME.c` and `NAME.h` beside it, with the functions of `c_code`; returns both paths."""
     target = Path(path)
     if target.suffix != ".c":
-        raise UsageError(
-            f"C code is written to a file NAME.c and its header NAME.h, got {target.name!r}"
-        )
+        raise UsageError(f"C code is written to NAME.c and its header NAME.h, got {target.name!r}")
     stem = re.sub(r"[^A-Za-z0-9_.+-]", "_", target.stem)
     if stem != target.stem:
         raise UsageError(
-            f"the name of a C file that is included must be plain, got {target.name!r}; try"
-            f" {stem}.c"
+            f"the name of a C file must have plain characters, got {target.name!r}",
+            cure=Cure(f"name it {stem}.c"),
         )
     code = c_code(model, drive=drive, drive_values=drive_values, stem=stem)
     return atomic_write(target, code.source), atomic_write(target.with_suffix(".h"), code.header)
 
 
 def _fewest_parameters(model: RobotModel) -> Array:
-    """Return standard parameters with the model's torques of which only those that lead a base
-    parameter are not zero.
+    """Return standard parameters with the torques of the model, zero but at base columns.
 
-    The model's own where they are not the same to rounding: in descriptions with lengths that are
-    almost, but not exactly, zero.
+    Those of the model if the torques differ by more than rounding, as for lengths of almost zero.
     """
     rigid = find_base_parameters(model)
     chi = np.zeros(10 * model.n_joints)
@@ -203,6 +197,7 @@ def _function(
 
 def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str, stem: str) -> str:
     n, p, capital = model.n_joints, base.n_base, name.upper()
+    motion = ", ".join(f"const double {array}[{n}]" for array in ("q", "qd", "qdd"))
     joints = [
         f"  {k}  {joint.name} ({'rad, N m' if joint.is_revolute else 'm, N'})"
         for k, joint in enumerate(model.joints)
@@ -216,18 +211,18 @@ def _header(model: RobotModel, base: BaseParameters, terms: DriveSet, name: str,
             *joints,
             "",
             (
-                "Units are SI: q [rad or m], qd, qdd per second, tau [N m or N]. tau is the torque that"
-                " the drives exert on the links:"
+                "Units are SI: q [rad or m], qd, qdd per second, tau [N m or N]. tau is the torque"
+                " that the drives exert on the links:"
             ),
             f"tau = rigid bodies + drive terms ({terms}). Coulomb friction is 0 at standstill.",
             f"Gravity in the root frame: {model.gravity.tolist()} m/s^2.",
             (
-                f"Base parameters: {p}, names with the number of the link or joint, from 1; inertias"
-                " about link origins in link axes."
+                f"Base parameters: {p}, names with the number of the link or joint, from 1;"
+                " inertias about link origins in link axes."
             ),
             (
-                f"Compile {stem}.c as C99 and link with -lm. With -D{capital}_SELF_TEST it is a program"
-                " that checks itself."
+                f"Compile {stem}.c as C99 and link with -lm. With -D{capital}_SELF_TEST it is a"
+                " program that checks itself."
             ),
             "All functions are pure: no allocation, no state, safe to call from any thread.",
         ]
@@ -257,13 +252,13 @@ extern const {name}_parameter {name}_base_parameters[{p}];
 extern const double {name}_base_values[{p}];
 
 /* tau of a motion, drive terms included. */
-void {name}_inverse_dynamics(const double q[{n}], const double qd[{n}], const double qdd[{n}], double tau[{n}]);
+void {name}_inverse_dynamics({motion}, double tau[{n}]);
 
 /* tau that holds the links at rest, without drive terms. */
 void {name}_gravity_torque(const double q[{n}], double tau[{n}]);
 
 /* Regressor of the base parameters, row by row: Y[joint*{p} + parameter]. */
-void {name}_regressor(const double q[{n}], const double qd[{n}], const double qdd[{n}], double Y[{n * p}]);
+void {name}_regressor({motion}, double Y[{n * p}]);
 
 #ifdef __cplusplus
 }}
@@ -325,7 +320,9 @@ int main(void)
         for (int j = 0; j < {n}; j++) {{
             double linear = 0.0;
             for (int k = 0; k < {p}; k++) linear += Y[j*{p} + k]*{name}_base_values[k];
-            double errors[3] = {{apart(tau[j], expected_tau[s][j]), apart(g[j], expected_gravity[s][j]), apart(linear, expected_tau[s][j])}};
+            double errors[3] = {{apart(tau[j], expected_tau[s][j]),
+                                apart(g[j], expected_gravity[s][j]),
+                                apart(linear, expected_tau[s][j])}};
             for (int e = 0; e < 3; e++) if (!(errors[e] <= worst)) worst = errors[e];
         }}
     }}

@@ -46,10 +46,10 @@ def written(code: StraightLine, formula: str, values: Mapping[str, Term]) -> Ter
 def drive_entries(
     mechanism: Mechanism, drive: DriveSet, parameters: Array
 ) -> list[dict[int, Term]]:
-    """Return for each drive parameter, joint by joint, the joints that it acts on and its column
-    there; motors that several joints turn act on all of these.
+    """Return for each drive parameter, joint by joint, its column at each joint that it acts on.
 
-    `parameters` (10 n,) of the links give the load of terms that depend on it.
+    Motors that several joints turn act on all of these. `parameters` (10 n,) of the links give the
+    load of terms that depend on it.
     """
     code, shares = mechanism.code, mechanism.model.motor_shares
     loads = mechanism.torques(parameters) if drive.needs_load else [ZERO] * mechanism.model.n_joints

@@ -1,6 +1,4 @@
-"""The equations of motion of one robot as straight-line arithmetic, by Newton and Euler with its
-numbers folded in.
-"""
+"""Newton-Euler equations of one robot as straight-line arithmetic, its numbers folded in."""
 
 from __future__ import annotations
 
@@ -18,9 +16,7 @@ NOTHING: Vector = (ZERO, ZERO, ZERO)
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Angular velocity `w`, angular acceleration `dw`, acceleration `a` of the origin less gravity,
-    in the axes of a frame.
-    """
+    """Hold angular velocity `w` and acceleration `dw`, and `a` of the origin less gravity."""
 
     w: Vector
     dw: Vector
@@ -29,10 +25,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Screw:
-    """What a unit rate of a joint does to a frame.
-
-    Angular velocity `z` and velocity `m` of its origin, in its axes.
-    """
+    """Hold angular velocity `z` and velocity `m` of a frame, in its axes, for a unit joint rate."""
 
     z: Vector
     m: Vector
@@ -40,15 +33,16 @@ class Screw:
 
 @dataclass(frozen=True, slots=True)
 class Wrench:
-    """Force and moment about the origin of a frame, in its axes."""
+    """Hold force and moment about the origin of a frame, in its axes."""
 
     force: Vector
     moment: Vector
 
 
 class Mechanism:
-    """Write torques and regressors of a robot from variables q, qd, qdd (Luh, Walker and Paul,
-    1980; Atkeson, An and Hollerbach, 1986).
+    """Write torques and regressors of a robot from variables q, qd, qdd.
+
+    Luh, Walker and Paul (1980); Atkeson, An and Hollerbach (1986).
     """
 
     def __init__(self, model: RobotModel, *, at_rest: bool = False) -> None:
@@ -87,9 +81,7 @@ class Mechanism:
         return torques
 
     def regressor(self, columns: list[int]) -> dict[tuple[int, int], Term]:
-        """Return the entries (joint, position in `columns`) of the regressor that are not always
-        zero; columns count inertial parameters from 0.
-        """
+        """Return the nonzero entries (joint, position in `columns`) of the regressor."""
         screws = self._screws()
         entries = {}
         for position, column in enumerate(columns):
@@ -134,9 +126,7 @@ class Mechanism:
         return self._into(joint.after, turned)
 
     def _swing(self, motion: Motion) -> Matrix:
-        """Return `[dw]x + [w]x [w]x`, which times the place of a point gives its acceleration
-        against the origin.
-        """
+        """Return `[dw]x + [w]x [w]x`, the acceleration of a point per its position."""
         (x, y, z), (dx, dy, dz), total = motion.w, motion.dw, self.code.total
         return (
             (total((-y, y), (-z, z)), total((x, y), (-dz,)), total((x, z), (dy,))),
@@ -169,9 +159,7 @@ class Mechanism:
         return Wrench(wrench.force, (total((nx,), (-q, fy)), total((ny,), (q, fx)), nz))
 
     def _inertial(self, motion: Motion, parameters: Array) -> Wrench:
-        """Return `F = m a + U h` and `N = I dw + w x I w + h x a` for `Ixx Ixy Ixz Iyy Iyz Izz mx
-        my mz m`, with `U = [dw]x + [w]x [w]x`.
-        """
+        """Return `F = m a + U h` and `N = I dw + w x I w + h x a`, `U = [dw]x + [w]x [w]x`."""
         xx, xy, xz, yy, yz, zz, *h, m = _numbers(parameters)
         inertia: Matrix = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
         moment_of_mass: Vector = (h[0], h[1], h[2])

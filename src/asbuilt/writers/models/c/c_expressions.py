@@ -1,7 +1,4 @@
-"""Straight-line arithmetic in C.
-
-Sums of products with the numbers folded, each written once and only if used.
-"""
+"""Straight-line arithmetic in C: sums of products, numbers folded, each written once if used."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A number times a variable of the C function; a plain number where `name` is empty."""
+    """Hold a number times a variable of the C function, or a plain number if `name` is empty."""
 
     factor: float
     name: str = ""
@@ -35,10 +32,7 @@ Vector = tuple[Term, Term, Term]
 
 @dataclass
 class StraightLine:
-    """Collect definitions `const double x7 = ...;` in order, each sum of products once.
-
-    `used` says which an answer needs.
-    """
+    """Collect definitions `const double x7 = ...;` in order, each sum of products once."""
 
     texts: dict[str, str] = field(default_factory=dict)
     needs: dict[str, tuple[str, ...]] = field(default_factory=dict)
