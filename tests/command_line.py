@@ -12,7 +12,7 @@ import pytest
 
 from asbuilt.cli.app import main
 
-JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "json.md"
+JSON_PAGE = Path(__file__).resolve().parent.parent / "docs" / "reference" / "json.md"
 EXTRA = {"identify": {"payload", "cutoff_sweep"}}
 """Fields that some options of a command add."""
 
@@ -42,7 +42,7 @@ def document(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str
 
 @cache
 def documented_fields() -> dict[str, list[set[str]]]:
-    """The fields of every command's JSON by `docs/json.md`: a set for each table."""
+    """The fields of every command's JSON by `docs/reference/json.md`: a set for each table."""
     told: dict[str, list[set[str]]] = {}
     for line in JSON_PAGE.read_text(encoding="utf-8").splitlines():
         if line.startswith("## "):

@@ -262,7 +262,7 @@ def test_unreadable_files(tmp_path):
 
 
 def test_the_documented_robot_file_is_valid():
-    page = Path(__file__).resolve().parents[3] / "docs" / "robot-file.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "reference" / "robot-file.md"
     (text,) = re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL)
     model = robot_from_toml(text)
     assert model.joint_names == ("shoulder", "joint_2")
