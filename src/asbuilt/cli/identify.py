@@ -17,16 +17,18 @@ from asbuilt.cli.options import (
     Judges,
     Logs,
     Out,
-    Reading,
     Result,
     Robot,
     Unchecked,
     described_robot,
     distinct_logs,
     read_result,
+    recordings_of,
     refuse_idle,
 )
+from asbuilt.cli.spread import given_options
 from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.options import (
     BLOCKS,
     ControllerOptions,
@@ -48,7 +50,7 @@ def identify(
             "--payload", metavar="LOG", help="a recording under load: what does the flange carry?"
         ),
     ] = None,
-    reading: Reading,
+    reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
     full: Full = False,
@@ -66,7 +68,7 @@ def identify(
     with progress_bar() as report:
         report("read", 0.0)
         recordings, others, loaded = (
-            reading.open(model, logs) for logs in (log, validate, payload)
+            recordings_of(model, logs, reading) for logs in (log, validate, payload)
         )
         study = identify_robot(
             model, recordings, validation=others, options=options, progress=report
@@ -100,7 +102,7 @@ def validate(
     log: Logs,
     *,
     unchecked: Unchecked = False,
-    reading: Reading,
+    reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
     full: Full = False,
@@ -128,7 +130,7 @@ def validate(
                 " the table"
             )
         model = described_robot(result)
-        errors = validate_robot(model, reading.open(model, log), options=options)
+        errors = validate_robot(model, recordings_of(model, log, reading), options=options)
         answer(
             as_json,
             lambda: described_document(model, errors),
@@ -136,7 +138,9 @@ def validate(
         )
         return
     identified = read_result(Path(result))
-    validations = validate_result(identified, reading.open(identified.model, log), options=options)
+    validations = validate_result(
+        identified, recordings_of(identified.model, log, reading), options=options
+    )
     files = write_validations(out, identified, validations) if out is not None else {}
     comparison = compare(identified, validation=validations)
     answer(
@@ -193,7 +197,7 @@ def compare(
         ),
     ] = None,
     unchecked: Unchecked = False,
-    reading: Reading,
+    reading: ReadingOptions,
     out: Out = None,
     as_json: AsJson = False,
 ) -> None:
@@ -222,7 +226,7 @@ def compare(
     if controller is None:
         refuse_idle(
             "how a log is read, and what of it is held out, goes with --controller LOG",
-            {"--holdout": holdout is not None, "--unchecked": unchecked} | reading.given,
+            {"--holdout": holdout is not None, "--unchecked": unchecked} | given_options(reading),
         )
     if other is not None or controller is not None:
         refuse_idle(
@@ -239,7 +243,7 @@ def compare(
         )
         return
     if controller is not None:
-        recording = reading.read(identified.model, [controller])[0]
+        recording = recordings_of(identified.model, [controller], reading)[0]
         beside = compare_controller(
             identified,
             recording,
@@ -293,7 +297,7 @@ def payload(
             ),
         ),
     ] = None,
-    reading: Reading,
+    reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
     as_json: AsJson = False,
@@ -307,7 +311,7 @@ def payload(
     distinct_logs(log, unloaded, validate)
     identified = read_result(result)
     loaded, bare, others = (
-        reading.open(identified.model, logs) for logs in (log, unloaded, validate)
+        recordings_of(identified.model, logs, reading) for logs in (log, unloaded, validate)
     )
     options = replace(
         options,

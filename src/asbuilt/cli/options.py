@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.spread import given_options, one_of
+from asbuilt.cli.spread import given_options
 from asbuilt.errors import UsageError
 
 if TYPE_CHECKING:
@@ -116,75 +116,6 @@ Drive = Annotated[
 
 
 @dataclass(frozen=True)
-class Reading:
-    """The options that say how logs are read."""
-
-    rate: Annotated[
-        float | None,
-        typer.Option("--rate", metavar="HZ", help="sampling rate of a log without time stamps"),
-    ] = None
-    flip_torque: Annotated[
-        bool, typer.Option("--flip-torque", help="the log's torque has the opposite sign")
-    ] = False
-    gain: Annotated[
-        str | None,
-        typer.Option(
-            "--gain",
-            metavar="G1,G2,...",
-            help=(
-                "torque per logged unit, one for all joints or one each; stands in place of the"
-                " sheet's gains"
-            ),
-        ),
-    ] = None
-    torque_source: Annotated[
-        str | None, typer.Option("--torque-source", metavar="KIND", help="sensor, motor or current")
-    ] = None
-    sheet: Annotated[
-        Path | None,
-        typer.Option(
-            "--sheet", metavar="FILE", help="recording sheet (TOML) that describes the logs"
-        ),
-    ] = None
-
-    def read(self, model: RobotModel, logs: Sequence[Path] | None) -> list[Recording]:
-        """Return the recordings of a robot, none where no logs are given."""
-        from asbuilt.experiment.logs.readers import read_recordings
-
-        return read_recordings(logs or [], model=model, options=self.options())
-
-    def open(
-        self, model: RobotModel, logs: Sequence[Path] | None
-    ) -> list[Recording | RecordingStream]:
-        """Return the recordings of a robot, those too long to be held as streams."""
-        from asbuilt.experiment.logs.recordings import as_recordings
-
-        return as_recordings(model, logs or [], self.options())  # type: ignore[return-value]
-
-    @property
-    def given(self) -> dict[str, bool]:
-        """Which of these options were given, by name."""
-        return given_options(self)
-
-    def options(self) -> ReadingOptions:
-        """Return the options of `read_recording`."""
-        from asbuilt.experiment.logs.options import ReadingOptions
-        from asbuilt.experiment.recording import TORQUE_SOURCES
-
-        return ReadingOptions(
-            sheet=self.sheet,
-            rate=self.rate,
-            flip_torque=self.flip_torque,
-            gain=number_list("--gain", self.gain) or None,
-            torque_source=(
-                None
-                if self.torque_source is None
-                else one_of("--torque-source", self.torque_source, TORQUE_SOURCES)
-            ),
-        )
-
-
-@dataclass(frozen=True)
 class Filtering:
     """The options that choose the signal chain."""
 
@@ -266,6 +197,15 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
             f" example {option} {example}"
         )
     return values
+
+
+def recordings_of(
+    model: RobotModel, logs: Sequence[Path] | None, reading: ReadingOptions
+) -> list[Recording | RecordingStream]:
+    """Return the recordings of a robot, none if no logs are given."""
+    from asbuilt.experiment.logs.recordings import as_recordings
+
+    return as_recordings(model, logs or [], reading)  # type: ignore[return-value]
 
 
 def distinct_logs(*groups: Sequence[Path] | None) -> None:

@@ -1,4 +1,4 @@
-"""Commands about recordings: check them, find what their channels mean, record a virtual robot."""
+"""Commands about recordings: check, gains, channels, simulate."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.options import (
     AsJson,
     Carrier,
     Drive,
     Filtering,
+    Full,
     Logs,
-    Reading,
     Robot,
     RobotOrResult,
     Seed,
@@ -24,12 +24,14 @@ from asbuilt.cli.options import (
     distinct_logs,
     number_list,
     positive_number,
+    recordings_of,
     refuse_idle,
     robot_as_built,
     writable_file,
 )
 from asbuilt.cli.spread import one_of
 from asbuilt.errors import UsageError
+from asbuilt.experiment.logs.options import ReadingOptions
 
 if TYPE_CHECKING:
     from asbuilt.description.inertia import LinkInertia
@@ -41,24 +43,29 @@ def check(
     robot: Robot,
     log: Logs,
     *,
-    reading: Reading,
+    reading: ReadingOptions,
     information: Annotated[
         bool,
         typer.Option(
             "--information/--no-information",
-            help="say how much of the attainable information it carries (takes a second)",
+            help="compute the information efficiency, relative to the limits (takes a second)",
         ),
     ] = True,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say what is wrong with a recording before it is used."""
+    """Check a recording before it is used.
+
+    Checked are clock, missing values, units, signs, order of joints, limits, saturation, filters
+    and excitation.
+    """
     from asbuilt.experiment.quality.checks import check_recording
     from asbuilt.workflow.information_efficiency import recorded_information
     from asbuilt.writers.tables.tabular import check_document
 
     distinct_logs(log)
     model = described_robot(robot)
-    recordings = reading.open(model, log)
+    recordings = recordings_of(model, log, reading)
     checks = [check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
@@ -68,7 +75,8 @@ def check(
         as_json,
         lambda: check_document(model, checks, carried),
         lambda: "\n\n".join(
-            found.as_text() + (f"\n{part.as_text()}" if part is not None else "")
+            found.as_text(full=full, cure_text=cure_text)
+            + ("" if part is None else f"\n{part.as_text(cure_text)}")
             for found, part in zip(checks, carried, strict=True)
         ),
     )
@@ -90,20 +98,20 @@ def gains(
     com: Annotated[
         str | None,
         typer.Option(
-            "--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], where known"
+            "--com", metavar="X,Y,Z", help="its centre of mass in the flange frame [m], if known"
         ),
     ] = None,
     frame: Carrier = None,
     drive: Drive = None,
     unchecked: Unchecked = False,
-    reading: Reading,
+    reading: ReadingOptions,
     filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
-    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass, and
-    print the --gain that uses it.
+    """Find the torque per ampere (per logged unit) of every drive from a payload of known mass.
 
-    Gains of a sheet or of --gain scale the torques as usual; what is printed stands in their place.
+    The command prints the --gain that uses it. Gains of a sheet or of --gain scale the torques as
+    usual; the gains printed replace them.
     """
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.workflow.calibration import find_gains
@@ -120,7 +128,7 @@ def gains(
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    bare, under = (currents.open(model, logs) for logs in (log, loaded))
+    bare, under = (recordings_of(model, logs, currents) for logs in (log, loaded))
     with progress_bar() as report:
         found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
     answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
@@ -168,23 +176,26 @@ def channels(
         ),
     ] = None,
     unchecked: Unchecked = False,
-    reading: Reading,
+    reading: ReadingOptions,
     filtering: Filtering,
     as_json: AsJson = False,
 ) -> None:
-    """Identify links, link-side friction and motor side from torques recorded on both sides of the
-    gears.
-    """
+    """Identify links, link-side friction and motor side from torques on both sides of the gears."""
     from asbuilt.dynamics.drives.selection import DriveSet
     from asbuilt.workflow.calibration import identify_channels
     from asbuilt.workflow.options import ChannelOptions
     from asbuilt.writers.tables.drive_tables import channels_document, channels_text
 
     model = described_robot(robot)
-    sensors = replace(reading, torque_source=reading.torque_source or "sensor").open(model, log)
-    motors = replace(
-        reading, gain=motor_gain, torque_source="motor", sheet=motor_sheet or reading.sheet
-    ).open(model, motor)
+    on_links = replace(reading, torque_source=reading.torque_source or "sensor")
+    on_motors = replace(
+        reading,
+        gain=number_list("--motor-gain", motor_gain) or None,
+        torque_source="motor",
+        sheet=motor_sheet or reading.sheet,
+    )
+    sensors = recordings_of(model, log, on_links)
+    motors = recordings_of(model, motor, on_motors)
     options = ChannelOptions(
         link_side=None if drive is None else DriveSet.parse(drive),
         motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),
@@ -201,7 +212,7 @@ def simulate(
     motion: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[MOTION]", help="motion CSV (t, q_*, ...); a random one where none is given"
+            metavar="[MOTION]", help="motion CSV (t, q_*, ...), by default a random one"
         ),
     ] = None,
     preset: Annotated[
@@ -209,7 +220,7 @@ def simulate(
         typer.Option(
             "--preset",
             metavar="NAME",
-            help="the robot and its sensors: ideal (where none is named), lab or factory",
+            help="robot and sensors: ideal (default), lab or factory",
         ),
     ] = None,
     settings: Annotated[
@@ -218,8 +229,8 @@ def simulate(
             "--set",
             metavar="NAME=VALUE",
             help=(
-                "change what the preset says, such as backlash=2e-4 or feedforward=none; repeat for"
-                " more"
+                "change a value of the preset, such as backlash=2e-4 or feedforward=none; repeat"
+                " for more"
             ),
         ),
     ] = None,
@@ -243,7 +254,7 @@ def simulate(
             "--free",
             metavar="HOW",
             help=(
-                "no motion, let go: drop (at rest), free (without friction), step (of a controller)"
+                "free simulation: drop (from rest), free (without friction), step (of a controller)"
             ),
         ),
     ] = None,
@@ -256,7 +267,7 @@ def simulate(
         typer.Option(
             "--engine",
             metavar="NAME",
-            help="mujoco (controlled, in physics) or inverse-dynamics (follows exactly)",
+            help="mujoco (controlled) or inverse-dynamics (follows exactly)",
         ),
     ] = "mujoco",
     rate: Annotated[
@@ -283,9 +294,9 @@ def simulate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Record a virtual robot along a motion, or let a robot go.
+    """Record a virtual robot along a motion, or simulate it without controller.
 
-    The parameters it was made with are written beside the recording.
+    The parameters of the robot are written beside the recording.
     """
     from asbuilt.description.tool import tool_from_text
     from asbuilt.experiment.virtual.settings import with_settings

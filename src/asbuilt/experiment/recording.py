@@ -1,7 +1,8 @@
-"""What a robot logged: time, joint positions, torques and whatever else the controller wrote down."""
+"""Recording: what a robot logged, before any filtering."""
 
 from __future__ import annotations
 
+import html
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
@@ -12,24 +13,40 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
+from asbuilt.findings import Cure, joined
 
 TorqueSource = Literal["sensor", "motor", "current", "unknown"]
 TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "unknown")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Recording:
-    """Hold one recording as the robot logged it, before any filtering.
+    """Hold one recording as the robot logged it.
 
-    `t` (N,) s; `q`, `tau` and, where logged, `qd`, `qdd` (N, n) in rad or m, N m or N, and their
-    derivatives, column k belonging to `joint_names[k]`; `tau` is positive in the direction in which
-    the drive pushes the joint. `torque_source` says what measured it: a joint torque "sensor", a
-    "motor"-side estimate, a "current" (times a gain) or "unknown". `extra` keeps other quantities
-    of shape (N,) or (N, m) under their role names, such as `tau_ext`. `notes` says in sentences
-    what the reader assumed or changed. `gains` is what the logged torques were multiplied by, one
-    per joint, None where they were left as logged; signs are not among them.
+    Values may be NaN and times may decrease: `check_recording` finds that.
 
-    Values may be NaN and times may run back: that is what `check_recording` looks for.
+    Parameters
+    ----------
+    t
+        Times [s], shape (N,).
+    q, tau
+        Joint positions [rad or m] and torques [N m or N], shape (N, n); a torque is positive in
+        the direction in which the drive accelerates the joint.
+    qd, qdd
+        Velocities and accelerations, if logged, shape (N, n).
+    joint_names
+        Names of the n joints, in the order of the columns.
+    source
+        Name of the recording, such as its file.
+    torque_source
+        What measured the torque: a joint torque "sensor", the "motor", its "current" (times a
+        gain), or "unknown".
+    notes
+        Sentences about what the reader assumed or changed.
+    extra
+        Other quantities (N,) or (N, m) by name, such as `tau_ext`.
+    gains
+        Factors by which the logged torques were multiplied, one per joint, without signs.
 
     Raises
     ------
@@ -38,9 +55,12 @@ class Recording:
 
     Examples
     --------
-    >>> recording = Recording(t=[0.0, 0.01], q=[[0.0], [0.1]], tau=[[1.0], [2.0]], joint_names=("elbow",), source="log.csv")
-    >>> recording.n_samples, round(recording.rate), recording.flipped().tau[1, 0].item()
-    (2, 100, -2.0)
+    >>> t, q, tau = [0.0, 0.01], [[0.0], [0.1]], [[1.0], [2.0]]
+    >>> recording = Recording(t=t, q=q, tau=tau, joint_names=("elbow",), source="log.csv")
+    >>> recording
+    Recording('log.csv': 2 samples x 1 joints (elbow), 0.01 s at 100 Hz, torque from unknown)
+    >>> recording.flipped().tau[1, 0].item()
+    -2.0
     """
 
     t: Array
@@ -59,13 +79,17 @@ class Recording:
         t = _read_only(self.t, "t", self.source)
         if t.ndim != 1 or t.size == 0:
             raise RecordingError(
-                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}"
+                f"{self.source}: t must be a vector of at least one time, got shape {t.shape}",
+                file=self.source,
+                value=t.shape,
             )
         q = _read_only(self.q, "q", self.source)
         if q.ndim != 2 or q.shape[0] != t.size or q.shape[1] == 0:
             raise RecordingError(
                 f"{self.source}: q must have shape ({t.size}, n_joints) to go with {t.size} times,"
-                f" got {q.shape}"
+                f" got {q.shape}",
+                file=self.source,
+                value=q.shape,
             )
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "q", q)
@@ -76,35 +100,76 @@ class Recording:
             array = _read_only(value, name, self.source)
             if array.shape != q.shape:
                 raise RecordingError(
-                    f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}"
+                    f"{self.source}: {name} must have the shape of q, {q.shape}, got {array.shape}",
+                    file=self.source,
+                    value=array.shape,
+                    expected=q.shape,
                 )
             object.__setattr__(self, name, array)
         names = tuple(self.joint_names) or tuple(f"joint_{k}" for k in range(1, q.shape[1] + 1))
         if len(names) != q.shape[1]:
             raise RecordingError(
                 f"{self.source}: {q.shape[1]} columns in q but {len(names)} joint names:"
-                f" {', '.join(names)}"
+                f" {', '.join(names)}",
+                file=self.source,
+                value=len(names),
+                expected=q.shape[1],
             )
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise RecordingError(
                 f"{self.source}: joint name {repeated[0]!r} is used {names.count(repeated[0])}"
-                " times; each joint needs its own"
+                " times; each joint needs its own",
+                file=self.source,
+                value=repeated[0],
             )
         if self.torque_source not in TORQUE_SOURCES:
             raise RecordingError(
                 f"{self.source}: torque_source {self.torque_source!r} is not one of"
-                f" {', '.join(TORQUE_SOURCES)}"
+                f" {', '.join(TORQUE_SOURCES)}",
+                file=self.source,
+                value=self.torque_source,
+                available=TORQUE_SOURCES,
             )
         extra = {name: _read_only(value, name, self.source) for name, value in self.extra.items()}
         for name, array in extra.items():
             if array.ndim not in (1, 2) or array.shape[0] != t.size:
                 raise RecordingError(
-                    f"{self.source}: {name} has shape {array.shape} but there are {t.size} times"
+                    f"{self.source}: {name} has shape {array.shape} but there are {t.size} times",
+                    file=self.source,
+                    value=array.shape,
                 )
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "extra", MappingProxyType(extra))
+
+    def __repr__(self) -> str:
+        return (
+            f"Recording({self.source!r}: {self.n_samples} samples x {self.n_joints} joints"
+            f" ({joined(self.joint_names)}), {self.duration:.4g} s at {self.rate:.4g} Hz, torque"
+            f" from {self.torque_source})"
+        )
+
+    def _repr_html_(self) -> str:
+        """Return a table of the range of every joint for notebooks."""
+        heads = ("joint", "position from", "to", "torque from", "to")
+        rows = "".join(
+            f"<tr><td>{html.escape(name)}</td>"
+            + "".join(f"<td>{value:.4g}</td>" for value in values)
+            + "</tr>"
+            for name, *values in zip(
+                self.joint_names,
+                *(
+                    pick(values, axis=0)
+                    for values in (self.q, self.tau)
+                    for pick in (np.nanmin, np.nanmax)
+                ),
+                strict=True,
+            )
+        )
+        head = "".join(f"<th>{each}</th>" for each in heads)
+        caption = html.escape(repr(self))
+        return f"<table><caption>{caption}</caption><tr>{head}</tr>{rows}</table>"
 
     @property
     def n_samples(self) -> int:
@@ -118,10 +183,7 @@ class Recording:
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]: the inverse of the median positive time step.
-
-        NaN where there is none.
-        """
+        """Inverse of the median positive time step [Hz]; NaN if there is none."""
         return median_rate(self.t)
 
     @property
@@ -130,9 +192,7 @@ class Recording:
         return time_span(self.t)
 
     def flipped(self) -> Recording:
-        """Return the recording with the opposite torque sign (also of extra torques), for
-        controllers that log the load's torque.
-        """
+        """Return the recording with the opposite sign of all torques, also of extra ones."""
         extra = {
             name: -value if name.startswith("tau") else value for name, value in self.extra.items()
         }
@@ -144,18 +204,22 @@ class Recording:
         )
 
     def scaled(self, gain: ArrayLike) -> Recording:
-        """Return the recording with each joint's torque column multiplied by `gain`, one number or
-        one per joint, e.g. N m per ampere.
-        """
+        """Return the recording with torques times `gain`, one number or one per joint."""
         gains = np.atleast_1d(np.asarray(gain, dtype=np.float64))
         if gains.ndim != 1 or gains.size not in (1, self.n_joints):
             raise RecordingError(
                 f"{self.source}: {gains.size} gains for {self.n_joints} joints"
-                f" ({', '.join(self.joint_names)}); give one, or one per joint"
+                f" ({', '.join(self.joint_names)})",
+                cure=Cure("give one gain, or one per joint"),
+                file=self.source,
+                value=gains.size,
+                expected=self.n_joints,
             )
         if not np.all(np.isfinite(gains)) or np.any(gains == 0):
             raise RecordingError(
-                f"{self.source}: gains must be finite and not zero, got {gains.tolist()}"
+                f"{self.source}: gains must be finite and not zero, got {gains.tolist()}",
+                file=self.source,
+                value=gains.tolist(),
             )
         listed = ", ".join(f"{g:g}" for g in gains)
         total = tuple(
@@ -169,13 +233,14 @@ class Recording:
         )
 
     def reordered(self, names: Sequence[str]) -> Recording:
-        """Return the recording with columns in the order of `names`, every one of which it must
-        have; other joints are dropped.
-        """
+        """Return the recording with columns in the order of `names`; other joints are dropped."""
         missing = [name for name in names if name not in self.joint_names]
         if missing:
             raise RecordingError(
-                f"{self.source} has no joint {missing[0]!r}; it has {', '.join(self.joint_names)}"
+                f"{self.source} has no joint {missing[0]!r}; it has {', '.join(self.joint_names)}",
+                file=self.source,
+                joint=missing[0],
+                available=self.joint_names,
             )
         order = [self.joint_names.index(name) for name in names]
         extra = {
@@ -203,8 +268,11 @@ class Recording:
         """Return the samples that the mask or slice `keep` selects."""
         if not self.t[keep].size:
             raise RecordingError(
-                f"{self.source}: {empty}; it runs from {np.nanmin(self.t):g} s to"
-                f" {np.nanmax(self.t):g} s"
+                f"{self.source}: {empty}; it lasts from {np.nanmin(self.t):g} s to"
+                f" {np.nanmax(self.t):g} s",
+                file=self.source,
+                lower=float(np.nanmin(self.t)),
+                upper=float(np.nanmax(self.t)),
             )
         return replace(
             self,
@@ -218,10 +286,7 @@ class Recording:
 
 
 def median_rate(t: Array) -> float:
-    """Return the sampling rate [Hz] of times (N,) [s]: the inverse of the median positive step.
-
-    NaN where there is none.
-    """
+    """Return the inverse of the median positive step of times (N,); NaN if there is none."""
     steps = np.diff(t)
     steps = steps[np.isfinite(steps) & (steps > 0)]
     return float(1.0 / np.median(steps)) if steps.size else float("nan")
@@ -236,7 +301,9 @@ def _read_only(value: ArrayLike, name: str, source: str) -> Array:
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise RecordingError(f"{source}: {name} is not an array of numbers ({error})") from error
+        raise RecordingError(
+            f"{source}: {name} is not an array of numbers ({error})", file=source
+        ) from error
     if array.flags.writeable:
         array = array.copy() if array is value or array.base is not None else array
         array.setflags(write=False)

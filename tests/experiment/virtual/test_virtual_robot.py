@@ -291,7 +291,7 @@ def test_errors_say_what_is_wrong(iiwa: RobotModel) -> None:
         PositionController(bandwidth=80.0)
     with pytest.raises(UsageError, match="clock_jitter must be below half a sampling period"):
         DataLogger(clock_jitter=1.0)
-    with pytest.raises(UsageError, match="warming is a fraction"):
+    with pytest.raises(UsageError, match="warming must be from 0"):
         DriveTrain(warming=1.0)
     heavy = LinkInertia.from_com(300.0, [0.0, 0.0, 0.3], np.eye(3))
     with pytest.raises(

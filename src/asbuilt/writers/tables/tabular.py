@@ -21,7 +21,7 @@ from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import Cell, Column, Shown, Table, share, significant
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.prediction import Validation, torque_units
-from asbuilt.workflow.information_efficiency import Attainment
+from asbuilt.workflow.information_efficiency import RecordedInformation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, path_texts
 
@@ -141,7 +141,7 @@ def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -
 
 
 def check_document(
-    model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[Attainment | None] = ()
+    model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[RecordedInformation | None] = ()
 ) -> dict[str, Any]:
     """Return what `asbuilt check --json` prints.
 
