@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 
 from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
+from asbuilt.description.formats.registry import FORMATS, format_of, known_suffixes
 from asbuilt.description.formats.xml import outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
-
-SUFFIXES = (".toml", ".csv", ".urdf", ".xml", ".mjcf")
 
 
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
     """Load a bundled robot by name, or a description by path.
 
-    `.toml`, `.csv` (DH and mass table), `.urdf`, `.xml` (MJCF or URDF, by content).
+    Parameters
+    ----------
+    name_or_path
+        Name of a bundled robot, or a file: TOML, URDF, MJCF, a DH and mass table (CSV), or a format
+        that another distribution registers. XML is recognised by content.
 
-    Raises `DescriptionError` where there is neither such a robot nor such a file, or the file makes
-    no sense.
+    Returns
+    -------
+    RobotModel
+        The robot.
+
+    Raises
+    ------
+    DescriptionError
+        If there is neither such a robot nor such a file, or the file makes no sense.
 
     Examples
     --------
@@ -37,46 +45,36 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
     except OSError as error:
         shown = text if len(text) < 200 else f"{text[:60]}..."
         raise DescriptionError(f"{shown} cannot be read: {error.strerror}") from None
+    if exists:
+        return _read(path)
+    suffixes, bundled = ", ".join(known_suffixes()), ", ".join(robot_names())
     if is_folder:
         raise DescriptionError(
-            f"{text} is a folder; give a description file ({', '.join(SUFFIXES)}) or a bundled"
-            f" robot ({', '.join(robot_names())})"
+            f"{text} is a folder; give a description file ({suffixes}) or a bundled robot"
+            f" ({bundled})"
         )
-    if not exists:
-        if path.suffix.lower() in (*SUFFIXES, ".xacro"):
-            raise DescriptionError(
-                f"there is no file {text}; give the path of a description ({', '.join(SUFFIXES)})"
-            )
+    if path.suffix.lower() in (*known_suffixes(), ".xacro"):
         raise DescriptionError(
-            f"there is no bundled robot and no file {text!r}{nearest(text)}; bundled are"
-            f" {', '.join(robot_names())}; a file may be {', '.join(SUFFIXES)}"
+            f"there is no file {text}; give the path of a description ({suffixes})", file=text
         )
-    return _read(path)
+    raise DescriptionError(
+        f"there is no bundled robot and no file {text!r}{nearest(text)}; bundled are {bundled}; a"
+        f" file may be {suffixes}"
+    )
 
 
 def _read(path: Path) -> RobotModel:
-    suffix = path.suffix.lower()
-    if suffix == ".toml":
-        return _reader("toml", "read_robot_toml")(path)
-    if suffix == ".csv":
-        return _reader("dh_table", "read_dh_table")(path)
     try:
         content = path.read_bytes()
     except OSError as error:
         raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
-    tag = outermost_tag(content)
-    if tag == "mujoco":
-        return _reader("mjcf", "read_mjcf")(path)
-    if tag:
-        return _reader("urdf", "read_urdf")(path)
-    raise DescriptionError(
-        f"{path} is not a robot description that asbuilt knows; it reads TOML, a DH table (CSV),"
-        " URDF and MJCF (XML)"
-    )
-
-
-def _reader(module: str, name: str) -> Callable[[Path], RobotModel]:
-    reader: Callable[[Path], RobotModel] = getattr(
-        import_module(f"asbuilt.description.formats.{module}"), name
-    )
-    return reader
+    found = format_of(path, content)
+    if found is None and outermost_tag(content):
+        found = FORMATS["urdf"]
+    if found is None:
+        titles = ", ".join(each.title for each in FORMATS.values())
+        raise DescriptionError(
+            f"{path} is not a robot description in a known format; formats are {titles}",
+            file=str(path),
+        )
+    return found.read(path)

@@ -12,6 +12,7 @@ import numpy as np
 
 from asbuilt.description.finite import finite_number
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import JointKind, RobotModel
 from asbuilt.errors import DescriptionError
@@ -114,3 +115,6 @@ def _row(place: str, cells: dict[str, str]) -> DHRow:
         kind=KINDS[kind],
         inertia=inertia,
     )
+
+
+FORMATS.register("dh_table", DescriptionFormat("DH table", (".csv",), read_dh_table))

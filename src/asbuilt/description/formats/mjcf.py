@@ -12,7 +12,8 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.formats.xml import described_text, parsed_xml
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
+from asbuilt.description.formats.xml import described_text, outermost_tag, parsed_xml
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import (
     ROOT,
@@ -397,3 +398,11 @@ class _Tree:
             inertia_known=name not in self.unknown,
             parts=tuple(parts) if merged else (),
         )
+
+
+FORMATS.register(
+    "mjcf",
+    DescriptionFormat(
+        "MJCF", (".mjcf", ".xml"), read_mjcf, lambda content: outermost_tag(content) == "mujoco"
+    ),
+)

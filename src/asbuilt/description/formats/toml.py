@@ -14,6 +14,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.dh import DHRow, dh_joint, dh_lengths, joint_on_origin
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.toml_tables import (
     DHTable,
     LinkTable,
@@ -256,3 +257,6 @@ def _link(link: LinkTable) -> Link:
     return Link(
         name=link.name, inertia=inertia or LinkInertia.zero(), inertia_known=inertia is not None
     )
+
+
+FORMATS.register("toml", DescriptionFormat("TOML", (".toml",), read_robot_toml))

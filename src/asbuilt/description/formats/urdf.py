@@ -9,11 +9,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.formats.xml import (
     close_match,
     described_text,
     number,
     numbers,
+    outermost_tag,
     parsed_xml,
     required,
 )
@@ -379,3 +381,11 @@ def _drive(connection: _Connection) -> DriveValues:
         if value is not None and value < 0.0:
             raise DescriptionError(f"{place}: {name} is {value}; it must not be negative")
     return DriveValues(viscous=damping, coulomb=friction)
+
+
+FORMATS.register(
+    "urdf",
+    DescriptionFormat(
+        "URDF", (".urdf", ".xml"), read_urdf, lambda content: outermost_tag(content) == "robot"
+    ),
+)
