@@ -1,11 +1,7 @@
-"""The whole story on bundled data.
-
-Design a motion, record a virtual robot, identify, validate, compare, export, write everything down.
-"""
+"""The demonstration: a complete run on a bundled robot, from the motion to the report."""
 
 from __future__ import annotations
 
-import textwrap
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -29,15 +25,18 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.sensors import PERFECT_SENSORS
 from asbuilt.experiment.virtual.virtual_robot import SimulatedRecording, VirtualRobot
-from asbuilt.tables import share, significant, stacked
+from asbuilt.tables import Column, Table, share, significant, stacked, wrapped
 from asbuilt.validation.attribution.attribution import Attribution, attribute
+from asbuilt.validation.prediction import Validation
 from asbuilt.validation.recovery import Recovery, compare_with_truth
 from asbuilt.workflow.study import Study, StudyOptions, identify
 from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.export import Export, export_result
+from asbuilt.writers.motion_files import write_motion
 from asbuilt.writers.recording_files import simulate_document, write_simulation
+from asbuilt.writers.reports.motion_report import write_motion_report
 from asbuilt.writers.reports.study_files import write_study
-from asbuilt.writers.tables.design_tables import excite_document, write_design
+from asbuilt.writers.tables.design_tables import excite_document
 from asbuilt.writers.tables.tabular import identify_document
 
 Progress = Callable[[str, float], None]
@@ -47,20 +46,17 @@ SEED = 7
 DRIVE = "viscous,coulomb,offset"
 SEARCH_SECONDS = 15.0
 GRIPPER = LinkInertia.from_com(1.2, [0.01, -0.01, 0.07], np.diag([0.004, 0.0035, 0.0015]))
-"""What the virtual robot carries and its description does not know."""
+"""Body at the flange of the virtual robot that its description lacks."""
 JOINTS_EXPLAINED = 3
-"""Joints whose error the screen explains; the report has all."""
-WIDTH = 140
-"""Longest line of a sentence on the screen."""
+"""Joints whose error the text explains; the report has all."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demo:
-    """Hold the story: the motion designed, both recordings, the study of them, what was found of
-    the truth, what was exported, the files written.
+    """Hold the demonstration: motion, recordings, study, export and files.
 
-    `recovery` is None without MuJoCo, whose robot alone logs torques with the drive terms that are
-    identified.
+    `recovery` compares the result with the truth; None without MuJoCo. `refusal` says why nothing
+    was exported.
     """
 
     model: RobotModel
@@ -78,13 +74,28 @@ class Demo:
 def run_demo(
     folder: Path, *, progress: Progress | None = None, search_seconds: float = SEARCH_SECONDS
 ) -> Demo:
-    """Run the story and write its files below `folder`."""
+    """Run the demonstration and write its files below a folder.
+
+    Parameters
+    ----------
+    folder
+        Where the files go.
+    progress
+        Called with the name of each step and the fraction done.
+    search_seconds
+        Time limit of the design [s].
+
+    Returns
+    -------
+    Demo
+        What was designed, recorded, identified and written.
+    """
     report = progress or (lambda what, fraction: None)
     started = time.perf_counter()
     model, drive = bundled_robot(ROBOT), DriveSet.parse(DRIVE)
 
     def searched(state: SearchProgress) -> None:
-        report("design a motion", min((time.perf_counter() - started) / search_seconds, 1.0))
+        report("design a motion", state.share)
 
     report("design a motion", 0.0)
     design = design_motion(
@@ -106,7 +117,8 @@ def run_demo(
     )
     report("write", 0.0)
     files = {
-        **write_design(folder / "motion.csv", design, 1000.0),
+        "motion": write_motion(folder / "motion.csv", design.motion, model.joint_names),
+        "motion_page": write_motion_report(folder / "motion.html", design),
         **write_simulation(folder / "recording.csv", training),
         "validation": write_simulation(folder / "validation.csv", test)["recording"],
         **write_study(folder, study, command=("demo", "--out", str(folder)))[0],
@@ -138,18 +150,12 @@ def run_demo(
 
 
 def _recorded(model: RobotModel, motion: Motion, seed: int, name: str) -> SimulatedRecording:
-    """Record the virtual robot on its engine.
-
-    Without the engine, by inverse dynamics along the commanded motion.
-    """
+    """Record the virtual robot in MuJoCo, or by inverse dynamics if that is not installed."""
     try:
         simulated = _virtual_robot(model).record(motion, seed)
     except MissingExtraError:
-        simulated = (
-            VirtualRobot.typical(model, rng=SEED)
-            .with_tool(GRIPPER, at="flange")
-            .record(motion, rng=seed)
-        )
+        robot = VirtualRobot.typical(model, SEED).with_tool(GRIPPER, at="flange")
+        simulated = robot.record(motion, seed)
     recording: Recording = replace(simulated.recording, source=name)
     return replace(simulated, recording=recording)
 
@@ -159,9 +165,7 @@ def _virtual_robot(model: RobotModel) -> VirtualRobot:
 
 
 def _recovered(model: RobotModel, study: Study) -> Recovery | None:
-    """Hold the result against the parameters of the robot that moved, along a motion of its own and
-    without its sensors.
-    """
+    """Compare the result with the true parameters, on a motion of its own without sensor noise."""
     robot = _virtual_robot(model)
     bare = replace(
         robot, sensors=PERFECT_SENSORS, logger=DataLogger(rate=100.0, accelerations=True)
@@ -174,81 +178,79 @@ def _recovered(model: RobotModel, study: Study) -> Recovery | None:
 
 
 def demo_text(story: Demo) -> str:
-    """Return the one screen with which the demo ends."""
+    """Return the screen with which the demonstration ends."""
     result, design, held = story.study.result, story.design, story.study.validations[0]
-    efficiency = (
-        ""
-        if design.d_efficiency is None
-        else f", {share(design.d_efficiency, 0)} of the attainable information"
-    )
-    consistent = {
-        True: "real bodies can have these parameters",
-        False: "NO real bodies have these parameters",
-        None: "consistency unknown",
-    }
-    causes, folder = story.causes, story.files["report"].parent
-    costly = [int(k) for k in np.argsort(-causes.rms_cad)[:JOINTS_EXPLAINED]]
+    consistent = "physically consistent" if result.physically_consistent else "NOT CONSISTENT"
+    cad, built = held.metrics_cad, held.metrics_as_built
+    causes = story.causes
+    worst = [int(k) for k in np.argsort(-causes.rms_cad)[:JOINTS_EXPLAINED]]
     lines = [
-        (
-            f"asbuilt demo: {story.model.name} with a gripper of {GRIPPER.mass:g} kg, other links,"
-            " friction and sensor noise that its CAD model does not know"
+        wrapped(
+            f"{story.model.name} with a gripper of {GRIPPER.mass:g} kg, other links and friction"
+            " that its CAD lacks"
         ),
         "",
-        (
-            f"designed    {design.motion.duration:g} s of motion in {design.solve_seconds:.0f} s:"
-            f" scaled condition number {significant(design.scaled_condition_number)}{efficiency};"
-            " every limit kept on a 1 kHz grid"
+        _line(
+            "designed",
+            f"{design.motion.duration:g} s of motion in {design.solve_seconds:.0f} s, scaled"
+            f" condition number {significant(design.scaled_condition_number)}, within every limit",
         ),
-        *_told("recorded", "; ".join(story.training.recording.notes)),
-        (
-            f"identified  {result.rank} of {result.n_base} parameters by {result.method} from"
-            f" {result.n_samples} samples; {consistent[result.physically_consistent]}"
+        _line("recorded", "; ".join(story.training.recording.notes)),
+        _line(
+            "identified",
+            f"{result.rank} of {result.n_base} parameters by {result.method} from"
+            f" {result.n_samples} samples, {consistent}",
         ),
-        *_truth_told(story.recovery),
-        (
-            "predicted   another motion: torque error CAD"
-            f" {share(held.metrics_cad.relative_error)}, as built"
-            f" {share(held.metrics_as_built.relative_error)}"
+        _line(
+            "validated",
+            f"on another motion: torque error CAD {share(cad.relative_error)}, as built"
+            f" {share(built.relative_error)}",
         ),
+        *_recovery_lines(story.recovery),
         "",
-        stacked([story.study.comparison.torque_table()]),
-        f"Why CAD is off, at the {len(costly)} joints where it costs most:",
-        *(
-            line
-            for k in costly
-            for line in _told(f"  {causes.joint_names[k]}", causes.sentences[k].partition(": ")[2])
-        ),
-        *_told(
-            "",
-            f"The gripper has {GRIPPER.mass:g} kg; links that are lighter or heavier than in CAD"
-            " look like less or more of it.",
-        ),
+        stacked([_error_table(held)]),
+        f"Causes of the error of CAD, at the {len(worst)} joints where it is largest:",
+        *(wrapped(causes.sentences[k], "  ", lines=2) for k in worst),
         "",
-        *_told("exported", story.refusal or "URDF, MJCF and C code give the identified torques"),
-        *_told("files", ", ".join(path.name for path in story.files.values())),
-        f"in {story.seconds:.0f} s; all in {folder}; open {story.files['report']} first",
+        _line("exported", story.refusal or "URDF, MJCF and C code with the identified torques"),
+        _line("files", f"{len(story.files)} in {story.files['report'].parent}"),
+        _line("report", f"{story.files['report']} (open it first)"),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _truth_told(recovery: Recovery | None) -> list[str]:
+def _error_table(held: Validation) -> Table:
+    """Return the RMS torque errors, a row for CAD and one for the identified robot."""
+    rows = (
+        ("CAD", *held.metrics_cad.rms.tolist()),
+        ("as built", *held.metrics_as_built.rms.tolist()),
+    )
+    columns = (
+        Column("RMS error"),
+        *(
+            Column(name, unit, "decimal", ".3f")
+            for name, unit in zip(held.joint_names, held.units, strict=True)
+        ),
+    )
+    return Table(columns, rows)
+
+
+def _recovery_lines(recovery: Recovery | None) -> list[str]:
     if recovery is None:
         return []
+    count = len(recovery.names)
     return [
-        f"truth       {round(recovery.within(2.0) * len(recovery.names))} of {len(recovery.names)}"
-        " parameters lie within 2 standard errors of it; torque without sensor noise: CAD"
-        f" {share(recovery.cad_error)} off, as built {share(recovery.torque_error, 2)}"
+        _line(
+            "truth",
+            f"{round(recovery.within(2.0) * count)} of {count} parameters within 2 standard errors;"
+            f" torque without noise: CAD {share(recovery.cad_error)} off, as built"
+            f" {share(recovery.torque_error, 2)}",
+        )
     ]
 
 
-def _told(label: str, text: str) -> list[str]:
-    return textwrap.wrap(
-        text,
-        WIDTH,
-        initial_indent=f"{label:<12}",
-        subsequent_indent=" " * 12,
-        break_on_hyphens=False,
-    )
+def _line(label: str, text: str) -> str:
+    return wrapped(text, f"{label:<12}")
 
 
 def demo_document(story: Demo) -> dict[str, Any]:
