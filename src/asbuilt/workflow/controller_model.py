@@ -18,9 +18,10 @@ from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import Cell, Column, Shown, Table, share, significant
+from asbuilt.tables import Table, share, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.comparison.drift import Drift, compare_results
+from asbuilt.validation.comparison.torque_error_table import torque_error_table
 from asbuilt.validation.prediction import torque_units, validate_samples
 from asbuilt.workflow.options import ControllerOptions
 from asbuilt.workflow.prepare import prepare
@@ -48,52 +49,28 @@ class ControllerComparison:
 
     def torque_table(self) -> Table:
         """Return the RMS torque errors on the data held out."""
-        units = torque_units(self.identified.model)
-        heads = [
-            Column("model"),
-            *(
-                Column(name, unit, "decimal", width=16)
-                for name, unit in zip(self.as_built.joint_names, units, strict=True)
-            ),
-        ]
-        heads.append(Column("relative error", align="decimal"))
-        rows: list[tuple[Cell, ...]] = []
-        for what, metrics in (
-            ("CAD", self.cad),
-            ("controller", self.controller),
-            ("as built", self.as_built),
-        ):
-            errors = [Shown(float(error), significant(float(error))) for error in metrics.rms]
-            rows.append(
-                (what, *errors, Shown(metrics.relative_error, share(metrics.relative_error)))
-            )
+        named = (("CAD", self.cad), ("controller", self.controller), ("as built", self.as_built))
         note = (
-            "controller: what its external torque says that its own model predicts; parameters"
-            f" identified from that prediction repeat it to {share(self.rebuilt.relative_error)} of"
-            " its torque."
+            "controller: prediction of the controller's own model, torque less external torque;"
+            f" parameters identified from it repeat it to {share(self.rebuilt.relative_error)}."
         )
-        return Table(
-            tuple(heads),
-            tuple(rows),
-            title=f"RMS torque error on {recording_name(self.as_built.source)}",
-            notes=(note,),
-        )
+        title = f"RMS torque error on {recording_name(self.as_built.source)}"
+        return torque_error_table(named, torque_units(self.identified.model), title, (note,))
 
     def verdict(self) -> str:
         """Return the outcome in a sentence."""
         better = int(np.sum(self.as_built.rms < self.controller.rms))
         return (
-            f"As built the robot is predicted better than by its controller's model at {better} of"
-            f" {len(self.as_built.rms)} joints: relative error"
+            "The robot as built predicts torque better than its controller's model at"
+            f" {better} of {len(self.as_built.rms)} joints: relative error"
             f" {share(self.as_built.relative_error)} against"
             f" {share(self.controller.relative_error)} (CAD {share(self.cad.relative_error)})."
         )
 
-    def as_text(self) -> str:
-        """Return verdict and tables for a terminal."""
-        return "\n".join(
-            [self.verdict(), "", self.torque_table().as_text(), self.difference.as_text()]
-        )
+    def as_text(self, full: bool = False) -> str:
+        """Return verdict and tables for a terminal; all rows and notes if `full`."""
+        tables = (self.torque_table().as_text(full), self.difference.as_text(full))
+        return "\n".join([wrapped(self.verdict()), "", *tables])
 
     def as_document(self) -> dict[str, Any]:
         """Return plain numbers, lists and None, ready for JSON."""

@@ -142,7 +142,7 @@ def test_page_of_the_controller_says_whose_model_is_better(
     places = [
         page.index(words)
         for words in (
-            "As built the robot is predicted better",
+            "The robot as built predicts torque better",
             'id="torque-table"',
             'id="joints-by-torque"',
         )
@@ -156,7 +156,7 @@ def test_unchanged_robot_and_results_without_evidence(example: Any) -> None:
     result = replace(example.result, cause_data=None)
     same = compare_results(result, result)
     page = drift_html(same)
-    assert "No parameter changed beyond doubt." in page
+    assert "No parameter changed significantly." in page
     assert 'id="changed"' not in page
     assert "<img" not in page
     assert "onerror=alert(1)>" not in page

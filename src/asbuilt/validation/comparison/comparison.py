@@ -14,7 +14,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.findings import joined
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.metrics import TorqueMetrics
-from asbuilt.tables import Cell, Column, Shown, Table, share, significant, stacked, wrapped
+from asbuilt.tables import Table, share, significant, stacked, wrapped
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance, check_tolerance
 from asbuilt.validation.comparison.compared_parameter import ComparedParameter, parameter_table
 from asbuilt.validation.comparison.parameter_text import parameter_texts
@@ -27,6 +27,7 @@ from asbuilt.validation.comparison.significance import (
     two_sided_probability,
 )
 from asbuilt.validation.comparison.torque_cost import torque_cost
+from asbuilt.validation.comparison.torque_error_table import torque_error_table
 from asbuilt.validation.prediction import Validation, cad_values, torque_units
 
 if TYPE_CHECKING:
@@ -166,33 +167,17 @@ class Comparison:
 
     def torque_table(self) -> Table:
         """Return the RMS torque errors as in Table 3 of the 2015 paper, a column per recording."""
-        pairs = [
-            (("CAD", cad), ("as built", built)) if cad is not None else (("as built", built),)
-            for cad, built in self.torque
+        number = [f" [{k + 1}]" if len(self.torque) > 1 else "" for k in range(len(self.torque))]
+        named = [
+            (f"{what}{number[k]}", metrics)
+            for k, pair in enumerate(self.torque)
+            for what, metrics in zip(("CAD", "as built"), pair, strict=True)
+            if metrics is not None
         ]
-        shown = [(k, what, metrics) for k, pair in enumerate(pairs) for what, metrics in pair]
-        unit = self.units[0] if len(set(self.units)) == 1 else ""
-        number = {k: f" [{k + 1}]" if len(pairs) > 1 else "" for k in range(len(pairs))}
-        heads = (
-            Column("joint", width=24),
-            *([] if unit else [Column("unit")]),
-            *(Column(f"{what}{number[k]}", unit, "decimal", detail=k > 1) for k, what, _ in shown),
-        )
-        rows: list[tuple[Cell, ...]] = [
-            (
-                name,
-                *([] if unit else [self.units[j]]),
-                *(Shown(float(each.rms[j]), significant(float(each.rms[j]))) for *_, each in shown),
-            )
-            for j, name in enumerate(self.joint_names)
-        ]
-        relative = (Shown(each.relative_error, share(each.relative_error)) for *_, each in shown)
-        rows.append(("relative error", *([] if unit else [""]), *relative))
         sources = tuple(recording_name(built.source) for _, built in self.torque)
-        title = "RMS torque error"
         if len(sources) == 1:
-            return Table(heads, tuple(rows), title=f"{title} on {sources[0]}")
-        return Table(heads, tuple(rows), title=title, notes=sources)
+            return torque_error_table(named, self.units, f"RMS torque error on {sources[0]}")
+        return torque_error_table(named, self.units, "RMS torque error", sources)
 
     def as_text(self, full: bool = False) -> str:
         """Return verdict and both tables for a terminal.

@@ -11,8 +11,9 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.findings import joined
 from asbuilt.identification.calibration.payload import Payload
-from asbuilt.tables import Column, Shown, Table, percent, rounded, share, significant, stacked
+from asbuilt.tables import Column, Shown, Table, percent, rounded, significant, stacked
 from asbuilt.validation.comparison.comparison import recording_name
+from asbuilt.validation.comparison.torque_error_table import torque_error_table
 from asbuilt.writers.files import path_texts
 
 _SOURCES = {
@@ -108,27 +109,19 @@ def _gain_notes(payload: Payload) -> tuple[str, ...]:
 
 def payload_torque_table(payload: Payload) -> Table:
     """Return the RMS torque errors with the payload and of the bare arm, a row per joint."""
-    pairs = list(zip(payload.metrics_bare, payload.metrics, strict=True))
-    columns = [Column("joint", width=24)]
-    for k in range(len(pairs)):
-        number = f" [{k + 1}]" if len(pairs) > 1 else ""
-        columns += [
-            Column(f"{what}{number}", align="decimal", detail=k > 1)
-            for what in ("bare arm", "with payload")
-        ]
-    metrics = [each for pair in pairs for each in pair]
-    names = payload.metrics[0].joint_names
-    rows = [
-        (name, *(Shown(float(each.rms[j]), significant(float(each.rms[j]))) for each in metrics))
-        for j, name in enumerate(names)
+    number = [
+        f" [{k + 1}]" if len(payload.metrics) > 1 else "" for k in range(len(payload.metrics))
     ]
-    relative = (Shown(each.relative_error, share(each.relative_error)) for each in metrics)
-    rows.append(("relative error", *relative))
-    sources = tuple(recording_name(carried.source) for _, carried in pairs)
-    title = "RMS torque error"
+    named = [
+        (f"{what}{number[k]}", metrics)
+        for k, pair in enumerate(zip(payload.metrics_bare, payload.metrics, strict=True))
+        for what, metrics in zip(("bare arm", "with payload"), pair, strict=True)
+    ]
+    units = [""] * len(payload.metrics[0].joint_names)
+    sources = tuple(recording_name(carried.source) for carried in payload.metrics)
     if len(sources) == 1:
-        return Table(tuple(columns), tuple(rows), title=f"{title} on {sources[0]}")
-    return Table(tuple(columns), tuple(rows), title=title, notes=sources)
+        return torque_error_table(named, units, f"RMS torque error on {sources[0]}")
+    return torque_error_table(named, units, "RMS torque error", sources)
 
 
 def payload_document(payload: Payload, files: Mapping[str, Path] | None = None) -> dict[str, Any]:
