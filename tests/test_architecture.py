@@ -164,8 +164,10 @@ def test_public_names_load_from_the_modules_of_the_stub(package: str) -> None:
     assert loaded.__all__ == sorted(names)
     for name, home in names.items():
         value = getattr(loaded, name)
-        assert value.__module__ == home
+        assert getattr(import_module(home), name) is value
         assert value.__doc__
+        if callable(value):
+            assert value.__module__ == home
 
 
 def test_stage_names_that_asbuilt_exposes_are_public_in_their_stage() -> None:

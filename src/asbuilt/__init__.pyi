@@ -30,9 +30,9 @@ from .experiment.logs.readers import read_recording as read_recording
 from .experiment.logs.recordings import as_recordings as as_recordings
 from .experiment.quality.checks import check_recording as check_recording
 from .experiment.recording import Recording as Recording
+from .experiment.signal.preparation import prepare_samples as prepare_samples
 from .experiment.signal.samples import Samples as Samples
 from .experiment.signal.signal_chain import SignalChain as SignalChain
-from .experiment.signal.preparation import prepare_samples as prepare_samples
 from .experiment.virtual.free_motion import run_free as run_free
 from .experiment.virtual.simulation import simulate_recording as simulate_recording
 from .experiment.virtual.virtual_robot import VirtualRobot as VirtualRobot
@@ -58,13 +58,16 @@ from .workflow.options import PayloadOptions as PayloadOptions
 from .workflow.options import StudyOptions as StudyOptions
 from .workflow.options import ValidationOptions as ValidationOptions
 from .workflow.payload_study import identify_payload as identify_payload
+from .workflow.prepare import prepare as prepare
 from .workflow.result_files import read_result as read_result
 from .workflow.result_files import read_study as read_study
 from .workflow.study import Study as Study
 from .workflow.study import identify as identify
 from .workflow.validation import validate as validate
+from .workflow.validation import validate_robot as validate_robot
 from .writers.models.export import export_result as export_result
 from .writers.motion_files import write_motion as write_motion
+from .writers.pictures.view import view_robot as view_robot
 from .writers.programs.program import make_program as make_program
 from .writers.recording_files import write_recording as write_recording
 from .writers.reports.report import write_report as write_report

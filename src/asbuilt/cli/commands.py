@@ -47,7 +47,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "Compute link masses from meshes and materials, or from a table.",
             (
                 "my_robot.urdf --meshes meshes --material aluminium",
-                "my_robot.urdf --table cad.csv --about com --products tensor -o new.urdf",
+                "my_robot.urdf --table cad.csv --about com -o new.urdf",
             ),
             "link_masses",
             compiles=False,

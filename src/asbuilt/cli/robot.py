@@ -84,10 +84,7 @@ def view(
         typer.Option(
             "--save",
             metavar="FILE",
-            help=(
-                "write a page of its own (.html), a picture (.png) or an animation (.gif .webp)"
-                " instead"
-            ),
+            help=("write a page (.html), a picture (.png) or an animation (.gif, .webp) instead"),
             callback=writable_file,
         ),
     ] = None,
@@ -100,16 +97,17 @@ def view(
         ),
     ] = "auto",
     port: Annotated[
-        int, typer.Option("--port", help="port of the page, the next free one where it is taken")
+        int,
+        typer.Option("--port", metavar="N", help="port of the page, or the next free one"),
     ] = 8080,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="open the page in a browser")
     ] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Show the robot in 3-D in the browser, with frames, centres of mass and inertia ellipsoids.
+    """Show the robot in 3-D in the browser, or save a picture, an animation or a page.
 
-    Ctrl-C ends it.
+    The browser shows frames, centres of mass and inertia ellipsoids; Ctrl-C ends it.
     """
     from asbuilt.excitation.motions.motion_csv import read_motion
     from asbuilt.writers.pictures.view import view_robot
@@ -152,13 +150,13 @@ def export(
     result: Result,
     urdf: Annotated[
         Path | None,
-        typer.Option("--urdf", metavar="FILE", help="the URDF it was identified with, as built"),
+        typer.Option("--urdf", metavar="FILE", help="URDF, the original as built"),
     ] = None,
     mjcf: Annotated[
-        Path | None, typer.Option("--mjcf", metavar="FILE", help="a model for MuJoCo")
+        Path | None, typer.Option("--mjcf", metavar="FILE", help="MJCF, for MuJoCo")
     ] = None,
     toml: Annotated[
-        Path | None, typer.Option("--toml", metavar="FILE", help="a robot file of asbuilt")
+        Path | None, typer.Option("--toml", metavar="FILE", help="robot file of asbuilt")
     ] = None,
     c: Annotated[
         Path | None,
@@ -169,7 +167,7 @@ def export(
         typer.Option(
             "--original",
             metavar="FILE",
-            help="the URDF to edit (default: where the robot was read from)",
+            help="URDF to edit [default: that of the robot]",
         ),
     ] = None,
     nearest: Annotated[
@@ -177,16 +175,14 @@ def export(
         typer.Option(
             "--nearest",
             help=(
-                "where no real bodies and drives have the identified parameters, write the nearest"
-                " that can be"
+                "if the identified parameters are physically inconsistent, write the nearest"
+                " consistent model"
             ),
         ),
     ] = False,
     force: Annotated[
         bool,
-        typer.Option(
-            "--force", help="with --nearest: write it though it predicts the recordings badly"
-        ),
+        typer.Option("--force", help="with --nearest: write it however large its error"),
     ] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -17,5 +17,6 @@ from .result.metrics import TorqueMetrics as TorqueMetrics
 from .result.metrics import torque_metrics as torque_metrics
 from .result.result import IdentificationResult as IdentificationResult
 from .result.result import IdentifiedParameter as IdentifiedParameter
+from .result.summary import summarise as summarise
 from .result.torque_prediction import Prediction as Prediction
 from .result.torque_prediction import predict_torque as predict_torque

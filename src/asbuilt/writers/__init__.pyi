@@ -3,11 +3,13 @@ from .models.export import Export as Export
 from .models.export import export_result as export_result
 from .motion_files import write_motion as write_motion
 from .pictures.animation import write_picture as write_picture
+from .pictures.view import view_robot as view_robot
 from .pictures.viewer import Viewer as Viewer
-from .programs.program import make_program as make_program
 from .programs.format import program_format as program_format
+from .programs.program import make_program as make_program
 from .recording_files import write_recording as write_recording
 from .recording_files import write_simulation as write_simulation
 from .reports.report import report_html as report_html
 from .reports.report import write_report as write_report
+from .reports.study_files import write_result as write_result
 from .reports.study_files import write_study as write_study

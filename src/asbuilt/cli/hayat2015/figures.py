@@ -15,7 +15,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.writers.figures.figure_style import blank_figure, headline, styled
-from asbuilt.writers.figures.figures import torque_figure
+from asbuilt.writers.figures.torque_figure import torque_figure
 
 SHOWN = slice(0, 4)
 """Joints of Figures 3 and 4."""
