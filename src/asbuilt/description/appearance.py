@@ -32,8 +32,9 @@ TRAVEL = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A round body fixed to a link (ROOT for the root link), from `start` to `stop` (3,) in link
-    axes [m], with `radius` [m].
+    """Describe a round body fixed to a link (ROOT for the root link).
+
+    It reaches from `start` to `stop` (3,), in link axes [m], with `radius` [m].
 
     A `rod` has round ends, a `housing` sits around a joint axis and has flat ones.
     """
@@ -67,8 +68,9 @@ def stretched_length(model: RobotModel) -> float:
 
 
 def inertia_ellipsoid(inertia: LinkInertia) -> tuple[Array, Array] | None:
-    """Return semi-axes (3,) [m] and axes (3, 3), as columns in link axes, of the ellipsoid of
-    uniform density with the same inertia.
+    """Return the ellipsoid of uniform density with this inertia, centred at the centre of mass.
+
+    Semi-axes (3,) [m] and axes (3, 3), as columns in link axes.
 
     It sits at the centre of mass: `I_1 = m (b^2 + c^2) / 5` and cyclically, so `a^2 = 5 (I_2 + I_3
     - I_1) / (2 m)`. None where no body of positive mass has this inertia.

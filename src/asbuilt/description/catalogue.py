@@ -43,9 +43,7 @@ def bundled_robot(name: str) -> RobotModel:
 
 
 def nearest(name: str) -> str:
-    """Return `" (did you mean 'puma-560'?)"` for the bundled robot nearest in spelling, or an empty
-    text.
-    """
+    """Return `" (did you mean 'puma-560'?)"` for the nearest bundled robot, or an empty text."""
     matches = difflib.get_close_matches(
         name.lower().replace("_", "-"), robot_names(), n=1, cutoff=0.4
     )

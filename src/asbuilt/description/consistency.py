@@ -6,8 +6,9 @@ from asbuilt.description.model import RobotModel
 
 
 def inconsistencies(model: RobotModel) -> tuple[str, ...]:
-    """Return one sentence per link that no rigid body can be, such as `"link 4: Ixx + Iyy < Izz by
-    0.0009 kg m^2 (about the centre of mass)"`.
+    """Return one sentence per physically inconsistent link.
+
+    Such as `"link 4: Ixx + Iyy < Izz by 0.0009 kg m^2 (about the centre of mass)"`.
 
     Links are numbered from 1; the condition is that of `LinkInertia.inconsistency` (Wensing, Kim
     and Slotine, 2018). A link whose mass properties the description does not give is passed over.

@@ -52,8 +52,9 @@ class LinkInertia:
 
     @classmethod
     def from_com(cls, mass: float, com: ArrayLike, inertia_about_com: ArrayLike) -> LinkInertia:
-        """Build from mass [kg], centre of mass [m] and the 3 x 3 inertia about it [kg m^2], all in
-        link axes.
+        """Build from mass [kg], centre of mass [m] and 3 x 3 inertia about it [kg m^2].
+
+        All are in link axes.
 
         Huygens-Steiner: `I_origin = I_com + m (c.c 1 - c c^T)`.
         """
@@ -64,8 +65,9 @@ class LinkInertia:
 
     @classmethod
     def from_origin(cls, mass: float, first_moment: ArrayLike, inertia: ArrayLike) -> LinkInertia:
-        """Build from mass [kg], first moment `m c` [kg m] and the 3 x 3 inertia about the link
-        origin [kg m^2].
+        """Build from mass [kg], first moment [kg m] and inertia about the link origin [kg m^2].
+
+        The first moment is `m c` (3,), the inertia 3 x 3.
         """
         h = np.asarray(first_moment, dtype=np.float64)
         i = np.asarray(inertia, dtype=np.float64)
@@ -112,8 +114,9 @@ class LinkInertia:
 
     @property
     def pseudo_inertia(self) -> Array:
-        """Pseudo-inertia `[[Sigma, h], [h^T, m]]` with `Sigma = tr(I)/2 1 - I`, shape (4, 4)
-        (Wensing, Kim and Slotine, 2018, eq. 10).
+        """Pseudo-inertia `[[Sigma, h], [h^T, m]]` with `Sigma = tr(I)/2 1 - I`, shape (4, 4).
+
+        Source: Wensing, Kim and Slotine, 2018, eq. 10.
         """
         return pseudo_inertias(self.parameters)
 
@@ -271,15 +274,17 @@ class LinkInertia:
 
     @property
     def is_consistent(self) -> bool:
-        """Whether a rigid body with these parameters can exist (the pseudo-inertia is positive
-        semidefinite).
+        """Whether the parameters are physically consistent.
+
+        The pseudo-inertia is then positive semidefinite.
         """
         return self.inconsistency() is None
 
 
 def pseudo_inertias(parameters: ArrayLike) -> Array:
-    """Return the pseudo-inertias of ten-vectors, shape (..., 10) -> (..., 4, 4) (Wensing, Kim and
-    Slotine, 2018).
+    """Return the pseudo-inertias of ten-vectors, shape (..., 10) -> (..., 4, 4).
+
+    Source: Wensing, Kim and Slotine, 2018.
     """
     chi = np.asarray(parameters, dtype=np.float64)
     xx, xy, xz, yy, yz, zz, mx, my, mz, m = np.moveaxis(chi, -1, 0)
@@ -311,8 +316,9 @@ def _parameters_of(pseudo_inertia: Array) -> Array:
 
 
 def shift_matrix(placement: ArrayLike) -> Array:
-    """Return the 10 x 10 matrix S with `chi_parent = S chi_child` for a child frame at `placement`
-    (4, 4) in its parent.
+    """Return the 10 x 10 matrix S with `chi_parent = S chi_child`.
+
+    The child frame is at `placement` (4, 4) in its parent.
 
     `S` is the map `J -> T J T^T` of pseudo-inertias, written for ten-vectors; it holds
     Huygens-Steiner and the rotation of the tensor.

@@ -70,8 +70,8 @@ class DriveValues:
 
     All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint
     (rad per m where it slides), and takes them to the motor's. `terms` are further terms of the
-    drive by key, each with its parameters by symbol and its nonlinear parameters by name: `{"stribeck": {"Fs":
-    0.3, "velocity": 0.05, "power": 2.0}}`.
+    drive by key, each with its parameters by symbol and its nonlinear parameters by name:
+    `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`.
     """
 
     armature: float | None = None
@@ -139,8 +139,9 @@ class Link:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A named frame fixed to a link (`link` = ROOT for the root link), such as a flange or a merged
-    link; `placement` is 4 x 4 [m].
+    """Name a frame fixed to a link, such as a flange or a merged link.
+
+    `link` is its index, ROOT for the root link; `placement` is 4 x 4 [m].
     """
 
     name: str
@@ -296,8 +297,9 @@ class RobotModel:
 
     @property
     def motor_shares(self) -> Array:
-        """How motors turn with joints, (n, n), with rows of zeros for motors that turn with their
-        own joint alone.
+        """How motors turn with joints, shape (n, n).
+
+        Rows are zero for motors that turn with their own joint alone.
         """
         n = self.n_joints
         T = np.eye(n) if self.motor_coupling is None else self.motor_coupling
@@ -331,9 +333,7 @@ class RobotModel:
         return replace(self, links=links)
 
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:
-        """Return the same robot mounted so that free fall accelerates by `gravity` [m/s^2] in the
-        root frame.
-        """
+        """Return the same robot with another gravity [m/s^2] in the root frame."""
         return replace(self, gravity=np.asarray(gravity, dtype=np.float64))
 
     def with_limits(self, limits: Sequence[JointLimits]) -> RobotModel:

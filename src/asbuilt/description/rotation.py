@@ -13,7 +13,7 @@ from asbuilt.errors import DescriptionError
 
 QUARTER = math.pi / 2.0
 EXACT_TOLERANCE = 1e-12
-"""Angles [rad] this near a multiple of pi/2, and matrix entries this near 0 or +-1, count as exact."""
+"""Angles [rad] this near a multiple of pi/2, and entries this near 0 or +-1, count as exact."""
 
 READING_TOLERANCE = 1e-5
 """Angles [rad] that a file gives this near a multiple of pi/2 (1.5708, 1.571e0 is not) are taken as
@@ -31,8 +31,9 @@ _QUARTER_COSINE = (1.0, 0.0, -1.0, 0.0)
 
 
 def right_angle(angle: float) -> float:
-    """Return the multiple of pi/2 that `angle` [rad] stands for, or `angle` itself where none is
-    within `READING_TOLERANCE`.
+    """Return the multiple of pi/2 nearest to `angle` [rad], or `angle` itself.
+
+    The latter where none is within `READING_TOLERANCE`.
 
     >>> right_angle(1.5708) == math.pi / 2
     True
@@ -44,8 +45,9 @@ def right_angle(angle: float) -> float:
 
 
 def straightened(angle: float, what: str, notes: list[str]) -> float:
-    """Return `right_angle(angle)` and add a note that names `what` where this moves it by more than
-    1e-9 rad.
+    """Return `right_angle(angle)`, with a note if it differs by more than 1e-9 rad.
+
+    The note names `what`.
     """
     exact = right_angle(angle)
     if abs(exact - angle) > NOTED_CHANGE:
@@ -93,9 +95,7 @@ def rotation_z(angle: float) -> Array:
 
 
 def rotation_from_rpy(rpy: ArrayLike) -> Array:
-    """Return `Rz(yaw) Ry(pitch) Rx(roll)` for roll, pitch, yaw [rad] about the fixed axes, as URDF
-    has it.
-    """
+    """Return `Rz(yaw) Ry(pitch) Rx(roll)` for angles [rad] about the fixed axes, as in URDF."""
     roll, pitch, yaw = np.asarray(rpy, dtype=np.float64)
     return snapped(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
 
@@ -160,9 +160,7 @@ def rotation_onto(axis: ArrayLike) -> Array:
 
 
 def snapped(matrix: ArrayLike) -> Array:
-    """Return `matrix` with every entry within `EXACT_TOLERANCE` of 0, 1 or -1 replaced by that
-    number.
-    """
+    """Return `matrix` with entries within `EXACT_TOLERANCE` of 0, 1 or -1 made exact."""
     result = np.array(matrix, dtype=np.float64)
     nearest = np.rint(result)
     near = (np.abs(result - nearest) <= EXACT_TOLERANCE) & (np.abs(nearest) <= 1.0)
@@ -180,8 +178,9 @@ def rotation_fault(matrix: ArrayLike) -> str | None:
 
 
 def axes_across(vector: ArrayLike) -> Array:
-    """Return two unit axes across a vector and each other, as rows (2, 3), as near as may be to two
-    coordinate axes: x and y across z, and across zero.
+    """Return two unit axes across a vector and each other, as rows (2, 3).
+
+    They are as near to coordinate axes as may be: x and y across z, and across zero.
     """
     v = np.asarray(vector, dtype=np.float64)
     along = v / (np.linalg.norm(v) or 1.0)
@@ -219,8 +218,9 @@ def checked_placement(values: ArrayLike, what: str) -> Array:
 
 
 def placement(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
-    """Return the 4 x 4 homogeneous matrix of a rotation (default: none) followed by a translation
-    [m] (default: none).
+    """Return the 4 x 4 matrix of a rotation followed by a translation [m].
+
+    Either is the identity by default.
     """
     T = np.eye(4)
     if rotation is not None:

@@ -12,8 +12,9 @@ DENSITY = 2700.0
 
 
 def tool_from_text(text: str) -> LinkInertia:
-    """Return a ball of aluminium of the mass `KG` with its centre at `X,Y,Z` [m], from `KG@X,Y,Z`
-    or `KG` alone (at the origin).
+    """Return a ball of aluminium of mass `KG` centred at `X,Y,Z` [m].
+
+    The text is `KG@X,Y,Z`, or `KG` alone for a ball at the origin.
 
     Raises `UsageError` for any other text.
 

@@ -1,4 +1,4 @@
-"""The door of the dynamics: joint arrays checked once, and their samples shared out among threads."""
+"""Joint arrays, checked once, and their samples distributed among threads."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def available_cores() -> int:
 
 
 def chosen_threads(asked: int | None, usual: int) -> int:
-    """Return the number of threads asked for, `usual` where it is None; raises UsageError below 1."""
+    """Return the number of threads asked for, else `usual`; raises UsageError below 1."""
     if asked is not None and asked < 1:
         raise UsageError(
             f"threads must be at least 1, got {asked}; leave it out to use all cores for long"
@@ -91,8 +91,9 @@ def flat(array: Array) -> Array:
 def over_samples(
     work: Callable[[int, int], object], n_samples: int, threads: int | None = 1
 ) -> None:
-    """Call `work(start, stop)` on ranges of whole blocks that together cover all samples, in
-    parallel threads; None chooses their number.
+    """Call `work(start, stop)` on ranges of whole blocks that together cover all samples.
+
+    In parallel threads; None chooses their number.
     """
     wanted = chosen_threads(threads, min(available_cores(), n_samples // _WORTH_A_THREAD))
     blocks = -(-n_samples // BLOCK)

@@ -38,10 +38,10 @@ def _motions(model: RobotModel, q: Array) -> Array:
 
 
 def link_poses(model: RobotModel, q: ArrayLike) -> Array:
-    """Return the pose of every link in the root frame, shape (n_joints, 4, 4), or (n_samples,
-    n_joints, 4, 4) for many samples.
+    """Return the pose of every link in the root frame, shape (n_joints, 4, 4).
 
-    `T_i = T_parent before_i motion(q_i) after_i`.
+    For many samples the shape is (n_samples, n_joints, 4, 4). The identity is `T_i = T_parent
+    before_i motion(q_i) after_i`.
     """
     (qs,) = joint_samples(model, q=q)
     poses = _motions(model, qs)
@@ -52,8 +52,9 @@ def link_poses(model: RobotModel, q: ArrayLike) -> Array:
 
 
 def link_jacobians(model: RobotModel, q: ArrayLike) -> Array:
-    """Return the Jacobian of every link in link axes, shape (n_joints, 6, n_joints), or with
-    n_samples before that for many samples.
+    """Return the Jacobian of every link in link axes, shape (n_joints, 6, n_joints).
+
+    For many samples n_samples comes first.
 
     Rows: angular velocity, then velocity of the link origin, so that `J_i qd` is the twist of link
     i.

@@ -1,6 +1,4 @@
-"""The rigid-body equations of motion `M(q) qdd + C(q, qd) qd + g(q) = tau`, by Newton and Euler,
-for one sample or many.
-"""
+"""Rigid-body equations of motion `M(q) qdd + C(q, qd) qd + g(q) = tau` by Newton and Euler."""
 
 from __future__ import annotations
 
@@ -118,8 +116,9 @@ def coriolis_torque(
 
 
 def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None = None) -> Array:
-    """Return `M(q) = sum_i J_i^T I_i J_i`, symmetric, shape (n_joints, n_joints), or (n_samples,
-    n_joints, n_joints) for many samples.
+    """Return the mass matrix `M(q) = sum_i J_i^T I_i J_i`, symmetric.
+
+    Shape (n_joints, n_joints), or (n_samples, n_joints, n_joints) for many samples.
     """
     if parameters is None and type(q) is np.ndarray and q.ndim == 1:
         one = rigid_bodies(model).mass_matrix(q)
@@ -134,8 +133,9 @@ def mass_matrix(model: RobotModel, q: ArrayLike, *, parameters: ArrayLike | None
 def coriolis_matrix(
     model: RobotModel, q: ArrayLike, qd: ArrayLike, *, parameters: ArrayLike | None = None
 ) -> Array:
-    """Return the factor `C(q, qd)` for which `dM/dt - 2 C` is skew-symmetric and `C qd` is the
-    Coriolis torque; shape as `mass_matrix`.
+    """Return the factor `C(q, qd)` of the Coriolis torque, shape as `mass_matrix`.
+
+    `C qd` is the Coriolis torque and `dM/dt - 2 C` is skew-symmetric.
 
     `C = sum_i J_i^T (I_i dJ_i/dt + B_i J_i)` with the skew-symmetric `B = -[[hat(L), hat(p)],
     [hat(p), 0]]`, where p and L are the momentum of link i and its moment about the link origin, so

@@ -73,8 +73,9 @@ def joint_support(model: RobotModel, drive: DriveSet, columns: ArrayLike) -> lis
 
 @dataclass(frozen=True, eq=False)
 class RegressorPlan:
-    """Hold what the evaluation of chosen regressor columns needs, prepared once for millions of
-    samples; see `RegressorPlan.of`.
+    """Plan the evaluation of chosen regressor columns, once for any number of samples.
+
+    Made by `RegressorPlan.of`.
 
     Rows run joint by joint: the `support[k]` columns of joint k, in the order of `columns`, then
     `spare_rows` that are left to the caller (for the torque, say). `bounds[k]` are the first row of
@@ -109,8 +110,9 @@ class RegressorPlan:
         *,
         spare_rows: int = 0,
     ) -> RegressorPlan:
-        """Plan the evaluation of `columns` (zero-based, all where None) of the standard parameters
-        of a robot and its drives.
+        """Plan the evaluation of `columns` of the standard parameters of a robot and its drives.
+
+        They count from 0; None takes all.
         """
         chosen, n, per = (
             _checked_columns(model, drive, columns),
@@ -153,8 +155,9 @@ class RegressorPlan:
         return int(self.bounds[-1, 1]) + self.spare_rows
 
     def buffer(self, n_samples: int) -> Array:
-        """Return an uninitialised `out` for up to `n_samples`, aligned and padded so that its rows
-        do not compete for the same cache lines.
+        """Return an uninitialised `out` for up to `n_samples`.
+
+        It is aligned and padded so that rows do not compete for the same cache lines.
         """
         width = (-(-n_samples // _LINE) | 1) * _LINE
         memory = np.empty(self.n_rows * width + _LINE)
@@ -164,8 +167,9 @@ class RegressorPlan:
     def evaluate(
         self, q: Array, qd: Array, qdd: Array, out: Array | None = None, *, threads: int | None = 1
     ) -> tuple[Array, ...]:
-        """Return one view of `out` per joint, shape (n_support_k + spare_rows, n_samples), samples
-        innermost; spare rows are not touched.
+        """Return one view of `out` per joint, shape (n_support_k + spare_rows, n_samples).
+
+        Samples are innermost; spare rows are not touched.
 
         `q, qd, qdd` are (n_samples, n_joints), trusted to be finite. `out` is contiguous, (n_rows,
         at least n_samples), best from `buffer`; the views are good until the next call with it. The
@@ -249,8 +253,9 @@ class RegressorPlan:
     def _drive_columns(
         self, q: Array, qd: Array, qdd: Array
     ) -> Iterator[tuple[int, Some | int, Array]]:
-        """Yield, of the chosen drive columns, the joint whose torque they enter, their rows and
-        what to write there.
+        """Yield joint, rows and values of the chosen drive columns.
+
+        The joint is that whose torque they enter.
         """
         if not self.drive:
             return

@@ -29,16 +29,19 @@ def test_the_first_link_of_an_upright_arm() -> None:
         "Ixx1",
         "unidentifiable",
         (),
-        "Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts",
+        "Ixx1: not identifiable: link 1 only turns about a vertical axis, so only its inertia about"
+        " that axis has an effect",
     )
-    assert "makes no difference where along that axis" in found["my1"].why
+    assert "the position of its mass along that axis has no effect" in found["my1"].why
     assert "gravity does no work" in found["mx1"].why
     assert "the origin of its frame lies on that axis" in found["m1"].why
 
 
 def test_the_same_arm_on_a_wall() -> None:
     found = verdicts(bundled_robot("kuka-iiwa7-r800").with_gravity((0.0, 9.81, 0.0)))
-    assert found["Ixx1"].why.startswith("Ixx1: link 1 only turns about a horizontal axis")
+    assert found["Ixx1"].why.startswith(
+        "Ixx1: not identifiable: link 1 only turns about a horizontal axis"
+    )
     assert found["mx1"].status == "identifiable"
 
 
@@ -50,9 +53,12 @@ def test_a_link_further_out() -> None:
         "a mass on the axis of joint 3 moves with link 2 whatever joint 3 does" in found["m3"].why
     )
     assert "a first moment along the axis of joint 3" in found["my3"].why
-    assert "equal inertias in the two directions across the axis of joint 3" in found["Izz3"].why
+    assert (
+        "equal inertias about the two directions perpendicular to the axis of joint 3"
+        in found["Izz3"].why
+    )
     assert found["Ixx2"].why.endswith(
-        "only its sum with Izz2, Izz3, my3, m3 and 4 more acts, and keeps the name Ixx2"
+        "its sum with Izz2, Izz3, my3, m3 and 4 more is identifiable, named Ixx2"
     )
     assert found["Ixy3"].status == "identifiable"
     assert "this product of inertia" in found["Ixy3"].why
@@ -77,12 +83,12 @@ def test_sliding_links() -> None:
     found = verdicts(gantry, "armature,offset")
     assert (
         "link 1 only slides along a vertical line and never turns, so its moments of inertia"
-        " never act" in found["Ixx1"].why
+        " have no effect on the torques" in found["Ixx1"].why
     )
     assert "link 2 only slides, in a plane, and never turns" in found["Ixx2"].why
-    assert "makes no difference where in the link its mass sits" in found["mx2"].why
+    assert "the position of its mass has no effect on the torques" in found["mx2"].why
     assert found["Fo1"].status == "grouped"
-    assert "the weight it carries is as constant as the offset of its drive" in found["Fo1"].why
+    assert "at a constant slope, so the weight it carries is constant, too" in found["Fo1"].why
     assert found["Fo2"].status == "identifiable"
     slope = verdicts(gantry.with_gravity((0.0, 0.0, 0.0)), "offset")
     assert slope["Fo1"].status == "identifiable"
@@ -93,13 +99,13 @@ def test_parallel_axes() -> None:
     found = verdicts(bundled_robot("scara"))
     assert (
         "link 2 only turns about vertical, parallel axes, so only its inertia about that direction"
-        " acts" in found["Ixx2"].why
+        " has an effect" in found["Ixx2"].why
     )
     assert (
         "joint 3 slides, so link 3 always turns with link 2 and their inertias add up"
         in found["Izz3"].why
     )
-    assert "acts only through its inertia about that axis" in found["mx1"].why
+    assert "has an effect only through its inertia about that axis" in found["mx1"].why
 
 
 def test_no_sentence_calls_a_single_cause_by_a_foreign_name() -> None:
@@ -107,8 +113,9 @@ def test_no_sentence_calls_a_single_cause_by_a_foreign_name() -> None:
     found = verdicts(model)
     assert (
         found["mx2"].why
-        == "mx2: a mass on the axis of joint 2 acts as if it belonged to link 1, and what else the"
-        " mass does, it does as mx2; only its sum with m2 acts, and keeps the name mx2"
+        == "mx2: identifiable only in a sum: a mass on the axis of joint 2 has the effect of one of"
+        " link 1; the other effects of the mass are those of mx2; its sum with m2 is identifiable,"
+        " named mx2"
     )
 
 

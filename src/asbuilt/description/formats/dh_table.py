@@ -1,5 +1,6 @@
-"""A robot from a table of Denavit-Hartenberg parameters and mass properties (CSV), as Table 1 of
-Hayat, Abhishek and Saha (2015).
+"""Robots from a CSV table of Denavit-Hartenberg parameters and mass properties.
+
+The format is that of Table 1 of Hayat, Abhishek and Saha (2015).
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ KINDS: dict[str, JointKind] = {
 
 
 def read_dh_table(path: str | Path) -> RobotModel:
-    """Read a serial robot from a CSV table with one row per link, in standard (distal)
-    Denavit-Hartenberg convention.
+    """Read a serial robot from a CSV table with one row per link.
+
+    The convention is the standard (distal) one of Denavit and Hartenberg.
 
     Columns `link, b, a, alpha_deg` [m, deg]; `m` [kg], `rx ry rz` [m] centre of mass from the
     origin of the link's frame; `Ixx Iyy Izz Ixy Iyz Izx` [kg m^2] about the centre of mass; all in

@@ -121,8 +121,9 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
 
 
 def _compiled(mujoco: ModuleType, root: Element, source: str) -> tuple[Any, list[str]]:
-    """Return the compiled model and MuJoCo's warnings, which would otherwise go to the terminal and
-    to a log file.
+    """Return the compiled model and MuJoCo's warnings.
+
+    They would otherwise go to the terminal and to a log file.
     """
     warnings: list[str] = []
     previous = mujoco.get_mju_user_warning()
@@ -206,8 +207,9 @@ def _without_shapes(root: Element, source: str) -> set[str]:
 
 
 def _inside(body: Element, childclass: str | None) -> Iterator[tuple[Element, Element, str | None]]:
-    """Yield holder, element and class in force for what belongs to a body, also through `<frame>`s,
-    which are no bodies.
+    """Yield holder, element and class in force for what belongs to a body.
+
+    `<frame>` elements, which are no bodies, are passed through.
     """
     for element in body:
         if element.tag == "frame":

@@ -162,8 +162,9 @@ class PartTable(MassTable):
 
 
 class LimitsTable(_Table):
-    """Limits of a joint in the angle unit of the file (m for a prismatic joint), torque in N m
-    (force in N).
+    """Describe the limits of a joint.
+
+    In the angle unit of the file (m for a prismatic joint), torque in N m (force in N).
     """
 
     lower: float = -math.inf
@@ -189,8 +190,8 @@ class DriveTable(_Table):
     Armature [kg m^2], viscous [N m s/rad], coulomb [N m], offset [N m], all on the joint's side,
     the gear ratio, and further terms.
 
-    `terms` names terms of `asbuilt drives`, each with its parameters by symbol and its nonlinear parameters by
-    name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
+    `terms` names terms of `asbuilt drives`, each with its parameters by symbol and its nonlinear
+    parameters by name: `terms = {stribeck = {Fs = 0.3, velocity = 0.05}}`.
     """
 
     armature: Finite | None = None

@@ -68,7 +68,7 @@ class _Connection:
 
 @dataclass
 class _Tree:
-    """What has been merged so far: `inertia[i]` gathers the parts of moving link i, in its frame."""
+    """Gather what has been merged so far; `parts[i]` are those of moving link i, in its frame."""
 
     joints: list[Joint] = field(default_factory=list)
     links: list[str] = field(default_factory=list)

@@ -1,5 +1,6 @@
-"""XML from strangers: parsed without entities or external references, every attribute checked where
-it is read.
+"""XML of unknown origin, parsed without entities or external references.
+
+Every attribute is checked where it is read.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ LARGEST_DESCRIPTION = 50_000_000
 
 
 def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
-    """Return the content and a name for error messages of a description given as a path or as the
-    text itself.
+    """Return content and name of a description given as a path or as text.
+
+    The name is for error messages.
 
     Raises `DescriptionError` for a file that cannot be read or is larger than any description.
     """
@@ -93,7 +95,7 @@ def parsed_xml(content: bytes, source: str) -> Element:
 
 
 def required(element: Element, attribute: str, place: str) -> str:
-    """Return an attribute that must be there; raises `DescriptionError` with place and attribute."""
+    """Return a required attribute; raises `DescriptionError` with place and attribute."""
     value = element.get(attribute)
     if value is None or not value.strip():
         raise DescriptionError(f"{place}: <{element.tag}> has no {attribute}; add {attribute}=...")

@@ -25,8 +25,9 @@ LENGTH_TOLERANCE = 1e-12
 def symbolic_translation(
     transform: Array, symbols: Symbols | None, lengths: Mapping[str, float]
 ) -> Symbols:
-    """Return the symbols of a placement's translation, or its numbers where it has none or they say
-    something else.
+    """Return the symbols of a placement's translation, or its numbers.
+
+    The latter where it has no symbols or their values differ.
     """
     translation = transform[:3, 3]
     if (
@@ -39,8 +40,9 @@ def symbolic_translation(
 
 
 def nearest_origins(model: RobotModel) -> RobotModel:
-    """Return the same robot with every joint frame slid along its axis to the point nearest the
-    origin of the parent link.
+    """Return the same robot with every joint frame slid along its axis.
+
+    Each goes to the point nearest the origin of the parent link.
 
     The motion commutes with a translation along its axis: `before (1, z d) motion(q) after = before
     motion(q) (1, z d) after`.

@@ -1,7 +1,4 @@
-"""Why a standard parameter is identifiable alone, only in a sum, or never.
-
-One sentence, specific to the robot.
-"""
+"""Why a standard parameter is identifiable, identifiable only in a sum, or not identifiable."""
 
 from __future__ import annotations
 
@@ -20,6 +17,13 @@ from asbuilt.dynamics.drives.selection import DriveSet
 
 Status = Literal["identifiable", "grouped", "unidentifiable"]
 
+STATEMENTS: dict[Status, str] = {
+    "identifiable": "identifiable",
+    "grouped": "identifiable only in a sum",
+    "unidentifiable": "not identifiable",
+}
+"""How sentences begin."""
+
 SMALL = 1e3 * RANK_TOLERANCE
 """Directions smaller than this count as absent in the sentences, and angles as exact."""
 
@@ -29,10 +33,9 @@ LISTED_NAMES = 4
 
 @dataclass(frozen=True, slots=True)
 class StandardParameter:
-    """Say of one standard parameter whether torques determine it alone, only in sums, or never.
+    """Say whether a standard parameter is identifiable, alone or in sums.
 
-    `members` are the ids of the base parameters whose expressions contain it; `why` is one
-    sentence.
+    `members` are the ids of the base parameters whose expressions contain it; `why` is a sentence.
     """
 
     id: int
@@ -44,10 +47,10 @@ class StandardParameter:
 
 @dataclass(frozen=True, eq=False)
 class _LinkView:
-    """What a link can do, in words and numbers.
+    """Describe the motion of a link.
 
-    How many directions it turns in, how many twists it has, the sole `axis` of turning in its
-    frame.
+    `phrase` is text, `turns` the number of directions it turns about, `screws` that of its twists,
+    `axis` its only axis of rotation, in its frame.
     """
 
     number: int
@@ -84,7 +87,8 @@ def parameter_verdicts(
                 model, views, joint, symbol=drive.symbols[position], status=status
             )
             reason += shown
-        verdicts.append(StandardParameter(j + 1, name, status, members, f"{name}: {reason}"))
+        sentence = f"{name}: {STATEMENTS[status]}: {reason}"
+        verdicts.append(StandardParameter(j + 1, name, status, members, sentence))
     return tuple(verdicts)
 
 
@@ -100,9 +104,9 @@ def _shortened(words: Sequence[str]) -> str:
 def _shown_in(found: Regrouping, names: Sequence[str], column: int, rows: Sequence[int]) -> str:
     if column in found.columns:
         others = [names[int(j)] for j in np.flatnonzero(found.matrix[rows[0]]) if j != column]
-        return f"; only its sum with {_shortened(others)} acts, and keeps the name {names[column]}"
+        return f"; its sum with {_shortened(others)} is identifiable, named {names[column]}"
     kept = [names[int(found.columns[b])] for b in rows]
-    return f"; it shows only in the {'sums' if len(kept) > 1 else 'sum'} kept as {_shortened(kept)}"
+    return f"; it is part of the {'sums' if len(kept) > 1 else 'sum'} named {_shortened(kept)}"
 
 
 def _axis_at_rest(model: RobotModel, joint: int) -> Array:
@@ -176,15 +180,15 @@ def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
     weightless = not np.any(model.gravity)
     if symbol.startswith("I"):
         if view.turns == 0:
-            return f"{view.phrase}, so its moments of inertia never act"
+            return f"{view.phrase}, so its moments of inertia have no effect on the torques"
         if view.turns == 1:
             return (
                 f"{view.phrase}, so only its inertia about"
-                f" {'that axis' if view.screws == 1 else 'that direction'} acts"
+                f" {'that axis' if view.screws == 1 else 'that direction'} has an effect"
             )
         return (
-            f"{view.phrase}, but never so that this"
-            f" {'moment' if symbol[1] == symbol[2] else 'product'} of inertia acts"
+            f"{view.phrase}, but no motion excites this"
+            f" {'moment' if symbol[1] == symbol[2] else 'product'} of inertia"
         )
     if symbol == "m":
         still = (
@@ -192,14 +196,14 @@ def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
             if view.turns == view.screws == 1
             else "the origin of its frame never moves"
         )
-        return f"{view.phrase} and {still}, so a mass there needs no torque"
+        return f"{view.phrase} and {still}, so its mass requires no torque"
     if view.turns == 0:
-        return f"{view.phrase}, so it makes no difference where in the link its mass sits"
+        return f"{view.phrase}, so the position of its mass has no effect on the torques"
     component = np.array([symbol == "mx", symbol == "my", symbol == "mz"], dtype=np.float64)
     if view.turns == 1 and abs(float(view.axis @ component)) > 1.0 - SMALL:
         return (
-            f"{view.phrase}, so it makes no difference where along"
-            f" {'that axis' if view.screws == 1 else 'this direction'} its mass sits"
+            f"{view.phrase}, so the position of its mass along"
+            f" {'that axis' if view.screws == 1 else 'this direction'} has no effect"
         )
     work = (
         "there is no gravity"
@@ -209,12 +213,11 @@ def _never(model: RobotModel, view: _LinkView, symbol: str) -> str:
     if view.origin_moves:
         return (
             f"{view.phrase}, {work}, and its inertia about its axes of motion does not depend on it"
-            " either"
         )
     if view.turns == view.screws == 1:
         return (
-            f"{view.phrase} through the origin of its frame and {work}, so the place of its mass"
-            " acts only through its inertia about that axis"
+            f"{view.phrase} through the origin of its frame and {work}, so the position of its"
+            " mass has an effect only through its inertia about that axis"
         )
     return f"{view.phrase}, but the origin of its frame never moves and {work}"
 
@@ -224,7 +227,7 @@ def _alone(view: _LinkView, symbol: str) -> str:
         what = "this product of inertia" if symbol[1] != symbol[2] else "this moment of inertia"
     else:
         what = "its mass" if symbol == "m" else "this part of its first moment"
-    return f"{view.phrase}, and no other parameter acts on the torques as {what} does"
+    return f"{view.phrase}, and no other parameter has the same effect on the torques as {what}"
 
 
 def _in_sums(
@@ -244,10 +247,10 @@ def _in_sums(
     if parent == ROOT:
         if np.abs(own[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
             return (
-                f"{views[link].phrase}, so it acts on joint {link + 1} just as a part of its drive"
-                " does"
+                f"{views[link].phrase}, so its effect on joint {link + 1} is that of a drive"
+                " parameter"
             )
-        return f"{views[link].phrase}, so it acts only through its inertia about that axis"
+        return f"{views[link].phrase}, so it has an effect only through its inertia about that axis"
     return _moved_to_parent(model, found, views, column, symbol)
 
 
@@ -256,12 +259,12 @@ def _gathered(model: RobotModel, link: int, givers: Sequence[int]) -> str:
     unchanged = "does not change as it turns" if turning else "does not change as it moves"
     if len(givers) == 1:
         return (
-            f"link {givers[0] + 1} hangs on link {link + 1}, and what {unchanged} acts as a part of"
-            f" link {link + 1}"
+            f"link {link + 1} carries link {givers[0] + 1}, of which the part that {unchanged} has"
+            f" the effect of a part of link {link + 1}"
         )
     return (
-        f"links {_listed([str(child + 1) for child in givers])} hang on link {link + 1}, and what"
-        f" of each {unchanged} acts as a part of link {link + 1}"
+        f"link {link + 1} carries links {_listed([str(child + 1) for child in givers])}, of which"
+        f" the part that {unchanged} has the effect of a part of link {link + 1}"
     )
 
 
@@ -280,8 +283,8 @@ def _moved_to_parent(
     axial = np.abs(found.axial_blocks[link][:, column % 10]) > SMALL
     if joint.is_revolute and axial[2]:
         return (
-            f"equal inertias in the two directions across {axis} look the same at every angle of"
-            f" joint {number}, so they act as if they belonged to {parent}"
+            f"equal inertias about the two directions perpendicular to {axis} are the same at every"
+            f" angle of joint {number}, so they have the effect of an inertia of {parent}"
         )
     if joint.is_revolute and column in found.columns:
         summed = (
@@ -294,57 +297,58 @@ def _moved_to_parent(
         ):
             if present:
                 return (
-                    f"{what} acts as if it belonged to {parent}, and what else the {short} does, it"
-                    f" does as {symbol}{number}"
+                    f"{what} has the effect of one of {parent}; the other effects of the"
+                    f" {short} are those of {symbol}{number}"
                 )
     if joint.is_revolute and axial[kind]:
         if kind == 0:
             return (
-                f"the mass of link {number} acts only together with {parent}, because a mass on"
-                f" {axis} moves with {parent} whatever joint {number} does"
+                f"a mass on {axis} moves with {parent} whatever joint {number} does, so the mass of"
+                f" link {number} is not separable from {parent}"
             )
         return (
-            f"a first moment along {axis} stays as it is while joint {number} turns, so it acts as"
-            f" if it belonged to {parent}"
+            f"a first moment along {axis} does not change as joint {number} turns, so it has the"
+            f" effect of one of {parent}"
         )
     block = found.null_blocks[link]
     mine = np.abs(block[:, column]) > SMALL
     if np.abs(block[mine, 10 * model.n_joints :]).max(initial=0.0) > SMALL:
         return (
-            f"{views[joint.parent].phrase}, never along {axis}, so a part of the drive of joint"
-            f" {number} acts just as it does"
+            f"{views[joint.parent].phrase}, never along {axis}, so a drive parameter of joint"
+            f" {number} has the same effect"
         )
     moves = np.abs(block[mine, 10 * joint.parent : 10 * joint.parent + 10]).max(initial=0.0) > SMALL
     return (
-        f"{views[joint.parent].phrase}, too little to tell this part of link {number} from"
-        f" {parent if moves else 'its others'}"
+        f"{views[joint.parent].phrase}, so this parameter of link {number} is not separable from"
+        f" {f'those of {parent}' if moves else 'its others'}"
     )
 
 
 def _of_richer_drive(drive: DriveSet, joint: int, position: int, status: Status) -> str:
-    """Return the reason for a term that not all joints have or that shares its columns, empty where
-    there is nothing of the kind to say.
+    """Return the reason for a term that some joints lack or that shares its columns.
+
+    Empty if neither is the case.
     """
     term = [term for term in drive.terms for _ in term.symbols][position]
     if not term.is_at(joint):
-        return f"joint {joint + 1} is not among the joints that {term.key} was chosen for"
+        return f"joint {joint + 1} is not among the joints for which {term.key} was chosen"
     if term.of_motor and status == "unidentifiable":
         return (
             f"motor {joint + 1} turns with joint {joint + 1} alone, where"
-            f" {term.key.removeprefix('motor_')} says the same"
+            f" {term.key.removeprefix('motor_')} has the same effect"
         )
     if term.of_motor and status == "grouped":
         return (
-            f"motor {joint + 1} turns just as a link does, so its rotor acts as an inertia of that"
-            " link"
+            f"motor {joint + 1} turns as a link does, so its rotor has the effect of an inertia of"
+            " that link"
         )
     if term.key == "balancer" and status == "grouped":
         return (
-            f"gravity looks the same to joint {joint + 1} at all times, so a first moment of link"
-            f" {joint + 1} acts just as its balancer does"
+            f"gravity has a fixed direction at joint {joint + 1}, so a first moment of link"
+            f" {joint + 1} has the same effect as its balancer"
         )
     if term.key.startswith("asymmetric") and status == "grouped":
-        return f"other terms of the drive of joint {joint + 1} make up the same torque"
+        return f"other drive terms of joint {joint + 1} give the same torque"
     return ""
 
 
@@ -356,24 +360,25 @@ def _of_drive(
     turns = model.joints[joint].is_revolute
     if symbol == "Fv":
         return (
-            f"its torque follows the speed of joint {number} alone and turns into heat, as that of"
-            " no inertia does"
+            f"its torque is proportional to the velocity of joint {number} and dissipates power,"
+            " which that of no inertia does"
         )
     if symbol == "Fc":
         return (
-            f"its torque follows the direction in which joint {number} moves, and nothing else does"
+            f"no other parameter has a torque proportional to the sign of the velocity of joint"
+            f" {number}"
         )
     if symbol == "Fo":
         if status == "identifiable":
-            return f"nothing else gives joint {number} a constant {'torque' if turns else 'force'}"
+            kind = "torque" if turns else "force"
+            return f"no other parameter gives joint {number} a constant {kind}"
         return (
-            f"joint {number} slides at a constant slope, so the weight it carries is as constant as"
-            " the offset of its drive"
+            f"joint {number} slides at a constant slope, so the weight it carries is constant, too"
         )
     if symbol == "Ia" and status == "identifiable":
         return (
-            f"it acts on joint {number} alone, while the inertia of link {number} also couples with"
-            f" the motion of link {parent + 1}"
+            f"it has an effect on joint {number} alone, the inertia of link {number} also on the"
+            f" motion of link {parent + 1}"
         )
     if symbol == "Ia":
         ahead = (
@@ -382,11 +387,11 @@ def _of_drive(
             else f"{views[parent].phrase}, never along the axis of joint {number}"
         )
         return (
-            f"{ahead}, so the armature acts as"
+            f"{ahead}, so the armature has the effect of"
             f" {'an inertia of link' if turns else 'a mass of link'} {number}"
         )
     return (
         f"its torque at joint {number} differs from that of every other parameter"
         if status == "identifiable"
-        else "it acts only in a sum"
+        else f"other parameters give the same torque at joint {number}"
     )

@@ -20,7 +20,7 @@ columns are scaled.
 """
 
 RANK_TOLERANCE = 1e-11
-"""Singular values of the column-scaled matrix below this, relative to the largest, count as zero."""
+"""Relative singular values of the column-scaled matrix below this count as zero."""
 
 ROWS_PER_COLUMN = 2.0
 """Rows of the matrix for each of its columns.
@@ -34,8 +34,9 @@ SEED = 20151
 
 @dataclass(frozen=True, eq=False)
 class ObservationRank:
-    """Hold the `rank` of a random observation matrix and the `singular_values` of its scaled
-    columns, relative to the largest.
+    """Hold the `rank` of a random observation matrix and its `singular_values`.
+
+    The latter are of the scaled columns, relative to the largest.
     """
 
     rank: int
@@ -43,8 +44,9 @@ class ObservationRank:
 
 
 def observation_rank(model: RobotModel, drive: DriveSet) -> ObservationRank:
-    """Return the rank of the column-scaled observation matrix at random states, the same ones at
-    every call.
+    """Return the rank of the column-scaled observation matrix at random states.
+
+    The states are the same at every call.
 
     The matrix comes from Kane's equations in root axes, `tau_k = sum_i (partial velocities of link
     i) . (inertia forces of link i)`, so that it shares neither the recursion nor the compiled
@@ -138,8 +140,9 @@ def _rigid_body_columns(model: RobotModel, q: Array, qd: Array, qdd: Array, out:
 
 
 def _inertia_forces(w: Array, dw: Array, a: Array) -> Array:
-    """Return moment about the origin and force of a link, linear in its ten parameters, shape
-    (n_samples, 6, 10), in link axes.
+    """Return moment about the origin and force of a link, linear in its ten parameters.
+
+    Shape (n_samples, 6, 10), in link axes.
 
     `moment = I dw + w x I w + h x a`, `force = m a + dw x h + w x (w x h)`.
     """

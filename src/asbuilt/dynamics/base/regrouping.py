@@ -46,8 +46,9 @@ in its row.
 
 @dataclass(frozen=True, eq=False)
 class Regrouping:
-    """Hold the kept `columns` (n_base,), from 0, and the `matrix` (n_base, n_standard) with `Y =
-    Y[:, columns] @ matrix`.
+    """Hold the kept columns and the matrix with `Y = Y[:, columns] @ matrix`.
+
+    `columns` (n_base,) count from 0; `matrix` is (n_base, n_standard).
 
     What it follows from: `model`, the robot with its joint frames at `nearest_origins`;
     `directions` and `motions` of its links in these frames; `null_blocks`, per link its directions
@@ -198,16 +199,18 @@ def _symbolic_null_rows(model: RobotModel, found: Regrouping) -> list[Row]:
 def _function_units(
     revolute: bool, size: float, strength: float
 ) -> tuple[float, float, float, float]:
-    """Return one unit of the changes of armature, offset, sine and cosine in lengths divided by the
-    robot's size and forces divided by gravity.
+    """Return one unit of the changes of armature, offset, sine and cosine.
+
+    In lengths divided by the size of the robot and forces divided by gravity.
     """
     force = strength if strength > 0.0 else 1.0
     return (size**2, force, force * size, force * size) if revolute else (1.0, force, 1.0, 1.0)
 
 
 def _scales(model: RobotModel, drive: DriveSet) -> Array:
-    """Return one unit of each standard parameter's column in lengths divided by the robot's size
-    and forces divided by gravity.
+    """Return one unit of the column of each standard parameter.
+
+    In lengths divided by the size of the robot and forces divided by gravity.
     """
     size, strength = characteristic_length(model), float(np.linalg.norm(model.gravity))
     scales = [np.tile(size**LENGTH_EXPONENTS, model.n_joints)]
@@ -228,8 +231,9 @@ def _null_blocks(
     structure: DriveStructure,
     scales: Array,
 ) -> list[Array]:
-    """Return the directions of each link over standard parameters in units of `scales`, shapes (k,
-    n_standard), mutual armatures left out.
+    """Return the directions of each link over standard parameters in units of `scales`.
+
+    Shapes (k, n_standard); mutual armatures are left out.
     """
     size, per, first = characteristic_length(model), drive.columns_per_joint, 10 * model.n_joints
     blocks = []

@@ -23,7 +23,7 @@ Lengths are divided by the robot's size first.
 """
 
 _ARMATURE, _OFFSET, _SINE, _COSINE = 10, 11, 12, 13
-"""Where a direction holds the changes of its joint's drive, behind the ten parameters of its link."""
+"""Places of the changes of a joint's drive, behind the ten parameters of its link."""
 
 LENGTH_EXPONENTS = np.array([2.0] * 6 + [1.0] * 3 + [0.0])
 """Powers of length in the units of the ten inertial parameters."""
@@ -32,8 +32,9 @@ SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
 def shift_of_rotation(rotation: Array) -> Array:
-    """Return the (10, 10) map of inertial parameters from a child frame to a parent frame that is
-    only turned: `I' = R I R^T, h' = R h`.
+    """Return the (10, 10) map of inertial parameters to a parent frame that is only turned.
+
+    `I' = R I R^T, h' = R h`.
     """
     shift = np.zeros((10, 10))
     for column, (i, j) in enumerate(SYMMETRIC):
@@ -237,8 +238,9 @@ class Imitable:
 
 
 def characteristic_length(model: RobotModel) -> float:
-    """Return the power of two next to the robot's largest offset between joints [m], 1 where all
-    are zero.
+    """Return the power of two next to the largest offset between joints [m].
+
+    1 if all are zero.
     """
     sizes = [
         np.abs(placement[:3, 3]).max()
@@ -252,8 +254,9 @@ def characteristic_length(model: RobotModel) -> float:
 def regrouping_relations(
     model: RobotModel, imitable: Sequence[Imitable]
 ) -> tuple[list[RegroupingRelations], list[LinkMotion]]:
-    """Return, link by link, all directions in which parameters move to the parent without a trace,
-    and what each link can do.
+    """Return the regrouping relations of each link with its parent, and its motions.
+
+    Changes of parameters along them leave all torques unchanged.
 
     With the last links first, these directions span the null space of the torques (Lagrangian
     argument in the derivation). `imitable` says what the drive of each joint has.

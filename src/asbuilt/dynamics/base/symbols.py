@@ -147,8 +147,9 @@ def _shifted(parameters: Array, rotation: Array, symbols: Symbols, first: int) -
 
 
 def dependent_columns(rows: Sequence[Row], pivots: Sequence[int]) -> dict[int, Row] | None:
-    """Return each dependent column as a sum of base columns, `column_j = sum_b result[j][b]
-    column_b`, by elimination from the last pivot.
+    """Return each dependent column as a sum of base columns.
+
+    `column_j = sum_b result[j][b] column_b`, by elimination from the last pivot.
 
     None where this takes a division by symbols, or where the pivots are only right for special
     lengths.
@@ -206,7 +207,8 @@ def written(terms: Sequence[tuple[str, Polynomial]]) -> str:
     Numbers first, then by falling degree in symbols, equal factors gathered.
 
     >>> b3 = Polynomial.of("b3")
-    >>> written([("Ixx2", Polynomial.number(1.0)), ("my3", b3.times(-2.0)), ("m3", b3 * b3), ("m4", b3 * b3)])
+    >>> one, square = Polynomial.number(1.0), b3 * b3
+    >>> written([("Ixx2", one), ("my3", b3.times(-2.0)), ("m3", square), ("m4", square)])
     'Ixx2 + b3**2*(m3 + m4) - 2*b3*my3'
     """
     groups: dict[tuple[int, Monomial, str, str], list[tuple[bool, str]]] = {}

@@ -11,8 +11,10 @@ from asbuilt.dynamics.drives.torque import described_drive
 
 
 def usual_drive(model: RobotModel, source: str) -> DriveSet:
-    """Return the terms that a torque of this source calls for, those of motors that several joints
-    turn where motors are felt, and the springs and balancers of the description.
+    """Return the usual drive terms of a robot for a torque of this source.
+
+    These are the default terms, those of coupled motors if the source measures motors, and the
+    springs and balancers of the description.
     """
     drive = DriveSet.default(source)
     if source in MOTOR_SOURCES:
@@ -23,9 +25,7 @@ def usual_drive(model: RobotModel, source: str) -> DriveSet:
 
 
 def coupled_motor_terms(model: RobotModel) -> DriveSet:
-    """Return armature and friction of the motors that turn with several joints, empty where there
-    are none.
-    """
+    """Return armature and friction of the motors that turn with several joints."""
     numbers = tuple(k + 1 for k, shares in enumerate(model.motor_shares) if shares.any())
     terms = [replace(term, joints=numbers) for term in available_terms().values() if term.of_motor]
     return DriveSet(tuple(terms)) if numbers else DriveSet()

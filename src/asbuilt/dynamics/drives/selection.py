@@ -23,8 +23,7 @@ def available_terms() -> dict[str, DriveTerm]:
 
 @dataclass(frozen=True, slots=True)
 class DriveSet:
-    """Choose drive terms; every joint gets all of them, in canonical order whatever the order
-    given.
+    """Choose drive terms; every joint gets all of them, in canonical order.
 
     Examples
     --------
@@ -51,12 +50,10 @@ class DriveSet:
     def parse(cls, text: str | Sequence[str]) -> DriveSet:
         """Read a comma-separated list of keys (or a sequence of them).
 
-        "none" and the empty list choose no term.
-
-        A key may state its nonlinear parameters, `stribeck:velocity=0.05:power=1`, for all joints or, divided by
-        slashes, for each: `smooth_coulomb:width=0.02/0.01`; and the numbers of the joints that have
-        the term: `spring:joints=2/5`. Raises UsageError for terms, nonlinear parameters and values that do not
-        exist.
+        "none" and the empty list choose no term. A key may state nonlinear parameters for all
+        joints, as in `stribeck:velocity=0.05:power=1`, or for each, divided by slashes, as in
+        `smooth_coulomb:width=0.02/0.01`; and the numbers of the joints that have the term, as in
+        `spring:joints=2/5`. Raises UsageError for terms and options that do not exist.
         """
         given = text.split(",") if isinstance(text, str) else list(text)
         chosen = [
@@ -86,7 +83,7 @@ class DriveSet:
 
     @property
     def specifications(self) -> tuple[str, ...]:
-        """The chosen terms with the nonlinear parameters stated for them; `parse` gives the same set back."""
+        """The chosen terms with their stated nonlinear parameters, as `parse` reads them."""
         return tuple(str(term) for term in self.terms)
 
     @property
@@ -154,8 +151,10 @@ class DriveSet:
         )
 
     def values(self, drive: DriveValues) -> tuple[float | None, ...]:
-        """Return what the description says of each parameter of one joint (of a set `at` that
-        joint), None where it is silent or has other parameters.
+        """Return the value of each parameter of one joint in the description.
+
+        The set must be taken `at` that joint. None where the description has no value, or other
+        nonlinear parameters.
         """
         return tuple(value for term in self.terms for value in _described(term, drive))
 
@@ -170,14 +169,13 @@ class DriveSet:
         joint: int | None = None,
         motor: tuple[Array, Array, Array] | None = None,
     ) -> Array:
-        """Return the columns of one joint, shape (columns_per_joint, n_samples), from inputs of
-        shape (n_samples,).
+        """Return the columns of one joint, shape (columns_per_joint, n_samples).
 
-        `load` is the rigid-body torque of the joint, for terms that need it; `out` is reused memory
-        for the result; `joint` (counted from 0) is needed where nonlinear parameters are stated joint by joint;
-        `motor` is position, velocity and acceleration of a motor that several joints turn, without
-        which the columns of terms `of_motor` are zero. Raises UsageError where a term needs a load
-        and none is given.
+        The inputs have shape (n_samples,). `load` is the rigid-body torque of the joint, for terms
+        that need it; `out` is reused memory for the result; `joint` (counted from 0) is needed if a
+        nonlinear parameter has one value per joint; `motor` is position, velocity and acceleration
+        of a motor that several joints turn, without which columns of terms `of_motor` are zero.
+        Raises UsageError if a term needs a load and none is given.
         """
         columns = np.empty((self.columns_per_joint, q.shape[0])) if out is None else out
         row = 0

@@ -133,8 +133,8 @@ class DriveTerm:
         values: dict[str, Any] = {"q": q, "qd": qd, "qdd": qdd, "load": load}
         if load is None and self.needs_load:
             raise UsageError(
-                f"drive term {self.key!r} needs the rigid-body torque of the joint; pass load, shape"
-                f" {q.shape}"
+                f"drive term {self.key!r} needs the rigid-body torque of the joint; pass load,"
+                f" shape {q.shape}"
             )
         values |= {parameter.name: self.value(parameter.name) for parameter in self.nonlinear}
         for column, row in zip(self.columns, out, strict=True):
@@ -193,7 +193,7 @@ class DriveTerm:
         return self.joints is None or joint + 1 in self.joints
 
     def at(self, joint: int) -> Self:
-        """Return the term of one joint (counted from 0), with one number per nonlinear parameter."""
+        """Return the term of one joint (counted from 0), one value per nonlinear parameter."""
         own = {parameter.name: getattr(self, parameter.name) for parameter in self.nonlinear}
         several = {name: each[joint] for name, each in own.items() if isinstance(each, tuple)}
         return self._with(several) if several else self

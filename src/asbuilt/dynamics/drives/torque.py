@@ -27,8 +27,9 @@ def drive_columns(
     shares: Array | None = None,
     out: Array | None = None,
 ) -> Array:
-    """Return the columns of the drive parameters of joint k (counted from 0), shape
-    (columns_per_joint, N), from the state of all joints, each (N, n).
+    """Return the columns of the drive parameters of joint k (counted from 0).
+
+    Shape (columns_per_joint, N), from the state of all joints, each (N, n).
 
     Columns of terms `of_motor` enter the torque of every joint j multiplied by `shares[k, j]` (the
     robot's `motor_shares`), all others that of joint k alone.
@@ -53,8 +54,9 @@ def drive_torque(
     load: Array | None = None,
     shares: Array | None = None,
 ) -> Array:
-    """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N], shape (N, n) as `q`,
-    `qd`, `qdd`.
+    """Return `sum_k column_k(q, qd, qdd) value_k` of every joint [N m or N].
+
+    The shape is (N, n), as that of `q`, `qd`, `qdd`.
 
     `values` (n columns_per_joint,) holds the drive parameters joint by joint, in the order of
     `drive.names`; `load` (N, n) is the torque of the rigid bodies, for terms that depend on it;
@@ -83,13 +85,15 @@ def drive_torque(
 
 
 def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
-    """Return the drive terms of which the description gives any value, with their nonlinear parameters, and the
-    values joint by joint, zero where it is silent.
+    """Return the drive terms of which the description gives any value, and the values.
+
+    Nonlinear parameters are those of the description; values are joint by joint, zero where it has
+    none.
 
     Raises
     ------
     DescriptionError
-        If it names a term that does not exist, or a parameter or nonlinear parameter that a term does not have.
+        If it names a term that does not exist, or a parameter that a term does not have.
     """
     known = available_terms()
     for joint in model.joints:
@@ -109,7 +113,7 @@ def described_drive(model: RobotModel) -> tuple[DriveSet, Array]:
 
 
 def _as_described(model: RobotModel, term: DriveTerm, there: list[int]) -> DriveTerm:
-    """Return a term with the nonlinear parameters and the joints (counted from 0) of a description."""
+    """Return a term as described: its nonlinear parameters and joints (counted from 0)."""
     parameters: dict[str, NonlinearValue] = {}
     for parameter in term.nonlinear:
         numbers = tuple(

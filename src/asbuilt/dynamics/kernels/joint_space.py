@@ -120,8 +120,9 @@ def _add_coriolis(depth, rows, screws, rates, chi, joints, matrix):
 
 @compiled
 def joint_space_matrices(codes, chain, placements, n_slots, chi, q, qd, coriolis, start, stop, out):
-    """Write `sum_i J_i^T I_i J_i`, or where `coriolis` is set `sum_i J_i^T (I_i dJ_i/dt + B_i
-    J_i)`, sample-major.
+    """Write `sum_i J_i^T I_i J_i` sample-major, or with `coriolis` its Coriolis factor.
+
+    That is `sum_i J_i^T (I_i dJ_i/dt + B_i J_i)`.
     """
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK

@@ -172,7 +172,7 @@ def _by_quadrant(_typing: Any, quadrant: Any, even: Any, odd: Any, ahead: Any) -
 
 
 load: Any = intrinsic(_load)
-"""`load(array, index)`: eight consecutive numbers of a contiguous array; nobody checks the index."""
+"""`load(array, index)`: eight consecutive numbers of a contiguous array, index unchecked."""
 load_every: Any = intrinsic(_load_every)
 """`load_every(array, index, step)`: eight numbers, `step` apart."""
 store: Any = intrinsic(_store)

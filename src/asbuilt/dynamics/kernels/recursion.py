@@ -244,7 +244,7 @@ def rest(rows, gravity):
 
 @compiled
 def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
-    """Carry w, dw, a from the parent's slot to the link's; all positions in `rows` are of doubles."""
+    """Carry w, dw, a from the parent's slot to the link's; positions in `rows` are of doubles."""
     for at in range(0, BLOCK, LANES):
         r = read + at
         wx, wy, wz = vector(rows, r)
@@ -287,9 +287,7 @@ def move_link(code, p, rows, read, write, angle, rate, change, cosine, sine):
 
 @compiled
 def move_screws(code, p, rows, read, write, angle, cosine, sine):
-    """Carry the screws of all joints above from the parent's slot to the link's and add that of the
-    link's own joint.
-    """
+    """Carry the screws of all joints above to the link's slot and add that of its own joint."""
     before, after, revolute, depth = code[BEFORE], code[AFTER], code[REVOLUTE], code[DEPTH]
     for d in range(depth + 1):
         o = (STATE + 6 * d) * BLOCK

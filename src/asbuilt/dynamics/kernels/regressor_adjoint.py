@@ -54,8 +54,10 @@ def regressor_adjoint(
     loads: Array | None = None,
     parameters: Array | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return the derivatives of `f = sum_skc G[s, k, c] Y[s, k, c] + sum_sk l[s, k] tau[s, k]` with
-    respect to q, qd and qdd, each (N, n).
+    """Return the derivatives of a weighted sum of regressor and torques by q, qd and qdd.
+
+    The sum is `f = sum_skc G[s, k, c] Y[s, k, c] + sum_sk l[s, k] tau[s, k]`; each derivative has
+    shape (N, n).
 
     `weights` holds G in the layout that `plan.evaluate` writes Y in: one row per joint and chosen
     column, samples innermost, contiguous (plan.n_rows, at least N); rows of drive columns and spare
@@ -103,8 +105,9 @@ def _clear(rows, start, count):
 
 @compiled
 def _own_terms(rows, state, screw, state_bar, screw_bar, parameters):
-    """Add what `z . moment + m . force` of a link with the parameters in ten rows gives to the
-    adjoints of its state and of one screw.
+    """Add the adjoints of `z . moment + m . force` of a link with ten rows of parameters.
+
+    They are those of its state and of one screw.
     """
     for at in range(0, BLOCK, LANES):
         r = state + at
@@ -182,8 +185,9 @@ def _spun(bx, by, bz, wx, wy, wz, tx, ty, tz):
 
 @compiled
 def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine, sine, bars):
-    """Carry the adjoint of a link's w, dw, a to its parent's, and start the adjoints of its joint
-    in three rows: q, qd, qdd.
+    """Carry the adjoint of w, dw, a of a link to its parent.
+
+    The adjoints of its joint start in three rows: q, qd, qdd.
     """
     after, before = code[AFTER], code[BEFORE]
     for at in range(0, BLOCK, LANES):
@@ -252,8 +256,9 @@ def _state_back(code, p, rows, state, above, state_bar, above_bar, angle, cosine
 
 @compiled
 def _screws_back(code, p, rows, state, state_bar, above_bar, angle, cosine, sine, bar):
-    """Carry the adjoints of the screws of the joints above to the parent link, adding to the
-    adjoint of q of the link's joint.
+    """Carry the adjoints of the screws of the joints above to the parent link.
+
+    Adds to the adjoint of q of the link's joint.
     """
     after, before = code[AFTER], code[BEFORE]
     for d in range(code[DEPTH]):

@@ -164,8 +164,9 @@ def _columns_of_link(rows, screw, terms, places, out, stride, start):
 
 @compiled
 def _regressor_block(codes, chain, placements, n_slots, places, rows, out, stride, start):
-    """Run down the tree with the block in `rows` and write the chosen columns into rows of `out`,
-    from position `start`.
+    """Run down the tree with the block in `rows` and write the chosen columns.
+
+    They go into rows of `out` from position `start`.
     """
     n = codes.shape[0]
     slot = (STATE + 6 * n) * BLOCK
@@ -280,8 +281,9 @@ def regressor_stack(
 
 @compiled
 def _wrench(rows, state, force, chi):
-    """Write the force and the moment about its origin that link motion needs (Newton and Euler), in
-    link axes.
+    """Write force and moment about its origin that the motion of a link requires.
+
+    In link axes (Newton and Euler).
     """
     for at in range(0, BLOCK, LANES):
         r, f = state + at, force + at

@@ -309,7 +309,7 @@ def _unary(operation, x):
 
 @compiled
 def _turned(p, o, b, at):
-    """Return inertial parameters b[at:at+10] in axes turned by R = p[o:o+9]: `R I R^T`, `R h`, m."""
+    """Return parameters b[at:at+10] in axes turned by R = p[o:o+9]: `R I R^T`, `R h`, m."""
     ax, ay, az = out_of(GENERAL, p, o, b[at], b[at + 1], b[at + 2])
     bx, by, bz = out_of(GENERAL, p, o, b[at + 1], b[at + 3], b[at + 4])
     cx, cy, cz = out_of(GENERAL, p, o, b[at + 2], b[at + 4], b[at + 5])

@@ -1,5 +1,4 @@
-"""The derivatives of the joint torques with respect to positions, velocities and accelerations, for
-many sets of parameters at once.
+"""Derivatives of joint torques by positions, velocities and accelerations, for many parameter sets.
 
 The recursion runs in the root frame: with the joint screws S and their rates there, the derivatives
 need no more than sums over the links that a joint carries. What depends on the motion alone is
@@ -53,8 +52,9 @@ def torque_derivatives(
     qdd: ArrayLike,
     parameters: ArrayLike | None = None,
 ) -> Array:
-    """Return `d tau_k / d (q_j, qd_j, qdd_j)` of the rigid bodies for each set of parameters, shape
-    (n_samples, n_sets, n, n, 3), axes k, j, order.
+    """Return `d tau_k / d (q_j, qd_j, qdd_j)` of the rigid bodies for each parameter set.
+
+    Shape (n_samples, n_sets, n, n, 3), axes k, j, order.
 
     `q, qd, qdd` are (n_samples, n); `parameters` (n_sets, 10 n) are sets of standard parameters,
     the model's own alone where None. Raises UsageError for shapes that do not fit. Source: Singh,

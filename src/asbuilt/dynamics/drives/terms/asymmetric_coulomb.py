@@ -27,5 +27,5 @@ class AsymmetricCoulomb(DriveTerm):
     non_negative = True
 
     def functions(self) -> tuple[Mapping[Hashable, float], ...]:
-        """Return halves of `sign(qd)` and 1, so that `coulomb` and `offset` are dependent on them."""
+        """Return halves of `sign(qd)` and 1, on which `coulomb` and `offset` are dependent."""
         return ({"sign(qd)": 0.5, "1": 0.5}, {"sign(qd)": 0.5, "1": -0.5})
