@@ -104,7 +104,7 @@ def slsqp(problem: Problem, seconds: float) -> Array:
     """
     end, best, value = time.monotonic() + seconds, problem.random(0), np.inf
 
-    def watched(x: Array) -> float:
+    def constraints_of(x: Array) -> float:
         nonlocal best, value
         if time.monotonic() > end:
             raise _OverError

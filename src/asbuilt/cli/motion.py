@@ -36,6 +36,7 @@ OF_MOTIONS = (
 )
 """Options that do not apply to static poses."""
 
+
 def excite(
     robot: Robot,
     options: DesignOptions,
@@ -49,7 +50,7 @@ def excite(
     ] = None,
     static: Annotated[
         int | None,
-        typer.Option("--static", metavar="K", help="K static poses for gravity instead of a motion"),
+        typer.Option("--static", metavar="K", help="K static poses for gravity, no motion"),
     ] = None,
     rate: Annotated[
         float, typer.Option("--rate", metavar="HZ", help="rate of the motion file")
@@ -205,7 +206,7 @@ def program(
     full: Full = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a program that makes a real controller run a motion and record it, slow dry run first."""
+    """Write a program that makes a real controller run a motion and record it."""
     from asbuilt.writers.programs.format import program_format
     from asbuilt.writers.programs.program import program_request
     from asbuilt.writers.programs.program_files import program_document, program_text, write_program

@@ -1,4 +1,4 @@
-"""Findings about a designed motion: violated limits, unchecked collisions, undetermined parameters."""
+"""Findings about a designed motion: limits, collisions, undetermined parameters."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _of_motion(design: Design) -> list[Finding]:
 def _of_poses(design: StaticDesign) -> list[Finding]:
     found = []
     if design.turns:
-        text = f"the route turns at {design.turns} further poses, without a rest, to avoid obstacles"
+        text = f"the route turns at {design.turns} further poses, without rest, to avoid obstacles"
         found.append(Finding("route_turns", "info", text))
     if np.ptp(design.poses, axis=0).max() < SAME_POSE:
         text = "the poses are all the same, because gravity acts alike in every pose of this robot"

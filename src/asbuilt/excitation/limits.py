@@ -1,4 +1,4 @@
-"""Limits of the joints: what a robot allows, and how near a motion comes to it."""
+"""Limits of the joints, and the margins of a motion to them."""
 
 from __future__ import annotations
 
@@ -16,19 +16,24 @@ from asbuilt.excitation.motions.motion import JUMPING, QUANTITIES, Motion, read_
 ALLOWED_EXCESS = 1e-9
 """A limit counts as violated when it is exceeded by more than this fraction (rounding)."""
 
-ASSUMED_RANGE = {True: np.pi, False: 0.5}
-"""Position limit assumed for generated motions where the description gives none.
 
-+-, in rad (revolute) or m (prismatic).
-"""
+@dataclass(frozen=True)
+class AssumedLimits:
+    """Limits assumed if the description lacks them, revolute joints first, then prismatic ones.
 
-ASSUMED_VELOCITY = {True: 1.5, False: 0.5}
-"""Velocity limit assumed where the description gives none, in rad/s or m/s."""
+    | field | meaning and source |
+    |---|---|
+    | `range` | position limit, +- [rad, m]; one turn, and a short linear axis |
+    | `velocity` | velocity limit [rad/s, m/s]; slow for an arm |
+    | `ramp` | time to reach the velocity limit [s], gives the acceleration limit |
+    """
 
-RAMP_TIME = 0.4
-"""Time in which a joint is assumed to reach its velocity limit where the description gives no
-acceleration limit [s].
-"""
+    range: tuple[float, float] = (np.pi, 0.5)
+    velocity: tuple[float, float] = (1.5, 0.5)
+    ramp: float = 0.4
+
+
+ASSUMED = AssumedLimits()
 
 _UNITS = {
     "position": ("rad", "m"),
@@ -41,7 +46,7 @@ _UNITS = {
 
 @dataclass(frozen=True, eq=False)
 class MotionBounds:
-    """Hold the limits of all joints as read-only arrays (n,), infinite where unknown.
+    """Limits of all joints as read-only arrays (n,), infinite if unknown.
 
     All but the position limits are symmetric.
     """
@@ -72,19 +77,18 @@ class MotionBounds:
 
     @classmethod
     def assumed(cls, model: RobotModel, fraction: float = 1.0) -> MotionBounds:
-        """Return limits finite in position, velocity and acceleration, for generated motions,
-        reduced to `fraction` of what is allowed.
+        """Return limits finite in position, velocity and acceleration, times `fraction`.
 
-        Where the description is silent: +-pi rad or +-0.5 m, 1.5 rad/s or 0.5 m/s, and the velocity
-        limit reached in 0.4 s. Position limits are reduced about their middle.
+        Limits that the description lacks are +-pi rad or +-0.5 m, 1.5 rad/s or 0.5 m/s, and the
+        velocity limit reached in 0.4 s. Position limits are reduced about their middle.
         """
         if not 0 < fraction <= 1:
             raise MotionError(
-                f"the fraction of the limits to use must lie in 0 ... 1, got {fraction}"
+                f"the fraction of the limits must lie above 0 and at most at 1, got {fraction}"
             )
         given = cls.of(model)
         turns = np.array([joint.is_revolute for joint in model.joints])
-        reach = np.where(turns, ASSUMED_RANGE[True], ASSUMED_RANGE[False])
+        reach = np.where(turns, *ASSUMED.range)
         lower = np.where(
             np.isfinite(given.lower),
             given.lower,
@@ -95,10 +99,10 @@ class MotionBounds:
             given.upper,
             np.where(np.isfinite(given.lower), given.lower + 2 * reach, reach),
         )
-        speed = np.where(turns, ASSUMED_VELOCITY[True], ASSUMED_VELOCITY[False])
+        speed = np.where(turns, *ASSUMED.velocity)
         velocity = np.where(np.isfinite(given.velocity), given.velocity, speed)
         acceleration = np.where(
-            np.isfinite(given.acceleration), given.acceleration, velocity / RAMP_TIME
+            np.isfinite(given.acceleration), given.acceleration, velocity / ASSUMED.ramp
         )
         middle, half = (lower + upper) / 2, (upper - lower) / 2
         return replace(
@@ -114,12 +118,10 @@ class MotionBounds:
 
 @dataclass(frozen=True, slots=True)
 class LimitMargin:
-    """Say how near one joint comes to one limit.
+    """Smallest margin of one joint to one limit.
 
-    `margin = min(upper - x, x - lower) / ((upper - lower) / 2)` where it is smallest.
-
-    For the symmetric limits this is `1 - |x| / limit`. 1 is the middle of the range, 0 the limit,
-    negative beyond it.
+    `margin = min(upper - x, x - lower) / ((upper - lower) / 2)`: 1 in the middle of the range, 0 at
+    the limit, negative beyond it; `1 - |x| / limit` for symmetric limits.
     """
 
     quantity: str
@@ -147,16 +149,20 @@ class LimitMargin:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class LimitReport:
-    """Hold the smallest margin of every joint and quantity that has a finite limit."""
+    """Smallest margin of every joint and quantity that has a finite limit."""
 
     margins: tuple[LimitMargin, ...]
     rate: float
 
+    def __repr__(self) -> str:
+        shares = {k: m and round(m, 4) for k, m in self.worst_margin.items()}
+        return f"LimitReport(kept={self.is_respected}, worst_margin={shares})"
+
     @property
     def worst(self) -> dict[str, LimitMargin | None]:
-        """The smallest margin over the joints, by quantity; None where no joint has a limit."""
+        """Smallest margin over the joints by quantity, None without a limit."""
         found: dict[str, LimitMargin | None] = {}
         for quantity in _UNITS:
             found[quantity] = min(
@@ -168,7 +174,7 @@ class LimitReport:
 
     @property
     def worst_margin(self) -> dict[str, float | None]:
-        """The numbers of `worst`: fractions of the limit, negative where violated."""
+        """Numbers of `worst`: fractions of the limit, negative if violated."""
         return {
             quantity: None if margin is None else margin.margin
             for quantity, margin in self.worst.items()
@@ -196,7 +202,13 @@ class LimitReport:
             return
         worst = violations[0]
         others = f" ({len(violations) - 1} more limits are violated)" if len(violations) > 1 else ""
-        raise MotionError(f"{worst}; {_cure(violations)}{others}")
+        raise MotionError(
+            f"{worst}; {_cure(violations)}{others}",
+            joint=worst.joint,
+            time=worst.time,
+            value=worst.value,
+            limit=worst.limit,
+        )
 
     def __str__(self) -> str:
         lines = [str(margin) for margin in self.worst.values() if margin is not None]
@@ -206,9 +218,8 @@ class LimitReport:
 def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> LimitReport:
     """Compare a motion, sampled at `rate` [Hz] and at its end, with the limits of the robot.
 
-    The torque is that of the rigid bodies and of the drive terms whose values the description
-    gives. A limit that is infinite is not reported, nor is the jerk of motions whose acceleration
-    jumps, which a controller rounds off as it likes.
+    The torque is that of the rigid bodies and of the drive terms with values in the description.
+    Infinite limits are not reported, nor is the jerk of motions whose acceleration jumps.
 
     Raises
     ------
@@ -242,8 +253,8 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
         low = bounds.lower if quantity == "position" else -high
         for j in np.flatnonzero(np.isfinite(low) | np.isfinite(high)):
             half = (high[j] - low[j]) / 2 if np.isfinite(high[j] - low[j]) else 1.0
-            room = np.minimum(high[j] - x[:, j], x[:, j] - low[j])
-            k = int(np.argmin(room))
+            slack = np.minimum(high[j] - x[:, j], x[:, j] - low[j])
+            k = int(np.argmin(slack))
             margins.append(
                 LimitMargin(
                     quantity=quantity,
@@ -252,7 +263,7 @@ def check_motion(model: RobotModel, motion: Motion, rate: float = 1000.0) -> Lim
                     time=float(t[k]),
                     value=float(x[k, j]),
                     limit=float(high[j] if high[j] - x[k, j] <= x[k, j] - low[j] else low[j]),
-                    margin=float(room[k] / half) if half > 0 else float(np.sign(room[k])),
+                    margin=float(slack[k] / half) if half > 0 else float(np.sign(slack[k])),
                 )
             )
     return LimitReport(tuple(margins), rate)
@@ -271,7 +282,7 @@ def _cure(violations: tuple[LimitMargin, ...]) -> str:
         else []
     )
     if any(v.quantity == "position" for v in violations):
-        cures.append("choose poses or amplitudes inside the position limits")
+        cures.append("choose poses or amplitudes within the position limits")
     if any(v.quantity == "torque" for v in violations):
-        cures.append("for the torque, move slower or choose poses that carry less weight")
+        cures.append("move slower or choose poses with less gravity torque")
     return "; ".join(cures)

@@ -15,7 +15,7 @@ from asbuilt.excitation.collision.capsules import (
     surroundings,
     urdf_capsules,
 )
-from asbuilt.excitation.collision.constraint import CollisionGuard, ToolBox, watched
+from asbuilt.excitation.collision.constraint import CollisionGuard, ToolBox, constraints_of
 from asbuilt.excitation.collision.distances import nearest_on_segments, nearest_to_box
 from asbuilt.excitation.design.design import design_motion
 from asbuilt.excitation.design.options import DesignOptions
@@ -142,11 +142,9 @@ def test_an_obstacle_around_the_robot_is_told_not_passed_over(tmp_path) -> None:
         " 0.5]\n"
     )
     model = load_robot("kuka-iiwa7-r800")
-    constraints = watched(model, collision=str(cell))
+    constraints = constraints_of(model, collision=str(cell))
     options = DesignOptions(duration=6.0, size=4, starts=1, time_limit=4.0, drive="none")
-    design = design_motion(
-        model, options, constraints=constraints, with_bound=False, cores=1
-    )
+    design = design_motion(model, options, constraints=constraints, with_bound=False, cores=1)
     standing = design_static_poses(model, 4, constraints=constraints)
     for written in (excite_text(design), static_text(standing)):
         text = " ".join(written.split())
@@ -157,9 +155,7 @@ def test_a_design_keeps_clear_and_in_the_box(guard) -> None:
     model, watch = guard
     box = ToolBox(model, np.array([-0.7, -0.7, 0.0]), np.array([0.7, 0.7, 1.2]))
     options = DesignOptions(duration=8.0, size=4, starts=2, time_limit=5.0, drive="viscous")
-    design = design_motion(
-        model, options, constraints=(watch, box), with_bound=False
-    )
+    design = design_motion(model, options, constraints=(watch, box), with_bound=False)
     assert design.collision_distance >= 0.03 - 1e-6
     assert watch.smallest_distance(design.motion.at(np.linspace(0, 8, 5001))[0]) >= 0.03 - 1e-4
     q = design.motion.at(np.linspace(0, 8, 5001))[0]
@@ -254,8 +250,8 @@ def test_shapes_that_cannot_be_read_are_named(tmp_path, shape: str, said: str) -
 def test_wrong_boxes_and_frames_are_refused() -> None:
     model = load_robot("kuka-iiwa7-r800")
     with pytest.raises(UsageError, match="six numbers"):
-        watched(model, tool_box=(1.0, 2.0))
+        constraints_of(model, tool_box=(1.0, 2.0))
     with pytest.raises(MotionError, match="positive extent"):
-        watched(model, tool_box=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+        constraints_of(model, tool_box=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
     with pytest.raises(MotionError, match="no moving frame 'hand'"):
-        watched(model, tool_box=(0.0, 1.0, 0.0, 1.0, 0.0, 1.0), tool_frame="hand")
+        constraints_of(model, tool_box=(0.0, 1.0, 0.0, 1.0, 0.0, 1.0), tool_frame="hand")

@@ -202,9 +202,7 @@ def test_an_interrupt_keeps_the_best_so_far(arm) -> None:
         if state.finished >= 2:
             raise KeyboardInterrupt
 
-    kept = design_motion(
-        model, replace(QUICK, starts=40), progress=stop, with_bound=False, cores=1
-    )
+    kept = design_motion(model, replace(QUICK, starts=40), progress=stop, with_bound=False, cores=1)
     assert kept.interrupted
     assert kept.limits.is_respected
 
@@ -377,7 +375,7 @@ def test_quick_robots_get_more_harmonics_where_none_are_asked_for() -> None:
 
 
 def test_an_unknown_family_is_refused() -> None:
-    with pytest.raises(UsageError, match="available: .*fourier"):
+    with pytest.raises(UsageError, match=r"available: .*fourier"):
         design_motion("two-link", DesignOptions(parametrisation="spline"))
 
 

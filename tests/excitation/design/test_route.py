@@ -12,7 +12,7 @@ import pytest
 from asbuilt.description.load import load_robot
 from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MotionError
-from asbuilt.excitation.collision.constraint import watched
+from asbuilt.excitation.collision.constraint import constraints_of
 from asbuilt.excitation.design.route import Roadmap, route_through, short_tour
 from asbuilt.excitation.design.static_poses import design_static_poses
 from asbuilt.excitation.limits import MotionBounds
@@ -92,7 +92,7 @@ def test_short_tours_of_few_places_are_the_shortest() -> None:
 def test_standing_poses_are_reached_clear_of_bodies_and_within_the_box(robot: str) -> None:
     model = load_robot(robot)
     box = (-1.2, 1.2, -1.2, 1.2, 0.05, 1.6)
-    guard = watched(model, collision="skeleton:0.06", tool_box=box)
+    guard = constraints_of(model, collision="skeleton:0.06", tool_box=box)
     design = design_static_poses(model, 12, constraints=guard)
     q = design.motion.at(design.motion.sample_times(1000.0))[0]
     assert len(design.poses) == 12

@@ -99,7 +99,7 @@ def test_a_robot_that_hardly_carries_itself_finds_its_way(seed: int) -> None:
 
 def test_too_few_poses_and_weightless_robots_are_refused() -> None:
     model = load_robot("kuka-iiwa7-r800")
-    with pytest.raises(UsageError, match="got 1 poses; .* takes at least 2"):
+    with pytest.raises(UsageError, match=r"got 1 poses; .* takes at least 2"):
         design_static_poses(model, 1)
     with pytest.raises(UsageError, match="determine no parameter"):
         design_static_poses(load_robot("two-link").with_gravity([0.0, 0.0, 0.0]), 5)

@@ -103,9 +103,7 @@ def test_poses_are_designed_for_a_robot_that_hardly_carries_itself() -> None:
     options = DesignOptions(
         parametrisation="point-to-point", duration=5.0, size=6, starts=2, time_limit=20.0
     )
-    motion = design_motion(
-        model, options, with_bound=False, cores=1
-    ).motion
+    motion = design_motion(model, options, with_bound=False, cores=1).motion
     other = pinocchio_model(model)
     data = other.createData()
     tau = np.array(

@@ -37,7 +37,7 @@ from asbuilt.writers.programs.format import PROGRAM_FORMATS, ProgramFile, progra
 from asbuilt.writers.programs.naming import class_name, file_stem, identifier, plain_text
 from asbuilt.writers.programs.program import make_program
 from asbuilt.writers.programs.program_files import write_program
-from asbuilt.writers.programs.via_points import hermite_knots, point_to_point_stretches
+from asbuilt.writers.programs.via_points import hermite_knots, point_to_point_segments
 
 ALLOWED = {
     "sunrise": ("kuka-iiwa7-r800", "franka-panda"),
@@ -452,7 +452,7 @@ def test_programs_say_which_collisions_were_checked(form: str) -> None:
         collision: program_text(make_program(model, motion, form, collision=collision))
         for collision in (None, "skeleton:0.01")
     }
-    assert "neither on the motion nor on the way" in head[None]
+    assert "neither on the motion nor on the approach" in head[None]
     said = re.search(r"come no nearer than (\d+) mm", head["skeleton:0.01"])
     assert said is not None
     guard = CollisionGuard(model, surroundings(model, "skeleton:0.01"))
@@ -507,17 +507,17 @@ def program_text(files: tuple[ProgramFile, ...]) -> str:
 def test_point_to_point_motions_are_told_from_others() -> None:
     poses = np.array([[0.0, 0.0], [1.0, -0.5], [0.2, 0.4], [0.0, 0.0]])
     motion = PointToPointMotion.within(poses, velocity=1.0, acceleration=2.0, dwell=[0.5, 0.0])
-    found = point_to_point_stretches(motion)
+    found = point_to_point_segments(motion)
     assert found is not None
-    np.testing.assert_allclose([stretch.pose for stretch in found], poses[1:], atol=1e-5)
-    np.testing.assert_allclose([stretch.dwell for stretch in found], [0.5, 0.0, 0.0], atol=0.005)
-    np.testing.assert_allclose([stretch.speed.max() for stretch in found][:1], [1.0], atol=0.01)
-    assert point_to_point_stretches(excitation(bundled_robot("two-link"))) is None
+    np.testing.assert_allclose([segment.pose for segment in found], poses[1:], atol=1e-5)
+    np.testing.assert_allclose([segment.dwell for segment in found], [0.5, 0.0, 0.0], atol=0.005)
+    np.testing.assert_allclose([segment.speed.max() for segment in found][:1], [1.0], atol=0.01)
+    assert point_to_point_segments(excitation(bundled_robot("two-link"))) is None
 
 
 def test_knots_are_as_few_as_the_tolerance_allows() -> None:
     motion = excitation(bundled_robot("ur10e"))
     coarse, fine = hermite_knots(motion, 1e-3), hermite_knots(motion, 1e-6)
     assert coarse.size < fine.size
-    with pytest.raises(MotionError, match="not smooth"):
+    with pytest.raises(MotionError, match="without jumps of velocity"):
         hermite_knots(motion, 1e-16)

@@ -1,8 +1,4 @@
-"""The bodies that must not touch.
-
-Capsules on the links and obstacles in the world, given in a file or fitted to a description's
-geometry.
-"""
+"""Bodies that must not touch: capsules on the links, and obstacles."""
 
 from __future__ import annotations
 
@@ -25,17 +21,18 @@ from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.excitation.motions.motion import read_only
 
 CLEARANCE = 0.02
-"""Distance that bodies keep where none is asked for [m]."""
+"""Default distance between bodies [m]."""
 
 FLOOR_SIZE = 20.0
 FLOOR_DEPTH = 1.0
-"""Sides and thickness of the box that stands for a floor [m]."""
+"""Sides and thickness of the box that represents a floor [m]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """All points within `radius` of the segment from `start` to `stop` (3,), in the axes of a link
-    (ROOT for the world) [m].
+    """All points within `radius` of the segment from `start` to `stop` (3,) [m].
+
+    The segment is in the axes of a link, or of the world (`ROOT`).
     """
 
     link: int
@@ -88,7 +85,7 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Capsules on links, obstacles, which pairs of links may touch, and the distance to keep [m]."""
+    """Capsules on links, obstacles, pairs of links that may touch, and the clearance [m]."""
 
     capsules: tuple[Capsule, ...]
     obstacles: tuple[Obstacle, ...] = ()
@@ -124,13 +121,13 @@ class _SurroundingsFile(_Table):
 
 
 def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
-    """Return what a design must keep apart.
+    """Return the bodies that a design must keep apart.
 
     `skeleton` or `skeleton:RADIUS`, the geometry of a URDF file, or a TOML file.
 
     The TOML has `clearance`, `floor` (height of a floor), `skeleton` (radius), `[[capsules]]` with
     link, start, stop, radius, `[[obstacles]]` (boxes) with size, position, rpy, and `allowed`,
-    pairs of links that may touch. Raises DescriptionError where it makes no sense.
+    pairs of links that may touch. Raises `DescriptionError` if it is invalid.
     """
     text = str(source)
     if text == "skeleton" or text.startswith("skeleton:"):
@@ -299,9 +296,7 @@ def _points(shape: Any, place: str, folder: Path) -> Array | None:
 
 
 def _carrier(model: RobotModel, name: str, path: Path) -> tuple[int, Array]:
-    """Return the moving link (or ROOT) that carries a named link or frame, and the pose of that
-    frame in it.
-    """
+    """Return the moving link (or `ROOT`) that carries a link or frame, and its pose in it."""
     if name in model.link_names:
         return model.link_names.index(name), np.eye(4)
     for frame in model.frames:

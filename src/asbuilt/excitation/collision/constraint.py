@@ -75,7 +75,7 @@ class CollisionGuard(StateConstraint):
         return self._softened(self._distances(q)[0])
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the derivative of v by q (N, pairs, n, 1), from the Jacobians at nearest points."""
+        """Return the derivative of v by q (N, pairs, n, 1), by Jacobians at nearest points."""
         distances, points, normals = self._distances(q)
         slope = -(1 - np.tanh((distances - self._bodies.clearance) / SOFTNESS) ** 2) / SOFTNESS
         gradient = np.zeros((*distances.shape, self._model.n_joints))
@@ -239,7 +239,7 @@ class ToolBox(StateConstraint):
         return place
 
 
-def watched(
+def constraints_of(
     model: RobotModel,
     *,
     collision: str | None = None,
@@ -272,7 +272,7 @@ def skeleton_distance(model: RobotModel, q: Array) -> float | None:
 
 
 def _joint_axes(model: RobotModel, q: Array) -> tuple[Array, Array]:
-    """Return the direction of each joint axis and a point on it in the root frame, both (N, n, 3)."""
+    """Return the direction of each joint axis and a point on it, both (N, n, 3), root frame."""
     links = link_poses(model, q)
     axes, origins = np.empty((len(q), model.n_joints, 3)), np.empty((len(q), model.n_joints, 3))
     for k, joint in enumerate(model.joints):

@@ -24,8 +24,9 @@ SECTIONS = 44
 def nearest_on_segments(
     start: Array, along: Array, other_start: Array, other_along: Array
 ) -> tuple[Array, Array]:
-    """Return the nearest points (N, 3) of segments `start + s along` and `other_start + t
-    other_along`, s and t in 0 ... 1, all (N, 3).
+    """Return the nearest points (N, 3) of pairs of segments, all arguments (N, 3).
+
+    The segments are `start + s along` and `other_start + t other_along`, s and t in 0 ... 1.
 
     Source: Ericson, Real-Time Collision Detection (2005), section 5.1.9.
     """
@@ -47,8 +48,9 @@ def nearest_on_segments(
 
 
 def nearest_to_box(start: Array, along: Array, half: Array) -> tuple[Array, Array, Array]:
-    """Return for segments (N, 3) in the axes of a box of half extent `half` (3,) the nearest point,
-    its signed distance, and the outward normal.
+    """Return the nearest points, signed distances and outward normals of segments and a box.
+
+    Segments (N, 3) are in the axes of the box of half extent `half` (3,).
 
     The signed distance to a convex body is convex along a line, so golden sections find its
     minimum.

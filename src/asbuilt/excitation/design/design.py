@@ -10,7 +10,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.collision.constraint import watched
+from asbuilt.excitation.collision.constraint import constraints_of
 from asbuilt.excitation.design.designed_motion import Design
 from asbuilt.excitation.design.fixed_duration import design_fixed
 from asbuilt.excitation.design.multistart import SearchProgress
@@ -74,7 +74,7 @@ def design_motion(
     """
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     asked = options or DesignOptions()
-    kept = watched(
+    kept = constraints_of(
         model, collision=asked.collision, tool_box=asked.tool_box, tool_frame=asked.tool_frame
     )
     design = design_for_precision if asked.duration == "auto" else design_fixed

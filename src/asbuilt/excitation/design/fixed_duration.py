@@ -76,9 +76,10 @@ def design_fixed(
     options, family = sized(options, bounds)
     noise = options.noise if isinstance(options.noise, float) else np.array(options.noise)
     information = Information.of(model, base, noise)
+    focus = [position_of(base, name) for name in options.focus] or None
     objective = Objective(
         information,
-        criterion_of(options.criterion, [position_of(base, name) for name in options.focus] or None),
+        criterion_of(options.criterion, focus),
         parameter_scale(information, bounds),
         options.seconds * options.information_rate,
         _checked_prior(prior, base),

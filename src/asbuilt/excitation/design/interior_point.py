@@ -75,7 +75,7 @@ class MotionProgram(ABC):
         )
 
     def margins(self, coefficients: Array) -> list[Array]:
-        """Return the slacks of all constraints: for each order above and below, then the states'."""
+        """Return the slacks: for each order above and below, then of the state constraints."""
         found = []
         for basis, centre, half in zip(self.bases, self.centre, self.half, strict=True):
             v = (basis @ coefficients - centre) / half

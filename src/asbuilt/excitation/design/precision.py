@@ -71,9 +71,7 @@ def design_for_precision(
             time_limit=min(SEARCH.time_limit, options.time_limit),
         )
         report = None if progress is None else partial(_trying, progress, duration)
-        design = design_fixed(
-            model, base, quick, progress=report, **{**given, "with_bound": False}
-        )
+        design = design_fixed(model, base, quick, progress=report, **{**given, "with_bound": False})
         reached = design.precision
         trials.append(DurationTrial(duration, design.size, design.options.periods or 1, reached))
         if design.interrupted:

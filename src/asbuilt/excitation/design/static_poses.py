@@ -16,7 +16,7 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.errors import MotionError, UsageError
-from asbuilt.excitation.collision.constraint import watched
+from asbuilt.excitation.collision.constraint import constraints_of
 from asbuilt.excitation.design.options import DesignOptions
 from asbuilt.excitation.design.route import Roadmap, route_through, segments_free
 from asbuilt.excitation.information.criteria import DOptimality
@@ -135,7 +135,7 @@ def design_static_poses(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     asked = options or DesignOptions()
     constraints = (
-        *watched(
+        *constraints_of(
             model, collision=asked.collision, tool_box=asked.tool_box, tool_frame=asked.tool_frame
         ),
         *constraints,

@@ -28,7 +28,7 @@ ROUNDS = 3
 
 
 class JointStates(Protocol):
-    """Anything with joint states `q`, `qd`, `qdd` (N, n): samples of a recording, a sampled motion."""
+    """Joint states `q`, `qd`, `qdd` (N, n), such as the samples of a recording."""
 
     @property
     def q(self) -> Array:
@@ -43,7 +43,7 @@ class JointStates(Protocol):
         """Accelerations."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class InformationEfficiency:
     """Information of a motion per sample relative to an upper bound that no motion reaches.
 
@@ -59,6 +59,9 @@ class InformationEfficiency:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "by_parameter", read_only(self.by_parameter))
+
+    def __repr__(self) -> str:
+        return f"InformationEfficiency({self.base.robot!r}, d_efficiency={self.d_efficiency:.3f})"
 
     @property
     def owners(self) -> NDArray[np.intp]:
@@ -94,7 +97,7 @@ class InformationEfficiency:
 def information_efficiency(
     model: RobotModel, drive: DriveSet, samples: JointStates
 ) -> InformationEfficiency:
-    """Return the information efficiency of the states of a recording, for equal noise in all joints.
+    """Return the information efficiency of recorded states, for equal noise in all joints.
 
     Limits that the description lacks are those of `MotionBounds.assumed`. Long recordings are
     thinned evenly. Raises `UsageError` without samples.

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.selection import NO_DRIVE
@@ -19,8 +19,6 @@ from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import read_only
-
-Indices = NDArray[np.int64]
 
 SIGN_WIDTH = 0.02
 """Width, relative to the velocity limit, over which `tanh(qd / width)` smooths drive columns that
@@ -37,17 +35,21 @@ LEAST_JUMP = 1e-3
 """Change across standstill above which a drive column jumps there."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Information:
     """Evaluate and differentiate `M = sum_s Y_s^T S^-1 Y_s` over samples s.
 
-    Y are the base columns, S is the diagonal of `noise` squared; `noise` (n,) is the standard deviation of each joint torque [N m or N].
+    Y are the base columns, S is the diagonal of `noise` squared; `noise` (n,) is the standard
+    deviation of each joint torque [N m or N].
     """
 
     model: RobotModel
     base: BaseParameters
     noise: Array
     width: Array
+
+    def __repr__(self) -> str:
+        return f"Information({self.model.name!r}, {self.n_parameters} parameters)"
 
     @classmethod
     def of(cls, model: RobotModel, base: BaseParameters, noise: ArrayLike = 1.0) -> Information:
@@ -173,7 +175,7 @@ class Information:
         return tuple(found)
 
     def _drive_columns(self, state: Sequence[Array]) -> Array:
-        """Return smoothed drive columns (columns per joint, N, n); `state` is q, qd, qdd, (load)."""
+        """Return smoothed drive columns (columns per joint, N, n); `state`: q, qd, qdd, (load)."""
         columns = self._exact_drive_columns(state)
         jumps = self._jumps
         if np.any(jumps):

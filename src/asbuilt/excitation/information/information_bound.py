@@ -47,16 +47,16 @@ class BoundSearch:
 SEARCH = BoundSearch()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class InformationBound:
     """Bound on the information per sample; no motion reaches it.
 
     `log_det` is that of the best distribution over states found, `upper` exceeds that of every
     distribution.
 
-    By the equivalence theorem of Kiefer and Wolfowitz (1960), for any design M and every state
-    x within the bounds, `log det M* <= log det M + p log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1
-    Y(x))`. `upper` is the right side with the maximum over all states that were evaluated:
+    By the equivalence theorem of Kiefer and Wolfowitz (1960), `log det M* <= log det M + p
+    log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1 Y(x))` for any design M and every state x
+    within the bounds. `upper` is the right side with the maximum over all states that were evaluated:
     `n_states` random ones and those reached from them by climbing d. It is exact for these, and a
     (very likely tight) estimate for the continuum between. States are independent here, while a
     motion cannot be at its highest speed and acceleration in both directions at once.
@@ -68,6 +68,9 @@ class InformationBound:
     n_states: int
     support: States
     weights: Array
+
+    def __repr__(self) -> str:
+        return f"InformationBound(log_det={self.log_det:.2f}, upper={self.upper:.2f})"
 
     def efficiency(self, mean_information: Array) -> float:
         """Return `exp((log det M - upper) / p)` of a motion's mean information per sample."""
@@ -107,8 +110,8 @@ def information_bound(
         trials = _within(limit, random_states(bounds, SEARCH.trials, rng, extreme=0.8))
         seen += len(trials[0])
         worth = variance(information, inverse, trials)
-        top = _chosen(trials, np.argsort(-worth)[:SEARCH.refined])
-        heavy = _chosen(pool, np.argsort(-weights)[:SEARCH.refined])
+        top = _chosen(trials, np.argsort(-worth)[: SEARCH.refined])
+        heavy = _chosen(pool, np.argsort(-weights)[: SEARCH.refined])
         climbed = _climbed(information, inverse, bounds, limit, _joined(top, heavy))
         worth_climbed = variance(information, inverse, climbed)
         highest = max(

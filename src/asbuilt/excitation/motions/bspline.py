@@ -19,8 +19,7 @@ DEGREE = 5
 
 
 class BSplineMotion(BasisMotion):
-    """Move every joint along a quintic B-spline on uniform knots with zero velocity and
-    acceleration at both ends.
+    """Move along a quintic B-spline on uniform knots, at rest at both ends.
 
     `coefficients` (m, n) are the control points in order: the first is the start pose and the last
     the end pose (each stands for three equal control points, which brings the motion to rest; de
@@ -50,7 +49,7 @@ class BSplineMotion(BasisMotion):
         m = self.coefficients.shape[0]
         knots = np.linspace(0.0, self._duration, m + 4 - DEGREE + 1)
         padded = np.concatenate([np.zeros(DEGREE), knots, np.full(DEGREE, self._duration)])
-        # Column i of the basis is a sum of plain B-splines: the first three, one each in between, the last three.
+        # Column i sums plain B-splines: the first three, one each in between, the last three.
         folding = np.zeros((m + 4, m))
         folding[:3, 0] = 1.0
         folding[np.arange(3, m + 1), np.arange(1, m - 1)] = 1.0
@@ -63,9 +62,7 @@ class BSplineMotion(BasisMotion):
         return self._duration
 
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return the derivative of this order of each basis function at the times `t` (N,), shape
-        (N, m).
-        """
+        """Return the derivative of each basis function at the times `t` (N,), shape (N, m)."""
         return np.asarray(
             self._functions(np.atleast_1d(np.asarray(t, dtype=np.float64)), nu=order),
             dtype=np.float64,
@@ -82,9 +79,7 @@ class BSplineMotion(BasisMotion):
         return PiecewisePolynomial(breaks, np.stack(rows))
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two
-        (n,); exact.
-        """
+        """Return the exact smallest and largest value of a derivative, two (n,)."""
         return self.pieces.extremes(order)
 
     def with_coefficients(self, coefficients: ArrayLike) -> BSplineMotion:

@@ -19,8 +19,7 @@ rates.
 
 
 class Concatenated(Motion):
-    """Run motions one after the other, resting `dwell` seconds between them (one number, or one per
-    gap).
+    """Run motions one after the other, with rests of `dwell` seconds (one, or one per gap).
 
     At the instant where two motions meet, the later one is evaluated.
 
@@ -77,9 +76,7 @@ class Concatenated(Motion):
         return values
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two
-        (n,).
-        """
+        """Return the smallest and the largest value of a derivative, two (n,)."""
         found = [motion.extremes(order) for motion in self.motions]
         return np.min([low for low, _ in found], axis=0), np.max(
             [high for _, high in found], axis=0

@@ -11,14 +11,14 @@ from asbuilt.excitation.motions.motion import BasisMotion, read_only, way_point_
 
 
 class FourierMotion(BasisMotion):
-    r"""Move every joint along a finite Fourier series with zero velocity and acceleration at both
-    ends.
+    r"""Move along a finite Fourier series, at rest at both ends.
 
     With `w = 2 pi / period` and L harmonics, the basis functions are (2 L - 1 of them)
 
     - `1`, whose coefficient is the pose at start and end,
     - `sin(l w t) / l - sin(w t)` for l = 2 ... L, with velocity `w (cos(l w t) - cos(w t))`,
-    - `(1 - cos(l w t)) / l^2 - (1 - cos(w t))` for l = 2 ... L, with acceleration `w^2 (cos(l w t) - cos(w t))`.
+    - `(1 - cos(l w t)) / l^2 - (1 - cos(w t))` for l = 2 ... L, with acceleration `w^2 (cos(l w t)
+      - cos(w t))`.
 
     `coefficients` (2 L - 1, n) follows this order: row 0 the pose, rows 1 ... L - 1 the sines, rows
     L ... 2 L - 2 the cosines, all in rad or m. Each function but the first vanishes at the ends
@@ -77,7 +77,7 @@ class FourierMotion(BasisMotion):
 
     @property
     def series(self) -> tuple[Array, Array, Array]:
-        """Return `q0` (n,), `a` and `b` (L, n) of the series in the form of Swevers et al. (1997)."""
+        """`q0` (n,), `a` and `b` (L, n) of the series in the form of Swevers et al. (1997)."""
         sines, cosines = (
             self.coefficients[1 : self.n_harmonics],
             self.coefficients[self.n_harmonics :],
@@ -92,9 +92,7 @@ class FourierMotion(BasisMotion):
         return q0, a, b
 
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return the derivative of this order of each basis function at the times `t` (N,), shape
-        (N, 2 L - 1).
-        """
+        """Return the derivative of each basis function at the times `t` (N,), (N, 2 L - 1)."""
         return fourier_basis(t, self.period, self.n_harmonics, order)
 
     def with_coefficients(self, coefficients: ArrayLike) -> FourierMotion:
@@ -102,8 +100,7 @@ class FourierMotion(BasisMotion):
         return FourierMotion(coefficients, self.period, self.periods)
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two
-        (n,).
+        """Return the smallest and the largest value of a derivative, two (n,).
 
         Found on 64 points per shortest wave, then polished by Newton's method on the next
         derivative; off by less than 1e-9 of the peak.
@@ -122,8 +119,9 @@ class FourierMotion(BasisMotion):
 
 
 def fourier_basis(t: ArrayLike, period: float, n_harmonics: int, order: int = 0) -> Array:
-    """Return the derivative of this order of the functions of `FourierMotion` at the times `t`
-    (N,), shape (N, 2 n_harmonics - 1).
+    """Return a derivative of the functions of `FourierMotion` at `t` (N,).
+
+    Shape (N, 2 n_harmonics - 1).
     """
     if n_harmonics < 2:
         raise MotionError(
@@ -131,7 +129,7 @@ def fourier_basis(t: ArrayLike, period: float, n_harmonics: int, order: int = 0)
         )
     w = 2 * np.pi / period
     harmonics = np.arange(1, n_harmonics + 1)
-    # The wave is z_l = exp(i l w t); its derivatives are (i l w)^order z_l, and sine and cosine its two parts.
+    # z_l = exp(i l w t) has derivatives (i l w)^order z_l; sine and cosine are its parts.
     first = np.exp(1j * w * (np.atleast_1d(np.asarray(t, dtype=np.float64)) % period))
     waves = (
         np.cumprod(np.broadcast_to(first[:, None], (first.size, n_harmonics)), axis=1)

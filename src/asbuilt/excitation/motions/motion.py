@@ -6,11 +6,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from asbuilt.arrays import Array
 from asbuilt.errors import MotionError
-
-Array = NDArray[np.float64]
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 """Names of the time derivatives of a motion; the index is the order."""
@@ -56,6 +55,9 @@ class Trajectory:
                     f" times, got {getattr(self, name).shape}"
                 )
 
+    def __repr__(self) -> str:
+        return f"Trajectory({self.n_samples} samples, {self.n_joints} joints, {self.t[-1]:g} s)"
+
     @property
     def n_samples(self) -> int:
         """Number of samples."""
@@ -77,7 +79,7 @@ class Motion(ABC):
     """
 
     parametrisation: str
-    """What kind of motion this is, in one or two words."""
+    """Kind of motion."""
 
     @property
     @abstractmethod
@@ -91,9 +93,7 @@ class Motion(ABC):
 
     @abstractmethod
     def _evaluate(self, t: Array, order: int) -> Array:
-        """Return the derivative of this order at times `t` (N,), all within the motion, as (N,
-        n_joints).
-        """
+        """Return the derivative of this order at times `t` (N,), all valid, (N, n_joints)."""
 
     def derivative(self, t: ArrayLike, order: int = 0) -> Array:
         """Return `d^order q / dt^order` at the times `t`.
@@ -118,15 +118,13 @@ class Motion(ABC):
         return values[0] if times.ndim == 0 else values
 
     def at(self, t: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return positions, velocities and accelerations at the times `t`, each (n,) for one time
-        or (N, n).
-        """
+        """Return q, qd and qdd at the times `t`, each (n,) for one time or (N, n)."""
         return self.derivative(t, 0), self.derivative(t, 1), self.derivative(t, 2)
 
     def jerk(self, t: ArrayLike) -> Array:
         """Return the third derivative at the times `t`.
 
-        Infinite jumps of the acceleration are left out.
+        Jumps of the acceleration are left out.
         """
         return self.derivative(t, 3)
 
@@ -162,10 +160,9 @@ class Motion(ABC):
         return Trajectory(t, *self.at(t))
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two
-        (n,).
+        """Return the smallest and the largest value of a derivative, two (n,).
 
-        Found on a grid of at least 1 kHz and 2000 points here; motions that know better are exact.
+        Found on a grid of at least 1 kHz and 2000 points; subclasses may be exact.
         """
         values = self.derivative(
             np.linspace(0.0, self.duration, max(2001, int(self.duration * 1000) + 1)), order
@@ -176,6 +173,9 @@ class Motion(ABC):
         """Return the largest absolute value of a derivative over the whole motion, shape (n,)."""
         low, high = self.extremes(order)
         return np.maximum(np.abs(low), np.abs(high))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.n_joints} joints, {self.duration:g} s)"
 
     def slowed(self, factor: float) -> TimeScaled:
         """Return the same path in `factor` times the time.
@@ -199,13 +199,11 @@ class BasisMotion(Motion):
 
     @abstractmethod
     def basis(self, t: ArrayLike, order: int = 0) -> Array:
-        """Return the derivative of this order of each basis function at the times `t` (N,), shape
-        (N, n_basis).
-        """
+        """Return the derivative of each basis function at the times `t` (N,), (N, n_basis)."""
 
     @abstractmethod
     def with_coefficients(self, coefficients: ArrayLike) -> BasisMotion:
-        """Return the motion with the same basis and other coefficients, shape (n_basis, n_joints)."""
+        """Return the motion with the same basis and other coefficients (n_basis, n_joints)."""
 
     @property
     def n_joints(self) -> int:
@@ -248,9 +246,7 @@ class TimeScaled(Motion):
         return self.motion.derivative(t / self.factor, order) / self.factor**order
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two
-        (n,).
-        """
+        """Return the smallest and the largest value of a derivative, two (n,)."""
         low, high = self.motion.extremes(order)
         return low / self.factor**order, high / self.factor**order
 

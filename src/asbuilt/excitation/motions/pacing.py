@@ -1,6 +1,4 @@
-"""Moves between poses as fast as the limits allow, and slower where the torque of a move asks for
-it.
-"""
+"""Moves between poses, as fast as limits and constraints allow."""
 
 from __future__ import annotations
 
@@ -28,11 +26,12 @@ def paced_moves(
     constraints: Sequence[StateConstraint],
     dwell: ArrayLike = 0.0,
 ) -> PointToPointMotion | None:
-    """Return the motion through `poses` (m, n) on which each move is as fast as the bounds and the
-    constraints allow; None where one cannot be made.
+    """Return the motion through `poses` (m, n) whose moves are as fast as the limits allow.
 
-    A move on which a constraint is violated even at rest, such as a body in its way or a weight
-    that is too heavy, cannot be made at any speed.
+    Returns None if a move is impossible.
+
+    A move on which a constraint is violated even at rest, such as a collision or a weight that is
+    too heavy, cannot be made at any speed.
     """
     pace = np.ones(len(poses) - 1)
     for k in range(len(pace)):

@@ -70,8 +70,7 @@ class PiecewisePolynomial(Motion):
         return np.asarray(self._polynomial(t, nu=order), dtype=np.float64)
 
     def extremes(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative over the whole motion, two
-        (n,).
+        """Return the smallest and the largest value of a derivative, two (n,).
 
         Exact: they are attained at a break, from either side, or where the next derivative
         vanishes.
@@ -80,7 +79,7 @@ class PiecewisePolynomial(Motion):
         return low.min(axis=0), high.max(axis=0)
 
     def extremes_per_piece(self, order: int) -> tuple[Array, Array]:
-        """Return the smallest and the largest value of a derivative within each piece, two (m, n)."""
+        """Return the smallest and the largest value of a derivative in each piece, two (m, n)."""
         curve = self._polynomial if order == 0 else self._polynomial.derivative(order)
         c = np.asarray(curve.c, dtype=np.float64)
         h = np.diff(self.breaks)[:, None]

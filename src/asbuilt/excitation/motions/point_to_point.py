@@ -1,4 +1,4 @@
-"""Point-to-point motion: what a controller does when it is told the poses only."""
+"""Point-to-point motion between poses, as controllers make it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from asbuilt.excitation.motions.piecewise import PiecewisePolynomial
 
 
 class PointToPointMotion(PiecewisePolynomial):
-    """Move straight in joint space from pose to pose with trapezoidal or triangular velocity, all
-    joints starting and arriving together.
+    """Move straight in joint space from pose to pose, all joints in step.
+
+    The velocity is a trapezoid or a triangle.
     """
 
     parametrisation = "point-to-point"
@@ -29,8 +30,9 @@ class PointToPointMotion(PiecewisePolynomial):
         dwell: ArrayLike = 0.0,
         pace: ArrayLike = 1.0,
     ) -> Self:
-        """Visit `poses` (m, n) in order, as fast as `velocity` and `acceleration` (one number or
-        one per joint) allow, resting `dwell` at each.
+        """Visit `poses` (m, n) as fast as `velocity` and `acceleration` allow, with rests `dwell`.
+
+        Limits are one number or one per joint.
 
         All joints follow one profile s(t) from 0 to 1: `s'' = a`, 0 and `-a` in turn, with `s' <=
         v`, where `v = min_j velocity_j / d_j` and `a = min_j acceleration_j / d_j`, d the distances

@@ -42,8 +42,7 @@ class QuinticMotion(PiecewisePolynomial):
         start_acceleration: ArrayLike = 0.0,
         end_acceleration: ArrayLike = 0.0,
     ) -> Self:
-        """Move from `start` to `end` (n,) in `duration` seconds, at rest at both ends unless
-        velocities and accelerations are given.
+        """Move from `start` to `end` (n,) in `duration` seconds, by default from rest to rest.
 
         From rest to rest, `q(t) = start + (end - start) (10 s^3 - 15 s^4 + 6 s^5)`, `s = t /
         duration`.
@@ -73,8 +72,9 @@ class QuinticMotion(PiecewisePolynomial):
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
     ) -> Self:
-        """Pass `poses` (m, n) at `times` (m,), which start at 0, with the given velocities and
-        accelerations (m, n); zero where not given.
+        """Pass `poses` (m, n) at `times` (m,), by default at rest; times start at 0.
+
+        Velocities and accelerations have the shape of the poses.
 
         Raises
         ------
@@ -111,8 +111,9 @@ class QuinticMotion(PiecewisePolynomial):
         jerk: ArrayLike = np.inf,
         dwell: float = 0.0,
     ) -> Self:
-        """Stop at each of `poses` (m, n) for `dwell` seconds and move between them as fast as the
-        limits (one number or one per joint) allow.
+        """Stop at each of `poses` (m, n) for `dwell` seconds and move as fast as the limits allow.
+
+        Limits are one number or one per joint.
 
         The time between two poses is the largest over the joints of `15/8 d / velocity`,
         `sqrt(10/sqrt(3) d / acceleration)` and `cbrt(60 d / jerk)`, d the distance; the slowest
@@ -155,8 +156,9 @@ class QuinticMotion(PiecewisePolynomial):
 
 
 def _hermite(h: Array, q: Array, v: Array, a: Array) -> Array:
-    """Return the quintic coefficients, (6, m, n), highest power first, that match q, v, a (m + 1,
-    n) at the ends of pieces h (m, 1) long.
+    """Return the coefficients (6, m, n), highest power first, that match q, v, a (m + 1, n).
+
+    Pieces are h (m, 1) long.
     """
     q0, v0, a0 = q[:-1], v[:-1], a[:-1]
     v1, a1 = v[1:], a[1:]

@@ -32,11 +32,12 @@ def random_fourier(
     periods: int = 1,
     fraction: float = 0.9,
 ) -> FourierMotion:
-    """Return a random Fourier motion scaled until each joint uses up `fraction` of its position,
-    velocity or acceleration limit.
+    """Return a random Fourier motion that uses `fraction` of a limit of each joint.
+
+    It is scaled until each joint reaches its position, velocity or acceleration limit.
 
     Coefficients are normal, alike for all harmonics; each joint's mean position is drawn where its
-    amplitude leaves room. Limits that the description does not give are those of
+    amplitude allows. Limits that the description does not give are those of
     `MotionBounds.assumed`. Where a torque limit is exceeded all amplitudes shrink.
 
     Raises
@@ -86,8 +87,9 @@ def random_point_to_point(
     dwell: float = 0.25,
     fraction: float = 0.9,
 ) -> PointToPointMotion:
-    """Return a point-to-point motion through `n_poses` random poses, within `fraction` of the
-    limits.
+    """Return a point-to-point motion through `n_poses` random poses, within the limits.
+
+    It uses `fraction` of them.
 
     Poses are uniform within the position limits; limits that the description does not give are
     those of `MotionBounds.assumed`. Where a torque limit is exceeded the acceleration shrinks.

@@ -27,7 +27,7 @@ _END_DERIVATIVES: dict[tuple[int, str], tuple[int, ...]] = {
 """Which derivatives vanish at both ends, by degree and kind of end."""
 
 SHARPNESS = 30.0
-"""Exponent of the norm that stands for the maximum while the times between way points are improved."""
+"""Exponent of the norm that approximates the maximum while times are improved."""
 
 ITERATIONS = 40
 """Most iterations of that improvement."""
@@ -45,8 +45,7 @@ class SplineMotion(PiecewisePolynomial):
     def through(
         cls, way_points: ArrayLike, times: ArrayLike, *, degree: int = 5, ends: Ends = "rest"
     ) -> Self:
-        """Pass `way_points` (m, n) at `times` (m,), which start at 0, with a spline of degree 3 or
-        5.
+        """Pass `way_points` (m, n) at `times` (m,), which start at 0, with degree 3 or 5.
 
         `ends` says what vanishes at both ends: velocity and acceleration ("rest"), velocity
         ("clamped", degree 3 only), or the derivatives that make the curve smoothest ("natural":
@@ -136,13 +135,12 @@ class SplineMotion(PiecewisePolynomial):
         def times(logs: Array) -> Array:
             return np.concatenate([[0.0], np.cumsum(np.exp(logs))])
 
-        def stretches(logs: Array) -> Array:
-            return _stretches(cls.through(q, times(logs), degree=degree, ends=ends), limits)
+        def factors(logs: Array) -> Array:
+            return _time_factors(cls.through(q, times(logs), degree=degree, ends=ends), limits)
 
         def smooth_duration(logs: Array) -> float:
             return float(
-                np.log(np.exp(logs).sum())
-                + np.log(np.sum(stretches(logs) ** SHARPNESS)) / SHARPNESS
+                np.log(np.exp(logs).sum()) + np.log(np.sum(factors(logs) ** SHARPNESS)) / SHARPNESS
             )
 
         start = np.log(steps)
@@ -154,13 +152,14 @@ class SplineMotion(PiecewisePolynomial):
             bounds=bounds,
             options={"maxiter": ITERATIONS},
         ).x
-        scaled = [times(logs) * stretches(logs).max() for logs in (start, found)]
+        scaled = [times(logs) * factors(logs).max() for logs in (start, found)]
         return cls.through(q, min(scaled, key=lambda t: float(t[-1])), degree=degree, ends=ends)
 
 
-def _stretches(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
-    """Return by how much time must be stretched to meet each limit on velocity, acceleration and
-    jerk in each piece and joint, flat.
+def _time_factors(motion: PiecewisePolynomial, limits: list[Array]) -> Array:
+    """Return the factor of time that each limit needs in each piece and joint, flat.
+
+    Limits are those of velocity, acceleration and jerk.
     """
     needed = []
     for order, limit in enumerate(limits, start=1):

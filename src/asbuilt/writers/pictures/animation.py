@@ -38,17 +38,17 @@ def write_picture(
     style: Style = "auto",
     progress: Callable[[float], None] | None = None,
 ) -> Path:
-    """Write a robot or its motion as `.png` (the start, and the path of the tip), or as an
-    animation in real time, `.gif` or `.webp`.
+    """Write a robot as a picture (`.png`), or its motion as an animation (`.gif`, `.webp`).
 
-    Rendered by MuJoCo where it is installed and OpenGL works without a screen (EGL or OSMesa),
-    drawn as a skeleton otherwise, unless `style` says which.
+    A picture shows the start and the path of the tip, an animation runs in real time.
+
+    MuJoCo renders it if it is installed and OpenGL works without a screen (EGL or OSMesa), else it
+    is drawn as shaded solids, unless `style` says otherwise.
 
     Raises
     ------
     UsageError
-        If the suffix is another one, an animation has no motion, or rendering is asked for where it
-        cannot be.
+        If the suffix is unknown, an animation has no motion, or rendering is impossible.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (*STILLS, *ANIMATIONS):
@@ -101,9 +101,7 @@ def write_picture(
 def picture_frames(
     view: MotionView, width: int, height: int, *, style: Style = "auto"
 ) -> Iterator[Image]:
-    """Yield the frames of a view as images (height, width, 3), rendered where that works and
-    `style` allows, else as skeletons.
-    """
+    """Yield the frames of a view as images (height, width, 3), in one of the styles."""
     if style not in ("auto", "rendered", "skeleton"):
         raise UsageError(f"style {style!r} is not one of auto, rendered, skeleton")
     context = None if style == "skeleton" else offscreen_context(2 * width, 2 * height)
@@ -111,7 +109,7 @@ def picture_frames(
         return rendered_frames(view, context, width, height)
     if style == "rendered":
         raise UsageError(
-            "this machine renders nothing without a screen (neither EGL nor OSMesa works, or MuJoCo"
-            " is missing); use the style skeleton"
+            "rendering without a screen needs MuJoCo and EGL or OSMesa, which do not work here;"
+            " use the style skeleton"
         )
     return skeleton_frames(view, width, height)

@@ -1,6 +1,4 @@
-"""Pictures rendered by MuJoCo without a screen, where the machine has an OpenGL that works so (EGL
-or OSMesa).
-"""
+"""Pictures rendered by MuJoCo without a screen (EGL or OSMesa)."""
 
 from __future__ import annotations
 
@@ -22,11 +20,11 @@ from asbuilt.writers.pictures.motion_view import MotionView
 
 PATH_COLOUR = (0.0, 0.447, 0.698, 1.0)
 ANY_BODY = LinkInertia.from_com(1.0, np.zeros(3), np.eye(3))
-"""Inertia of every link in a picture, where it does not matter."""
+"""Inertia of every link; pictures do not depend on it."""
 
 
 def offscreen_context(width: int, height: int) -> Any | None:
-    """Return an OpenGL context that needs no screen, made current, or None where there is none."""
+    """Return a current OpenGL context that needs no screen, or None."""
     for backend in ("egl", "osmesa"):
         try:
             context = import_module(f"mujoco.{backend}").GLContext(width, height)
@@ -40,9 +38,7 @@ def offscreen_context(width: int, height: int) -> Any | None:
 
 
 def rendered_frames(view: MotionView, context: Any, width: int, height: int) -> Iterator[Image]:
-    """Yield every frame of a motion as an image (height, width, 3), oversampled twice in each
-    direction.
-    """
+    """Yield every frame of a motion as an image (height, width, 3), antialiased."""
     mujoco = import_module("mujoco")
     w, h = 2 * width, 2 * height
     compiled = mujoco.MjModel.from_xml_string(_scene_text(view, w, h))

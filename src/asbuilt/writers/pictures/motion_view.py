@@ -1,7 +1,4 @@
-"""What any picture of a motion needs.
-
-Poses over time, the path of the tip, the space that all of it takes.
-"""
+"""Poses, path of the tip and extent of a motion, for pictures."""
 
 from __future__ import annotations
 
@@ -19,17 +16,17 @@ from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
 
 PATH_POINTS = 1000
-"""Most points that the path of the tip is drawn with."""
+"""Most points of the drawn path of the tip."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionView:
-    """Hold the poses of a motion as pictures show it.
+    """Poses of a motion and the scene around them.
 
     `t` (N,), `q` (N, n), `poses` (N, n, 4, 4) in the root frame, `path` (m, 3) of the tip [m].
 
     `up` is the direction against gravity, `floor` the height of the ground along it, `centre` and
-    `radius` a ball that holds every pose.
+    `radius` a ball that encloses every pose.
     """
 
     model: RobotModel
@@ -90,7 +87,7 @@ class MotionView:
     ) -> MotionView:
         """Build from a motion, at `rate` [Hz] or as many frames as `most`.
 
-        Without a motion the robot stands in the middle of its ranges.
+        Without a motion the robot rests near the middle of its ranges.
         """
         if motion is None:
             return cls.of(model, [0.0], resting_pose(model)[None])
@@ -107,8 +104,9 @@ class MotionView:
 
 
 def resting_pose(model: RobotModel) -> Array:
-    """Return the zero position moved into the joints' ranges, shape (n,), with a bend so that no
-    two axes hide each other.
+    """Return the zero position, bent and moved into the joints' ranges, shape (n,).
+
+    Bent, no two axes hide each other.
     """
     bounds = MotionBounds.assumed(model)
     bend = np.array(
@@ -132,7 +130,7 @@ def _ends(solid: Solid, poses: Array) -> Array:
 
 
 def _tip(model: RobotModel) -> tuple[int, Array]:
-    """Return the last link and the point on it that draws the path: a frame on it, or its origin."""
+    """Return the last link and the point on it whose path is drawn: a frame, or its origin."""
     last = model.n_joints - 1
     on_it = [frame.placement[:3, 3] for frame in model.frames if frame.link == last]
     return last, np.asarray(on_it[-1] if on_it else np.zeros(3))

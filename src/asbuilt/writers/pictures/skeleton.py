@@ -176,7 +176,7 @@ def _placed(view: MotionView, k: int, solid: Solid, points: Array) -> Array:
     if solid.link == ROOT:
         return points
     pose = view.poses[k, solid.link]
-    return points @ pose[:3, :3].T + pose[:3, 3]
+    return np.asarray(points @ pose[:3, :3].T + pose[:3, 3])
 
 
 def _balls(view: MotionView) -> tuple[Array, NDArray[np.float64]]:

@@ -1,7 +1,4 @@
-"""A robot in 3-D in the browser.
-
-Its motion, frames, centres of mass and inertia ellipsoids (viser).
-"""
+"""Viewer of a robot in 3-D in the browser: motion, frames, mass properties (viser)."""
 
 from __future__ import annotations
 
@@ -25,6 +22,7 @@ from asbuilt.dynamics.kinematics import link_poses
 from asbuilt.errors import MissingExtraError, UsageError
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.motions.motion import Motion
+from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.round_mesh import round_mesh
 
@@ -39,9 +37,7 @@ ROD, HOUSING, STAND, PATH, COM, INERTIA = (
 BODY_OPACITY = 0.35
 """Opacity of the bodies while something inside them is shown."""
 DISTANCE, BESIDE_PANEL = 2.7, 0.3
-"""How far the camera stands off, and how far to the side it looks so that the panel hides nothing,
-in radii of the scene.
-"""
+"""Distance of the camera and its sideways offset beside the panel, in radii of the scene."""
 FRAME_RATE = 30.0
 """Poses sent per second [Hz]."""
 SAVED_FRAMES = 600
@@ -54,8 +50,8 @@ class Viewer:
     """A page that shows a robot in 3-D and, where there is a motion, plays it.
 
     Bodies are rods and housings drawn from the geometry. Per link it can show the frame, the centre
-    of mass, and the ellipsoid of uniform density that has the link's inertia; links whose inertia
-    no body has get a point but no ellipsoid. Without a motion each joint has a slider.
+    of mass, and the ellipsoid of uniform density that has the link's inertia; links with physically
+    inconsistent inertia have a point but no ellipsoid. Without a motion each joint has a slider.
 
     Raises
     ------
@@ -93,15 +89,16 @@ class Viewer:
         self._scene()
         self._pose(self.view.q[0])
 
+    def __repr__(self) -> str:
+        return f"Viewer({self.model.name!r}, {self.url})"
+
     @property
     def url(self) -> str:
         """Address of the page."""
         return f"http://{self.server.get_host()}:{self.port}"
 
     def page(self) -> str:
-        """Return a page of its own, one HTML text with everything in it, that shows the robot and
-        plays the motion without any server.
-        """
+        """Return one self-contained HTML page that shows the robot and plays the motion."""
         self._show(dict.fromkeys(self._layers, True), opacity=BODY_OPACITY)
         recorder = self.server.get_scene_serializer()
         pause = float(self.view.t[-1]) / max(1, len(self.view.t) - 1)
@@ -111,9 +108,7 @@ class Viewer:
         return str(recorder.as_html())
 
     def serve(self, *, until: Callable[[], bool] | None = None) -> None:
-        """Play the motion round and round, obeying the controls of the page, until interrupted or
-        `until()` says so.
-        """
+        """Play the motion in a loop until interrupted or `until()` is true."""
         controls = _Controls(self)
         last = time.perf_counter()
         while until is None or not until():
@@ -255,17 +250,14 @@ class Viewer:
 
 @dataclass(slots=True)
 class _Clock:
-    """Where in the motion the page stands [s]."""
+    """Time in the motion that is shown [s]."""
 
     now: float = 0.0
     shown: float = -1.0
 
 
 class _Controls:
-    """The panel of the page.
-
-    What to show, and a player, or a slider per joint where there is no motion.
-    """
+    """Panel of the page: what is shown, and a player, or a slider per joint without a motion."""
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer = viewer
@@ -350,7 +342,7 @@ def _viser() -> ModuleType:
 
 
 def _free_port(host: str, port: int) -> int:
-    """Return the first port from `port` on that nobody listens on."""
+    """Return the first free port from `port` on."""
     if not 0 < port < 65536:
         raise UsageError(f"a port is a number from 1 to 65535, got {port}")
     for candidate in range(port, min(port + LAST_PORT_OFFSET, 65536)):
@@ -362,6 +354,6 @@ def _free_port(host: str, port: int) -> int:
                 continue
             return candidate
     raise UsageError(
-        f"the ports {port} to {port + LAST_PORT_OFFSET - 1} of {host} are all taken; give another"
-        " one with --port"
+        f"the ports {port} to {port + LAST_PORT_OFFSET - 1} of {host} are all taken",
+        cure=Cure("use another port", {"port": port + LAST_PORT_OFFSET}),
     )

@@ -10,8 +10,7 @@ MOST_CHARACTERS = 60
 
 
 def plain_text(text: str) -> str:
-    r"""Return printable ASCII on one line that cannot end or escape from a comment or a string
-    literal in any language.
+    r"""Return printable ASCII on one line that is safe in comments and strings of any language.
 
     Backslashes, double quotes, backticks and the marks that end comments become other characters;
     accents are dropped.
@@ -62,8 +61,9 @@ def identifier(name: str, *, prefix: str) -> str:
 
 
 def class_name(name: str, *, suffix: str) -> str:
-    """Return the name as a Java class name that ends in `suffix`, which keeps it from being the
-    name of a library's class.
+    """Return the name as a Java class name that ends in `suffix`.
+
+    The suffix keeps it from being the name of a library's class.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What stands above every program: what it moves, how near the limits, and what nobody has checked."""
+"""Header of every program: motion, margins, what is checked, how to run it."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from asbuilt.writers.programs.naming import plain_text
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
 
 WIDTH = 100
-"""Longest line."""
+"""Longest line of the header."""
 
 DRY_RUN_PART = f"{100 / DRY_RUN_SLOWDOWN:g} %"
-"""Speed of the dry run, in words."""
+"""Speed of the dry run as text."""
 
 
 def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[str, ...]:
@@ -51,7 +51,7 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
     limits = [
         (
             "",
-            "Smallest margins to the limits of the description, on a 1 kHz grid (0 % is the limit):",
+            "Smallest margins to the limits of the description on a 1 kHz grid (0 %: limit):",
         )
     ]
     for quantity, margin in request.report.worst.items():
@@ -74,15 +74,14 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
             "- ",
             (
                 "The description must have the robot's own zero positions and directions of motion:"
-                " move each joint a little by hand or jogging and compare what the controller"
-                " shows."
+                " jog each joint a little and compare its sign and value with the controller's."
             ),
         ),
         (
             "- ",
             (
-                "The robot needs room for the whole motion. Nobody within reach. One person at the"
-                " emergency stop, watching the robot, not the screen."
+                "Keep the whole motion range clear and everybody out of reach. One person at the"
+                " emergency stop watches the robot, not the screen."
             ),
         ),
         (
@@ -106,9 +105,7 @@ def preamble(request: ProgramRequest, title: str, use: Sequence[str]) -> tuple[s
 
 
 def _approach(request: ProgramRequest) -> str:
-    """Return the top speeds on the way to the start pose, with the joints that have each where they
-    are not all alike.
-    """
+    """Return the top speeds of the approach, with their joints if they differ."""
     joints: dict[str, list[str]] = {}
     for name, turns, speed in zip(
         request.model.joint_names, request.revolute, request.approach_speed, strict=True
@@ -120,14 +117,14 @@ def _approach(request: ProgramRequest) -> str:
 
 
 def _checked(request: ProgramRequest) -> str:
-    """Return what was checked and what nobody has checked."""
+    """Return what is checked and what is not."""
     limits = "Checked: the joint limits above, on the description of the robot."
     load = "nor the load of a tool that is not in the description."
     if request.clearance is None:
         return (
             f"{limits} NOT checked: collisions of the robot with itself, with its tool, with cables"
-            " or with anything around it, neither on the motion nor on the way to its start pose;"
-            f" {load}"
+            " or with anything around it, neither on the motion nor on the approach to its start"
+            f" pose; {load}"
         )
     known = request.clearance
     around = f" and the obstacles {', '.join(known.obstacles)}" if known.obstacles else ""
@@ -138,16 +135,14 @@ def _checked(request: ProgramRequest) -> str:
     )
     return plain_text(
         f"{limits} Checked on the motion: bodies of the robot{around}, as {known.source} has them,"
-        f" come no nearer than {1000 * known.distance:.0f} mm to each other.{touching} NOT checked:"
-        f" collisions on the way to the start pose; collisions with anything that {known.source}"
-        f" does not have, such as tool, cables and surroundings; {load}"
+        f" keep at least {1000 * known.distance:.0f} mm from each other.{touching} NOT checked:"
+        f" collisions on the approach to the start pose; collisions with anything that"
+        f" {known.source} does not contain, such as tool, cables and surroundings; {load}"
     )
 
 
 def wrapped(text: str, label: str = "") -> list[str]:
-    """Return the text in lines of at most `WIDTH` characters, the first behind `label` and the
-    others indented as far; names stay whole.
-    """
+    """Return the text in lines of at most `WIDTH` characters behind a label; names stay whole."""
     return textwrap.wrap(
         text,
         WIDTH,

@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 
 def render(template: str, **values: Any) -> str:
-    """Return a template of this room filled in.
+    """Return a template filled in.
 
     A value that the template needs and does not get is an error.
     """
@@ -30,8 +30,7 @@ def numbers(values: Iterable[float], decimals: int = 6) -> str:
 
 
 def rounded_down(value: float, decimals: int = 4) -> str:
-    """Return a positive number with a fixed count of decimals, never above itself, as a limit must
-    be.
+    """Return a positive number with fixed decimals, rounded down as a limit must be.
 
     Examples
     --------

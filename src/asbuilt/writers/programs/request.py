@@ -44,7 +44,7 @@ class Approach:
 APPROACH = Approach()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ProgramRequest:
     """Request a program that moves `model` along `motion`, sampled at `rate` [Hz].
 
@@ -72,7 +72,7 @@ class ProgramRequest:
             check_motion(self.model, self.dry_run, DRY_RUN_CHECK_RATE).raise_if_violated()
         except MotionError as error:
             raise MotionError(
-                f"the dry run at {100 / DRY_RUN_SLOWDOWN:g} % of the speed violates a limit: {error}"
+                f"the dry run at {100 / DRY_RUN_SLOWDOWN:g} % speed violates a limit: {error}"
             ) from None
         top = self.motion.peaks(1)
         for where, time in (("start", 0.0), ("end", self.motion.duration)):
@@ -86,6 +86,9 @@ class ProgramRequest:
                     joint=self.model.joint_names[j],
                     value=float(speed[j]),
                 )
+
+    def __repr__(self) -> str:
+        return f"ProgramRequest({self.model.name!r}, {self.name!r}, {self.motion.duration:g} s)"
 
     @cached_property
     def report(self) -> LimitReport:
@@ -120,7 +123,7 @@ class ProgramRequest:
 
     @property
     def period_ms(self) -> int:
-        """Sampling period in whole milliseconds, as KUKA's controllers count; else `MotionError`."""
+        """Sampling period in whole milliseconds, for KUKA; raises `MotionError` otherwise."""
         period = round(1000.0 / self.rate)
         if period < 1 or abs(period * self.rate - 1000.0) > 1e-6:
             raise MotionError(

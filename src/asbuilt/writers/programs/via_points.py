@@ -1,7 +1,4 @@
-"""Few points that stand for a whole motion.
-
-Knots of cubics, points of a spline, poses of a point-to-point motion.
-"""
+"""Points that reproduce a motion: knots of cubics, points of a spline, poses."""
 
 from __future__ import annotations
 
@@ -26,13 +23,11 @@ SPLINE_STEPS = (0.5, 0.02)
 """Longest and shortest time between the points of a spline [s]."""
 
 STRAIGHT = 1e-3
-"""A stretch is straight in joint space when no joint leaves the line between its ends by more than
-this [rad or m].
-"""
+"""Largest deviation of a straight segment from the line in joint space [rad or m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """Move straight to `pose` (n,) with top speeds `speed` (n,), then rest for `dwell` seconds."""
 
     pose: Array
@@ -41,8 +36,9 @@ class Stretch:
 
 
 def hermite_knots(motion: Motion, tolerance: float) -> Array:
-    """Return equally spaced times between which the cubics that match position and velocity stay
-    within `tolerance` [rad or m] of the motion.
+    """Return equally spaced times whose cubics stay within `tolerance` of the motion.
+
+    The cubics match position and velocity; the tolerance is in rad or m.
     """
 
     def error(knots: Array) -> float:
@@ -53,8 +49,9 @@ def hermite_knots(motion: Motion, tolerance: float) -> Array:
 
 
 def spline_times(motion: Motion, tolerance: float) -> Array:
-    """Return equally spaced times such that a cubic spline at rest at both ends through the poses
-    then stays within `tolerance` of the motion.
+    """Return equally spaced times whose cubic spline stays within `tolerance` of the motion.
+
+    The spline passes the poses then and is at rest at both ends.
     """
 
     def error(times: Array) -> float:
@@ -65,9 +62,8 @@ def spline_times(motion: Motion, tolerance: float) -> Array:
     return _equal_times(motion, error, tolerance, SPLINE_STEPS, "a spline")
 
 
-def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
-    """Return the straight stretches between rests that the motion is made of, or None if it is not
-    point-to-point.
+def point_to_point_segments(motion: Motion) -> tuple[Segment, ...] | None:
+    """Return the straight segments between rests, or None for other motions.
 
     A rest is where every joint moves slower than it can start within one step of a 1 kHz grid.
     """
@@ -79,7 +75,7 @@ def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
     rests = [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
     if len(rests) < 3:
         return None
-    stretches = []
+    segments = []
     for (_, begin), (end, last) in pairwise(rests):
         a, b = q[begin], q[end]
         line = b - a
@@ -87,14 +83,14 @@ def point_to_point_stretches(motion: Motion) -> tuple[Stretch, ...] | None:
         if np.max(np.abs(q[begin : end + 1] - a - along[:, None] * line)) > STRAIGHT:
             return None
         middle = (end + last) // 2
-        stretches.append(
-            Stretch(
+        segments.append(
+            Segment(
                 q[middle],
                 speed[begin : end + 1].max(axis=0),
                 max(0.0, float(t[last] - t[end]) - 1 / GRID_RATE),
             )
         )
-    return tuple(stretches)
+    return tuple(segments)
 
 
 def _equal_times(
@@ -105,19 +101,19 @@ def _equal_times(
     what: str,
 ) -> Array:
     longest, shortest = steps
-    pieces = max(2, int(np.ceil(motion.duration / longest)))
+    intervals = max(2, int(np.ceil(motion.duration / longest)))
     while True:
-        times = np.linspace(0.0, motion.duration, pieces + 1)
+        times = np.linspace(0.0, motion.duration, intervals + 1)
         worst = error(times)
         if worst <= tolerance:
             return times
-        if motion.duration / pieces < shortest:
+        if motion.duration / intervals < shortest:
             raise MotionError(
-                f"points every {motion.duration / pieces:.3g} s do not suffice for {what}: off by"
-                f" {worst:.2g} rad or m, allowed {tolerance:g}; the motion is not smooth, give one"
-                " without jumps of velocity"
+                f"{what} through points every {motion.duration / intervals:.3g} s deviate by"
+                f" {worst:.2g} rad or m, allowed are {tolerance:g}; use a motion without jumps of"
+                " velocity"
             )
-        pieces = int(np.ceil(pieces * 1.25))
+        intervals = int(np.ceil(intervals * 1.25))
 
 
 def _largest_deviation(motion: Motion, curve: CubicSpline | CubicHermiteSpline) -> float:

@@ -77,9 +77,7 @@ def joint_figures(design: Design | StaticDesign) -> list[Figure]:
     q, qd, qdd = motion.at(t)
     drive, values = described_drive(model)
     rigid = inverse_dynamics(model, q, qd, qdd)
-    torque = rigid + drive_torque(
-        drive, values, q, qd, qdd, load=rigid, shares=model.motor_shares
-    )
+    torque = rigid + drive_torque(drive, values, q, qd, qdd, load=rigid, shares=model.motor_shares)
     upper = (bounds.upper, bounds.velocity, bounds.acceleration, bounds.torque)
     lower = (bounds.lower, *(-limit for limit in upper[1:]))
     figures = []

@@ -237,9 +237,7 @@ def pose_table(design: StaticDesign) -> Table:
     return Table(heads, rows, important=tuple(range(min(len(rows), LISTED))))
 
 
-def _verdict(
-    limits: LimitReport, findings: Sequence[Finding], spell: Spell
-) -> list[str]:
+def _verdict(limits: LimitReport, findings: Sequence[Finding], spell: Spell) -> list[str]:
     """Return the verdict and what is wrong."""
     bad = [finding for finding in findings if finding.severity != "info"]
     lines = [verdict(limits)]

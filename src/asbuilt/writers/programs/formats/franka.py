@@ -1,6 +1,4 @@
-"""Franka: a C++ program for libfranka that runs the motion through its joint position motion
-generator and records it.
-"""
+"""Franka: a libfranka program (C++) that runs the motion and records it."""
 
 from __future__ import annotations
 

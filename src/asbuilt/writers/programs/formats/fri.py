@@ -1,6 +1,4 @@
-"""KUKA FRI: a C++ client that streams the motion and records it, and the Java application that
-opens the session.
-"""
+"""KUKA FRI: a C++ client that streams the motion, and the Java application of the session."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ limit.
 
 
 class FriFormat(ProgramFormat):
-    """A client for KUKA's FRI client SDK that commands joint positions in every cycle, with a table
-    of the motion.
-    """
+    """Client for KUKA's FRI SDK that commands joint positions in every cycle."""
 
     key = "fri"
     title = "KUKA FRI client (C++) with its Sunrise application (Java)"

@@ -1,4 +1,4 @@
-"""Plain CSV: the motion as a table, for controllers and programs that nobody here knows."""
+"""Plain CSV: the motion as a table, for any other controller."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ class CsvFormat(ProgramFormat):
     default_rate = 250.0
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
-        """Return both tables at the same rate (so that the dry run is slow also where lines are
-        played one per cycle), notes and a sheet.
+        """Return both tables at the same rate, notes and a sheet.
+
+        At one rate the dry run is slow even if lines are played one per cycle.
         """
         stem = request.stem
         use = (

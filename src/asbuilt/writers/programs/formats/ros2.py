@@ -1,6 +1,4 @@
-"""ROS 2: the motion as trajectory_msgs/JointTrajectory in YAML, and a script that runs it through
-FollowJointTrajectory and records a bag.
-"""
+"""ROS 2: the motion as a JointTrajectory, and a script that runs it and records a bag."""
 
 from __future__ import annotations
 
@@ -19,9 +17,7 @@ DECIMALS = 9
 
 
 class Ros2Format(ProgramFormat):
-    """Points with position, velocity and acceleration, between which the joint trajectory
-    controller follows quintics.
-    """
+    """Points with position, velocity and acceleration; the controller interpolates by quintics."""
 
     key = "ros2"
     title = "ROS 2 joint trajectory"
@@ -68,8 +64,8 @@ class Ros2Format(ProgramFormat):
                     " sign (sign = -1)."
                 ),
                 (
-                    "Set torque_source, sign and gains to what yours does; `asbuilt check` tells a"
-                    " wrong sign or scale."
+                    "Set torque_source, sign and gains to what yours does; `asbuilt check` finds"
+                    " a wrong sign or scale."
                 ),
             ),
             {

@@ -8,7 +8,7 @@ from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.motion_csv import times_to_end
 
 DECIMALS = 12
-"""Decimals of positions and velocities: differences of positions at 1 kHz still give a clean jerk."""
+"""Decimals of positions and velocities, so that differences at 1 kHz give a clean jerk."""
 
 
 def motion_table(motion: Motion, rate: float) -> str:

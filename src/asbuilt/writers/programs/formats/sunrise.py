@@ -1,6 +1,4 @@
-"""KUKA Sunrise: a Java application that runs the motion with the controller's own spline or
-point-to-point motions and records it.
-"""
+"""KUKA Sunrise: a Java application that runs and records the motion."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from asbuilt.writers.programs.naming import class_name
 from asbuilt.writers.programs.preamble import DRY_RUN_PART, commented, preamble
 from asbuilt.writers.programs.rendering import numbers, render, rounded_down
 from asbuilt.writers.programs.request import DRY_RUN_SLOWDOWN, ProgramRequest
-from asbuilt.writers.programs.via_points import Stretch, point_to_point_stretches, spline_times
+from asbuilt.writers.programs.via_points import Segment, point_to_point_segments, spline_times
 
 PACKAGE = "application"
 """Java package of the application."""
@@ -26,7 +24,7 @@ SPLINE_TOLERANCE = 0.01
 """How far a spline through the points may leave the designed path [rad]."""
 
 MOST_POINTS = 1000
-"""Points that still fit into one Java class: its constants are set by one method of at most 64 KiB."""
+"""Most points of one Java class, whose constants one method of 64 KiB sets."""
 
 ACCELERATION = 0.5
 """Acceleration and jerk given to the controller, as parts of what its axes can do."""
@@ -37,7 +35,7 @@ LEAST_SPEED = 0.01
 SIGN_NOTE = (
     "KUKA reports measured joint torques with the opposite sign, as what the link exerts on the"
     " drive, hence sign = -1. It turns external torques (tau_ext) as well, so that tau - tau_ext is"
-    " what KUKA's own model predicts. `asbuilt check` tells if your controller's version differs."
+    " what KUKA's own model predicts. `asbuilt check` finds a controller version that differs."
 )
 
 
@@ -54,9 +52,7 @@ class SunriseFormat(ProgramFormat):
     n_joints = 7
 
     def check_joints(self, model: RobotModel) -> None:
-        """Raise MotionError if the robot is none of KUKA's kind, or has joints without a velocity
-        limit.
-        """
+        """Raise `MotionError` unless the robot has 7 revolute joints with velocity limits."""
         super().check_joints(model)
         limit = MotionBounds.of(model).velocity
         unknown = [
@@ -71,26 +67,26 @@ class SunriseFormat(ProgramFormat):
 
     def files(self, request: ProgramRequest) -> tuple[ProgramFile, ...]:
         """Return the Java class and the sheet of its DataRecorder log."""
-        stretches = point_to_point_stretches(request.motion)
-        spline = stretches is None
-        stretches = stretches if stretches is not None else _spline_stretches(request)
-        if len(stretches) > MOST_POINTS:
+        segments = point_to_point_segments(request.motion)
+        spline = segments is None
+        segments = segments if segments is not None else _spline_segments(request)
+        if len(segments) > MOST_POINTS:
             raise MotionError(
-                f"the motion needs {len(stretches)} points, more than the {MOST_POINTS} that fit"
+                f"the motion needs {len(segments)} points, more than the {MOST_POINTS} that fit"
                 " into one application; split it, or give the format fri, which streams"
             )
         limit = MotionBounds.of(request.model).velocity
         speeds = [
-            float(np.clip((stretch.speed / limit).max(), LEAST_SPEED, 1.0)) for stretch in stretches
+            float(np.clip((segment.speed / limit).max(), LEAST_SPEED, 1.0)) for segment in segments
         ]
         approach = min(0.1, float((request.approach_speed / limit).min()))
         name = class_name(request.name, suffix="Excitation")
         planner = (
-            f"The path is a joint spline (SplineJP) through {len(stretches)} points of the motion"
+            f"The path is a joint spline (SplineJP) through {len(segments)} points of the motion"
             " and stays near it; "
             if spline
             else (
-                f"The path is the {len(stretches)} point-to-point motions (PTP) that the motion is"
+                f"The path is the {len(segments)} point-to-point motions (PTP) that the motion is"
                 " made of; "
             )
         )
@@ -130,10 +126,10 @@ class SunriseFormat(ProgramFormat):
             tolerance=f"{request.start_tolerance.min():g}",
             interval=request.period_ms,
             start=numbers(request.motion.start),
-            step=f"{request.motion.duration / len(stretches):.4f}",
-            points=[numbers(stretch.pose) for stretch in stretches],
+            step=f"{request.motion.duration / len(segments):.4f}",
+            points=[numbers(segment.pose) for segment in segments],
             speeds=[rounded_down(speed) for speed in speeds],
-            dwells=[10 * round(100 * stretch.dwell) for stretch in stretches],
+            dwells=[10 * round(100 * segment.dwell) for segment in segments],
             log=f"{request.stem}_log.txt",
             dry_run_log=f"{request.stem}_dry_run_log.txt",
         )
@@ -166,14 +162,14 @@ class SunriseFormat(ProgramFormat):
         )
 
 
-def _spline_stretches(request: ProgramRequest) -> tuple[Stretch, ...]:
+def _spline_segments(request: ProgramRequest) -> tuple[Segment, ...]:
     times = spline_times(request.motion, SPLINE_TOLERANCE)
-    stretches = []
+    segments = []
     for begin, end in pairwise(times):
         within = np.linspace(begin, end, 21)
         speed = np.abs(request.motion.derivative(within, 1)).max(axis=0)
-        stretches.append(Stretch(request.motion.derivative(end), speed, 0.0))
-    return tuple(stretches)
+        segments.append(Segment(request.motion.derivative(end), speed, 0.0))
+    return tuple(segments)
 
 
 PROGRAM_FORMATS.register(SunriseFormat.key, SunriseFormat())

@@ -18,7 +18,7 @@ LOOK_AHEAD, GAIN = 0.05, 600
 """servoj's lookahead_time [s] (0.03 to 0.2) and gain (100 to 2000)."""
 
 APPROACH_ACCELERATION = 0.3
-"""Acceleration on the way to the start pose [rad/s^2]."""
+"""Acceleration on the approach to the start pose [rad/s^2]."""
 
 RATES = (125.0, 500.0)
 """Rates of the RTDE: CB3 and e-Series [Hz]."""
@@ -36,8 +36,9 @@ FIELDS = (
 
 
 class UrScriptFormat(ProgramFormat):
-    """A script per speed: points of position and velocity, cubics between them, servoj in every
-    control cycle (CB3 and e-Series alike).
+    """A script per speed: cubics between points, servoj in every control cycle.
+
+    It runs on CB3 and e-Series alike.
     """
 
     key = "urscript"
