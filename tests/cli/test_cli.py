@@ -219,7 +219,7 @@ def test_every_output_says_how_errors_were_judged(
     assert stored == {name: value for name, value in found["errors"].items() if name != "sentence"}
     sentence = found["errors"]["sentence"]
     assert sentence.startswith(f"Standard errors ({kind}): ")
-    assert sentence in Path(found["files"]["summary"]).read_text()
+    assert sentence in " ".join(Path(found["files"]["summary"]).read_text().split())
     page = Path(found["files"]["report"]).read_text()
     assert f"<dt>standard errors</dt><dd>{kind}</dd>" in page
     assert sentence in html.unescape(page)

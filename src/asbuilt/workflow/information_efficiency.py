@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.codec import plain
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.excitation.information.efficiency import InformationEfficiency, information_efficiency
 from asbuilt.excitation.limits import MotionBounds
 from asbuilt.excitation.state_bounds import limited_model
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of, prepare_logged
+from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, joined
+from asbuilt.workflow.prepare import prepare
 
 TOO_LITTLE = 1e-3
 """Efficiency of a joint's worst parameter below which the joint moved too little."""
@@ -110,7 +111,7 @@ class RecordedInformation:
         return {
             "d_efficiency": self.efficiency.d_efficiency,
             **{
-                key: dict(zip(self.joint_names, map(_finite, values), strict=True))
+                key: dict(zip(self.joint_names, plain(values), strict=True))
                 for key, values in by_joint.items()
             },
             "moved_too_little": list(self.too_little),
@@ -154,7 +155,7 @@ def recorded_information(
         If the recording is too short for the filters.
     """
     drive = DriveSet.default(head_of(recording).torque_source)
-    samples = prepare_logged(recording, SignalChain())
+    (samples,) = prepare(model, [recording], checked=False).training
     travel, top_speed = _use_of_limits(model, samples)
     return RecordedInformation(
         model.joint_names,
@@ -172,7 +173,3 @@ def _use_of_limits(model: RobotModel, samples: Samples) -> tuple[Array, Array]:
     turn = np.where([joint.is_revolute for joint in model.joints], 2 * np.pi, np.inf)
     full = np.minimum(bounds.upper - bounds.lower, turn)
     return np.ptp(samples.q, axis=0) / full, np.max(np.abs(samples.qd), axis=0) / bounds.velocity
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -166,7 +166,8 @@ def identify(
     >>> from asbuilt import load_robot, simulate_recording, identify, StudyOptions
     >>> from asbuilt.excitation.motions.random_motion import random_fourier
     >>> model = load_robot("two-link")
-    >>> log = simulate_recording(model, random_fourier(model, rng=1, duration=10.0), rng=1).recording
+    >>> motion = random_fourier(model, rng=1, duration=10.0)
+    >>> log = simulate_recording(model, motion, rng=1)
     >>> study = identify(model, log, options=StudyOptions(holdout="last:0.3", method="wls"))
     >>> study.result.rank == study.result.n_base
     True

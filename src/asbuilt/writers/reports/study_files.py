@@ -1,4 +1,4 @@
-"""Everything that an identification leaves behind: on the screen and in a folder."""
+"""Text, document and files of a study."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from asbuilt.errors import DescriptionError, IdentifiabilityError
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.result import IdentificationResult
-from asbuilt.tables import stacked
+from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.figures.cutoff_figure import cutoff_figure
@@ -25,7 +25,8 @@ from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
-from asbuilt.writers.tables.payload_tables import payload_document, payload_text
+from asbuilt.writers.tables.mass_table import link_masses
+from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
 from asbuilt.writers.tables.tabular import (
     identify_document,
     prediction_table,
@@ -36,7 +37,8 @@ from asbuilt.writers.tables.tabular import (
 
 def study_text(study: Study, payload: Payload | None = None, *, full: bool = False) -> str:
     """Return what `asbuilt identify` prints, with the payload if one was identified too."""
-    parts = [study.summary.as_text(full)]
+    masses = link_masses(study.result)
+    parts = [study.summary.with_mass(masses and masses.totals).as_text(full)]
     if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"
@@ -45,9 +47,11 @@ def study_text(study: Study, payload: Payload | None = None, *, full: bool = Fal
     if study.cutoffs is not None:
         parts.append(study.cutoffs.table().as_text(full))
     if full:
-        parts.append(stacked([study.comparison.torque_table()], full=full))
-    parts.append(study.comparison.verdict())
-    return "\n".join(parts if payload is None else [*parts, "", payload_text(payload)])
+        parts.append(study.comparison.torque_table().as_text(full))
+    parts.append(wrapped(study.comparison.verdict()) + "\n")
+    if payload is not None:
+        parts.append(payload_text(payload, full) if full else payload_table(payload).as_text())
+    return "\n".join(parts)
 
 
 def study_document(
@@ -75,13 +79,27 @@ def write_result(path: str | os.PathLike[str], result: IdentificationResult | St
 def write_study(
     folder: Path, study: Study, *, payload: Payload | None = None, command: Sequence[str] = ()
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
-    """Write result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as
-    built, robot.toml; cutoff.png and payload.json where there is one.
+    """Write the files of a study into a folder.
 
-    Where the robot came from a URDF and real bodies have these parameters, robot.urdf is that file
-    as built. Returns the path of each, by kind, and what the reader of a file must know, by kind
-    too: what a URDF cannot hold, or why a file was not written. `command` is the command line that
-    repeats the study.
+    These are result.json, summary.txt, parameters.csv, torque.png, report.html and the robot as
+    built, robot.toml; cutoff.png and payload.json if there is one. If the robot came from a URDF
+    and is physically consistent, robot.urdf is that file as built.
+
+    Parameters
+    ----------
+    folder
+        Where to write.
+    study
+        The study.
+    payload
+        What the flange carries, if that was identified too.
+    command
+        The command line that repeats the study.
+
+    Returns
+    -------
+    tuple
+        Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
     result = study.result
     files = {
@@ -105,9 +123,7 @@ def write_study(
 def _write_robot(
     folder: Path, result: IdentificationResult
 ) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
-    """Write robot.toml and robot.urdf where there can be such, and say what they lack, or why there
-    are none.
-    """
+    """Write robot.toml and robot.urdf, if there can be such, and note what they lack."""
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
     try:
@@ -129,10 +145,7 @@ def _write_robot(
             )
             if impossible:
                 notes["urdf"] = (
-                    (
-                        f"not written, for no robot is like this: {impossible[0]}; asbuilt export"
-                        " --nearest writes the nearest that one can be"
-                    ),
+                    (f"not written: {impossible[0]}; the nearest consistent model can be exported"),
                 )
             else:
                 files["urdf"], said = write_urdf(

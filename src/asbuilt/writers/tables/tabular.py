@@ -141,12 +141,11 @@ def described_torque_table(model: RobotModel, errors: Sequence[TorqueMetrics]) -
 
 
 def check_document(
-    model: RobotModel, checks: Sequence[RecordingCheck], carried: Sequence[RecordedInformation | None] = ()
+    model: RobotModel,
+    checks: Sequence[RecordingCheck],
+    carried: Sequence[RecordedInformation | None] = (),
 ) -> dict[str, Any]:
-    """Return what `asbuilt check --json` prints.
-
-    `information` is None where a recording was not judged.
-    """
+    """Return what `asbuilt check --json` prints; `information` is None if it was not asked for."""
     parts = list(carried) or [None] * len(checks)
     return {
         "robot": model.name,
