@@ -199,6 +199,7 @@ def compare(
     unchecked: Unchecked = False,
     reading: ReadingOptions,
     out: Out = None,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
     """Compare CAD with the robot as built.
@@ -239,7 +240,7 @@ def compare(
         answer(
             as_json,
             lambda: with_files(drift.as_document(), files),
-            lambda: drift.as_text() + listed_files(files),
+            lambda: drift.as_text(full) + listed_files(files),
         )
         return
     if controller is not None:
@@ -253,7 +254,7 @@ def compare(
         answer(
             as_json,
             lambda: with_files(beside.as_document(), files),
-            lambda: beside.as_text() + listed_files(files),
+            lambda: beside.as_text(full) + listed_files(files),
         )
         return
     design = None if cad is None else described_robot(cad)
@@ -270,7 +271,7 @@ def compare(
     answer(
         as_json,
         lambda: with_files(verdict.as_document(), files),
-        lambda: verdict.as_text() + listed_files(files),
+        lambda: verdict.as_text(full) + listed_files(files),
     )
 
 
@@ -300,6 +301,7 @@ def payload(
     reading: ReadingOptions,
     filtering: Filtering,
     out: Out = None,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
     """Identify what the flange carries: mass, centre and inertia, from recordings under load."""
@@ -335,5 +337,5 @@ def payload(
     answer(
         as_json,
         lambda: payload_document(found, files),
-        lambda: payload_text(found) + listed_files(files),
+        lambda: payload_text(found, full) + listed_files(files),
     )

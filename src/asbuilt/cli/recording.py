@@ -106,6 +106,7 @@ def gains(
     unchecked: Unchecked = False,
     reading: ReadingOptions,
     filtering: Filtering,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
     """Find the torque per ampere (per logged unit) of every drive from a payload of known mass.
@@ -131,7 +132,7 @@ def gains(
     bare, under = (recordings_of(model, logs, currents) for logs in (log, loaded))
     with progress_bar() as report:
         found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
-    answer(as_json, lambda: gains_document(found), lambda: gains_text(found))
+    answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))
 
 
 def channels(
@@ -178,6 +179,7 @@ def channels(
     unchecked: Unchecked = False,
     reading: ReadingOptions,
     filtering: Filtering,
+    full: Full = False,
     as_json: AsJson = False,
 ) -> None:
     """Identify links, link-side friction and motor side from torques on both sides of the gears."""
@@ -204,7 +206,7 @@ def channels(
     )
     with progress_bar() as report:
         found = identify_channels(model, sensors, motors, options=options, progress=report)
-    answer(as_json, lambda: channels_document(found), lambda: channels_text(found))
+    answer(as_json, lambda: channels_document(found), lambda: channels_text(found, full))
 
 
 def simulate(

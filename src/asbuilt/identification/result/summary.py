@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -106,6 +106,14 @@ class Summary:
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
 
+    def with_mass(self, totals: tuple[float | None, float] | None) -> Summary:
+        """Return the summary with the total mass of the links by CAD and as built [kg]."""
+        if totals is None:
+            return self
+        cad, built = (significant(mass) for mass in totals)
+        mass = ("mass of links", f"CAD {cad} kg, as built {built} kg")
+        return replace(self, heading=(*self.heading[:-1], mass, self.heading[-1]))
+
     def as_csv(self) -> str:
         """Return the table of parameters as CSV, numbers in full."""
         return self.parameters.as_csv()
@@ -115,7 +123,6 @@ def summarise(
     result: IdentificationResult,
     *,
     findings: Sequence[Finding] | None = None,
-    mass: tuple[float, float] | None = None,
 ) -> Summary:
     """Summarise a result.
 
@@ -125,8 +132,6 @@ def summarise(
         The result.
     findings
         Findings of the study; None: those of the result.
-    mass
-        Total mass of the links by CAD and as built [kg], if known.
     """
     said = ranked(result.findings if findings is None else findings)
     n_drive = int(np.sum(result.base.columns >= 10 * result.model.n_joints))
@@ -136,7 +141,7 @@ def summarise(
             f"{result.robot} - {method_title(result.method)},"
             f" {result.n_base - n_drive} base{drives} parameters"
         ),
-        heading=(*_heading(result, mass), ("status", _status(result, said))),
+        heading=(*_heading(result), ("status", _status(result, said))),
         findings=said,
         parameters=_parameter_table(result),
         joints=_joint_table(result),
@@ -166,9 +171,7 @@ def finding_lines(findings: Sequence[Finding], full: bool = False) -> list[str]:
     return lines
 
 
-def _heading(
-    result: IdentificationResult, mass: tuple[float, float] | None
-) -> tuple[tuple[str, str], ...]:
+def _heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
     held_out = [share(metrics.relative_error) for metrics in result.validation]
     negative = ", ".join(non_passive_drives(result.base, result.estimates))
     inconsistent = f"NEGATIVE {negative}" if negative else "PHYSICALLY INCONSISTENT"
@@ -178,7 +181,7 @@ def _heading(
         if np.isfinite(result.condition_number)
         else "infinite"
     )
-    pairs = [
+    return (
         ("samples", f"{result.n_samples} x {result.model.n_joints} joints"),
         ("condition number", condition),
         ("rank", f"{result.rank} of {result.n_base}"),
@@ -191,12 +194,7 @@ def _heading(
             "consistency",
             {True: "OK", False: inconsistent, None: "not checked"}[result.physically_consistent],
         ),
-    ]
-    if mass is not None:
-        pairs.append(
-            ("mass of links", f"CAD {significant(mass[0])}, as built {significant(mass[1])} kg")
-        )
-    return tuple(pairs)
+    )
 
 
 def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:

@@ -31,6 +31,11 @@ class LinkMasses:
         """Total mass of the exported robot [kg]."""
         return sum(self.as_built)
 
+    @property
+    def totals(self) -> tuple[float | None, float]:
+        """Total mass by CAD, None if unknown, and of the exported robot [kg]."""
+        return self.total_cad, self.total_as_built
+
     def as_dict(self) -> dict[str, Any]:
         """Return the masses as plain data."""
         return {

@@ -211,17 +211,17 @@ def identifiability_table(base: BaseParameters) -> Table:
         symbol = parameter.name.rstrip("0123456789")
         found = places.setdefault(parameter.name[len(symbol) :], {name: [] for name in statuses})
         found[parameter.status].append(symbol)
-    rows = tuple(
+    rows: list[tuple[Cell, ...]] = [
         (int(number), *(" ".join(found[status]) or "-" for status in statuses))
         for number, found in places.items()
-    )
+    ]
     columns = (
         Column("link", align="right"),
         Column("identifiable"),
         Column("in sums only"),
         Column("unidentifiable"),
     )
-    return Table(columns, rows, title="Standard parameters")
+    return Table(columns, tuple(rows), title="Standard parameters")
 
 
 def standard_table(base: BaseParameters) -> Table:
