@@ -14,8 +14,10 @@ from graphlib import TopologicalSorter
 from importlib import import_module
 from importlib.metadata import packages_distributions
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 import asbuilt
 
@@ -193,3 +195,48 @@ def test_start_up_loads_nothing_heavy(statement: str) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.strip() == ""
+
+
+def option_spellings() -> set[str]:
+    """Every option of the command line."""
+    from asbuilt.cli.app import app
+    from asbuilt.cli.commands import COMMANDS
+
+    group: Any = typer.main.get_command(app)
+    context = group.make_context("asbuilt", ["robots"], resilient_parsing=True)
+    params = [p for name in COMMANDS for p in group.get_command(context, name).get_params(context)]
+    return {name for param in params for name in param.opts if name.startswith("--")}
+
+
+def texts_of(path: Path) -> list[str]:
+    """Texts in a file that are neither docstrings nor spellings (`also`) of an option."""
+    tree = ast.parse(path.read_text())
+    skipped: set[int] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            skipped.add(id(node.value))
+        elif isinstance(node, ast.keyword) and node.arg == "also":
+            skipped |= {id(child) for child in ast.walk(node.value)}
+    return [
+        node.value
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and id(node) not in skipped
+    ]
+
+
+def test_library_code_names_no_option_of_the_command_line() -> None:
+    """Advice is data (`Cure`), to which the command line adds the spelling of its options.
+
+    Excepted are controller programs, which have options of their own, and the field `option` of
+    the JSON of `gains`.
+    """
+    options = option_spellings()
+    for path in SOURCE.rglob("*.py"):
+        place = path.relative_to(SOURCE).as_posix()
+        if place.startswith(("cli/", "writers/programs/")) or path.name == "drive_tables.py":
+            continue
+        for text in texts_of(path):
+            named = options & set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
+            assert not named, f"{place} names {', '.join(sorted(named))}: {text!r}"

@@ -99,8 +99,8 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
     ]
     if sprung:
         tree.notes.append(
-            f"the springs of {', '.join(sprung)} (stiffness) are left out; identify with --drive"
-            " auto,spring:joints=... to have them found"
+            f"the springs of {', '.join(sprung)} (stiffness) are left out; identify them with the"
+            " drive terms auto,spring:joints=..."
         )
     if compiled.neq:
         tree.notes.append(
