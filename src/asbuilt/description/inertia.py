@@ -80,6 +80,13 @@ class LinkInertia:
         """Return the inertia of a massless link."""
         return cls(np.zeros(10))
 
+    def __repr__(self) -> str:
+        com, moments = (
+            "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
+            for values in (self.com, self.principal_moments)
+        )
+        return f"LinkInertia(mass={self.mass:.4g}, com={com}, principal_moments={moments})"
+
     @property
     def mass(self) -> float:
         """Mass [kg]."""

@@ -13,6 +13,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.rotation import checked_placement
 from asbuilt.errors import DescriptionError
+from asbuilt.tables import Column, Table
 
 JointKind = Literal["revolute", "continuous", "prismatic"]
 Symbols = tuple[tuple[tuple[float, str], ...], ...]
@@ -116,6 +117,9 @@ class Joint:
             self, "after", checked_placement(self.after, f"the placement after joint {self.name!r}")
         )
 
+    def __repr__(self) -> str:
+        return f"Joint({self.name!r}, {self.kind!r}, parent={self.parent})"
+
     @property
     def is_revolute(self) -> bool:
         """Whether the joint turns (also without end) rather than slides."""
@@ -172,6 +176,9 @@ class Geometry:
     after_rotation: Array
     after_translation: Array
     gravity: Array
+
+    def __repr__(self) -> str:
+        return f"Geometry({self.parent.size} joints)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,6 +263,33 @@ class RobotModel:
                 )
             coupling.setflags(write=False)
             object.__setattr__(self, "motor_coupling", coupling)
+
+    def __repr__(self) -> str:
+        return f"RobotModel\n{self._table().as_text()}"
+
+    def _repr_html_(self) -> str:
+        return self._table().as_html()
+
+    def _table(self) -> Table:
+        """Return one row per joint with the link that it moves."""
+        columns = (
+            Column("joint"),
+            Column("kind"),
+            Column("on"),
+            Column("moves"),
+            Column("mass", "kg", "decimal", ".4g"),
+        )
+        rows = tuple(
+            (
+                joint.name,
+                joint.kind,
+                self.root_link if joint.parent == ROOT else self.links[joint.parent].name,
+                link.name,
+                link.inertia.mass if link.inertia_known else None,
+            )
+            for joint, link in zip(self.joints, self.links, strict=True)
+        )
+        return Table(columns, rows, title=f"{self.name}: {self.n_joints} joints")
 
     @property
     def n_joints(self) -> int:

@@ -1,4 +1,4 @@
-"""Mass properties of links from geometry and material, or from a table, beside those of the file."""
+"""Mass properties of links from geometry and material, or a table, beside those of the file."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class LinkMass:
 
     @property
     def density(self) -> float:
-        """Mass in the description over volume of the geometry [kg/m^3], NaN if either is missing."""
+        """Mass in the description over volume of the geometry [kg/m^3], NaN if unknown."""
         return self.described.mass / self.volume if self.described is not None else float("nan")
 
     @property
@@ -159,12 +159,11 @@ def link_masses(
 
     Examples
     --------
-    >>> from asbuilt.description.formats.urdf import read_urdf
     >>> from asbuilt.description.load import load_robot
-    >>> link_masses(load_robot("two-link"), density=2700.0)
+    >>> link_masses(load_robot("two-link"), density=2700.0)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    asbuilt.errors.DescriptionError: two-link does not come from a URDF file, so it has no geometry; give the mass properties as a table
+    asbuilt.errors.DescriptionError: two-link does not come from a URDF file, so it has no ...
     """
     limits = thresholds or Plausibility()
     if table is not None:
@@ -374,7 +373,7 @@ def _doubts(link: LinkMass, limits: Plausibility) -> list[Finding]:
                 "com_outside",
                 "warning",
                 link.name,
-                f"its centre of mass lies {1e3 * outside:.3g} mm outside the box around its geometry",
+                f"its centre of mass lies {1e3 * outside:.3g} mm outside the box of its geometry",
             )
         )
     return findings

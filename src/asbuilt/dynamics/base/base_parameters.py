@@ -17,6 +17,10 @@ from asbuilt.dynamics.drives.selection import NO_DRIVE, DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.parameters import parameter_names, parameter_units
 from asbuilt.errors import IdentifiabilityError, UsageError
+from asbuilt.tables import Column, Table
+
+SHOWN = 12
+"""Base parameters that `repr` lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +47,22 @@ class BaseParameters:
     def __post_init__(self) -> None:
         self.columns.setflags(write=False)
         self.regrouping.setflags(write=False)
+
+    def __repr__(self) -> str:
+        return f"BaseParameters\n{self._table().as_text()}"
+
+    def _repr_html_(self) -> str:
+        return self._table().as_html()
+
+    def _table(self) -> Table:
+        """Return one row per base parameter, the first `SHOWN` of them in short texts."""
+        columns = (Column("id", align="right"), Column("expression", width=56), Column("unit"))
+        rows = tuple(zip(self.ids.tolist(), self.symbolic, self.units, strict=True))
+        title = (
+            f"{self.robot}, drive terms {self.drive}: {self.n_base} base parameters of"
+            f" {self.n_standard} standard ones"
+        )
+        return Table(columns, rows, title=title, important=tuple(range(min(SHOWN, self.n_base))))
 
     @property
     def n_standard(self) -> int:
@@ -105,8 +125,8 @@ def find_base_parameters(model: RobotModel, drive: DriveSet = NO_DRIVE) -> BaseP
     array([ 6, 16, 17, 18])
     >>> base.symbolic
     ('Izz1 + a1**2*(m1 + m2) + 2*a1*mx1', 'Izz2 - a2**2*m2', 'mx2 + a2*m2', 'my2')
-    >>> base.standard[0].why
-    'Ixx1: link 1 only turns about a vertical axis, so only its inertia about that axis acts'
+    >>> base.standard[0].name, base.standard[0].status
+    ('Ixx1', 'unidentifiable')
     """
     with one_blas_thread():
         found = structural_regrouping(model, drive)
