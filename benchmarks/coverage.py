@@ -27,7 +27,8 @@ from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
 from asbuilt.identification.errors.uncertainty import block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
-from asbuilt.identification.estimators.least_squares import Estimate, fit_least_squares
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate,
@@ -139,9 +140,7 @@ def coverage(
     """Return the shares of weighted least squares."""
     model = load_robot(robot)
     base = find_base_parameters(model, DRIVE)
-    machine = VirtualRobot.ideal(model).with_drive(
-        DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints)
-    )
+    machine = VirtualRobot.ideal(model).with_drive(DRIVE, np.tile([1.0, 2.0, 0.3], model.n_joints))
     design = design_values(model, base)
     return shares(
         recordings(machine, model, correlation_time, duration, NOISE, repetitions),

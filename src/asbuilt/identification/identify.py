@@ -27,8 +27,8 @@ from asbuilt.identification.errors.uncertainty import (
     block_uncertainty,
     textbook_uncertainty,
 )
-from asbuilt.identification.estimators.least_squares import Estimate
 from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData, Undetermined
 from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,

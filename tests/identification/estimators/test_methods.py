@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-MODULE = '''
+MODULE = """
 from dataclasses import replace
 
 from asbuilt.identification.estimators.least_squares import fit_least_squares
@@ -21,7 +21,7 @@ from asbuilt.identification.estimators.methods import estimator
 def estimate_half(data):
     found = fit_least_squares(data.information, prior=data.prior)
     return replace(found, method="halved", beta=0.5 * found.beta)
-'''
+"""
 
 
 def run(*arguments: object, path: str = "") -> subprocess.CompletedProcess[str]:
@@ -30,6 +30,7 @@ def run(*arguments: object, path: str = "") -> subprocess.CompletedProcess[str]:
         env=os.environ | {"PYTHONPATH": os.pathsep.join([path, *sys.path])},
         capture_output=True,
         text=True,
+        check=False,
     )
 
 

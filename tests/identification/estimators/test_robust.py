@@ -130,10 +130,10 @@ def test_weights_that_did_not_settle_are_said_to_be_the_methods(robot, struck, m
     model, base, _ = robot
     monkeypatch.setattr("asbuilt.identification.estimators.robust.MOST_ITERATIONS", 1)
     said = {
-        warning.code: warning.text
-        for warning in identify_samples(model, struck, base=base, method="huber").warnings
+        finding.code: finding
+        for finding in identify_samples(model, struck, base=base, method="huber").findings
     }
     assert (
-        said["not_converged"]
-        == "The weights of huber had not settled after 1 iterations; compare with --method wls."
+        said["not_converged"].message == "The weights of huber had not converged after 1 iterations"
     )
+    assert said["not_converged"].cure.settings == {"method": "wls"}

@@ -21,8 +21,9 @@ from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.preparation import prepare_samples, stream_samples
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.estimators.least_squares import fit_least_squares, solve_factor
+from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.information import square_root_information
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.square_root_information import (
     MOST_BLOCKS,
     accumulate,

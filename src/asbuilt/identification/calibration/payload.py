@@ -30,7 +30,7 @@ from asbuilt.identification.calibration.gain_uncertainty import (
     relative_gain_errors,
 )
 from asbuilt.identification.calibration.payload_rows import PayloadRows
-from asbuilt.identification.estimators.least_squares import solve_factor
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.known_information import determined_directions
 from asbuilt.identification.information.triangular import triangular_factor
 from asbuilt.identification.result.metrics import TorqueMetrics, torque_metrics

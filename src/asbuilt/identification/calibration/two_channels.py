@@ -18,7 +18,8 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import ResultError, UsageError
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
-from asbuilt.identification.estimators.least_squares import Estimate, fit_least_squares
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import GrowingFactor

@@ -28,11 +28,8 @@ from asbuilt.identification.drives.drive_candidates import (
 )
 from asbuilt.identification.drives.nonlinear_parameters import fit_nonlinear, thinned
 from asbuilt.identification.errors.nonlinear_errors import NonlinearPlace
-from asbuilt.identification.estimators.least_squares import (
-    LARGE_CONDITION,
-    fit_least_squares,
-    noise_floor,
-)
+from asbuilt.identification.estimators.least_squares import LARGE_CONDITION, fit_least_squares
+from asbuilt.identification.information.estimate import noise_floor
 from asbuilt.identification.information.held_out import held_out_errors
 from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.torque_prediction import carrying

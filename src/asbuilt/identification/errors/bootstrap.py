@@ -20,8 +20,8 @@ from asbuilt.identification.errors.uncertainty import (
     basis_of,
     block_scores,
 )
-from asbuilt.identification.estimators.least_squares import Estimate, Refit
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, ROW_WEIGHTS, methods
+from asbuilt.identification.information.estimate import Estimate, Refit
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 

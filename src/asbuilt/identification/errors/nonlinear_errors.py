@@ -16,7 +16,7 @@ from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
-from asbuilt.identification.estimators.least_squares import Estimate
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.rows import sample_blocks
 from asbuilt.tables import rounded
 

@@ -10,7 +10,7 @@ from scipy.special import ndtri, stdtrit
 from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.errors.error_basis import ErrorBasis, ErrorKind
-from asbuilt.identification.estimators.least_squares import Estimate
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 FEWEST_BLOCKS = 8

@@ -24,14 +24,11 @@ from asbuilt.identification.estimators.consistent_fit import (
     fit_toward_cad,
     quietest_noise,
 )
-from asbuilt.identification.estimators.least_squares import (
-    LARGE_CONDITION,
-    Estimate,
-    estimate_wls,
-)
+from asbuilt.identification.estimators.least_squares import LARGE_CONDITION, estimate_wls
 from asbuilt.identification.estimators.methods import estimator
 from asbuilt.identification.estimators.ridge import estimate_ridge
 from asbuilt.identification.estimators.robust import estimate_huber, outlying_share
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
 from asbuilt.identification.information.held_out import held_out_errors
 from asbuilt.identification.information.square_root_information import SquareRootInformation

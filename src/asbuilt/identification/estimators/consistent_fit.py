@@ -25,16 +25,16 @@ from asbuilt.identification.bodies.entropic_fit import (
     EntropicFits,
     EntropicProblem,
 )
-from asbuilt.identification.estimators.least_squares import (
+from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
+from asbuilt.identification.estimators.prior_weight import WEIGHTS, choose_weight
+from asbuilt.identification.information.estimate import (
     Estimate,
-    FactorSolution,
     Refit,
-    fit_least_squares,
     noise_floor,
     residual_deviation,
 )
-from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
-from asbuilt.identification.estimators.prior_weight import WEIGHTS, choose_weight
+from asbuilt.identification.information.factor_solution import FactorSolution
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 if TYPE_CHECKING:

@@ -11,9 +11,11 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.findings import joined
 from asbuilt.identification.errors.uncertainty import block_uncertainty
-from asbuilt.identification.estimators.least_squares import Estimate, estimate_wls, solve_factor
+from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.triangular import triangular_factor
 
 SIGNIFICANCE = 0.05

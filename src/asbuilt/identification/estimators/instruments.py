@@ -14,14 +14,11 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.dynamics.newton_euler import mass_matrix
-from asbuilt.identification.estimators.least_squares import (
-    Estimate,
-    estimate_wls,
-    fit_least_squares,
-    solve_factor,
-)
+from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, estimator
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.rows import RowBlock, Rows
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (

@@ -8,15 +8,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.estimators.least_squares import (
-    Estimate,
-    estimate_wls,
-    fit_least_squares,
-    noise_floor,
-    solve_factor,
-)
+from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import estimator
+from asbuilt.identification.information.estimate import Estimate, noise_floor
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.factor_solution import solve_factor
 from asbuilt.identification.information.rows import RowBlock
 from asbuilt.identification.information.square_root_information import reduce_rows
 from asbuilt.identification.information.triangular import (

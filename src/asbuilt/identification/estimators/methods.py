@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from asbuilt.registry import Registry
 
 if TYPE_CHECKING:
-    from asbuilt.identification.estimators.least_squares import Estimate
+    from asbuilt.identification.information.estimate import Estimate
     from asbuilt.identification.information.estimation_data import EstimationData
 
 Needs = Literal["information", "samples", "simulation"]
 Estimation = Callable[["EstimationData"], "Estimate"]
+E = TypeVar("E", bound=Estimation)
 
 JOINT_WEIGHTS = "the weights of the joints"
 ROW_WEIGHTS = "the weights of joints and rows"
@@ -65,10 +66,10 @@ def estimator(
     needs: Needs = "information",
     held_fixed: tuple[str, ...] = (JOINT_WEIGHTS,),
     regularised: bool = False,
-) -> Callable[[Estimation], Estimation]:
+) -> Callable[[E], E]:
     """Register the decorated function as an estimator, with the fields of `Estimator`."""
 
-    def register(estimate: Estimation) -> Estimation:
+    def register(estimate: E) -> E:
         methods.register(
             name, Estimator(name, title, description, estimate, needs, held_fixed, regularised)
         )

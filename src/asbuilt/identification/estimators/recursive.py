@@ -13,11 +13,8 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.errors import IdentifiabilityError, UsageError
-from asbuilt.identification.estimators.least_squares import (
-    FactorSolution,
-    positive_weights,
-    solve_factor,
-)
+from asbuilt.identification.estimators.least_squares import positive_weights
+from asbuilt.identification.information.factor_solution import FactorSolution, solve_factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.identification.estimators.least_squares import Estimate, Weighted, estimate_wls
+from asbuilt.identification.estimators.least_squares import estimate_wls
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.factor_solution import Weighted
 from asbuilt.identification.information.held_out import folds
 
 RIDGES = np.concatenate([[0.0], np.logspace(-10, 0, 41)])

@@ -20,7 +20,7 @@ from asbuilt.identification.bodies.consistency import (
 )
 from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
-from asbuilt.identification.estimators.least_squares import Estimate
+from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.identification.result.estimation_findings import estimation_findings

@@ -1,0 +1,150 @@
+"""The outcome of an estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array, Mask
+from asbuilt.findings import Finding
+from asbuilt.identification.information.factor_solution import FactorSolution
+from asbuilt.identification.information.square_root_information import SquareRootInformation
+
+Refit = Callable[[Array], Array]
+"""A fit of the triangular factor [R z] (p + 1, p + 1) of weighted rows: beta (p,)."""
+
+
+SMALLEST_NOISE = 1e-9
+"""Least noise of a joint in the largest torque RMS; simulations have none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """Hold an estimate of p base parameters from n joints.
+
+    Parameters
+    ----------
+    method
+        Name of the estimator.
+    beta
+        Base parameters, shape (p,).
+    covariance
+        Textbook covariance (p, p), `inverse_root inverse_root^T` times the residual variance.
+    sigma
+        Residual standard deviation of each joint, shape (n,).
+    weights
+        Factors of the rows of each joint, shape (n,).
+    solution
+        Rank, conditioning and the inverse root of the information.
+    undetermined
+        Directions that this recording does not determine, as text.
+    determined
+        False for the parameters in such directions, which keep the prior there, shape (p,).
+    iterations, converged
+        Of the weights, or whatever the estimator iterates.
+    information
+        What the solution solves, if not the information of the samples (such as reweighted rows).
+    notes, findings
+        What was decided, and what is wrong with it.
+    dropped
+        Parameters set to zero as insignificant, shape (p,); None if the method drops none.
+    refit
+        Gives beta for the triangular factor of other rows with equal weights, all choices fixed;
+        None if beta is linear in the torque.
+    """
+
+    method: str
+    beta: Array
+    covariance: Array
+    sigma: Array
+    weights: Array
+    solution: FactorSolution
+    undetermined: tuple[str, ...]
+    determined: Mask
+    iterations: int
+    converged: bool
+    information: SquareRootInformation | None = None
+    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    dropped: Mask | None = None
+    refit: Refit | None = None
+
+    @property
+    def rank(self) -> int:
+        """Rank of this recording."""
+        return self.solution.rank
+
+    @property
+    def std_errors(self) -> Array:
+        """Textbook standard errors, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def renewed(
+        self,
+        method: str,
+        information: SquareRootInformation,
+        solution: FactorSolution,
+        *,
+        beta: Array | None = None,
+        inverse_root: Array | None = None,
+        sigma: Array | None = None,
+        own_information: SquareRootInformation | None = None,
+        iterations: int | None = None,
+        converged: bool | None = None,
+        notes: tuple[str, ...] = (),
+        dropped: Mask | None = None,
+    ) -> Estimate:
+        """Return another method's estimate in the same directions, its errors by `information`."""
+        found = solution.x if beta is None else beta
+        root = solution.inverse_root if inverse_root is None else inverse_root
+        error = information.stacked(self.weights) @ np.append(-found, 1.0)
+        energy, n_rows = float(error @ error), information.n_samples * information.n_joints
+        return replace(
+            self,
+            method=method,
+            beta=found,
+            covariance=energy / max(n_rows - root.shape[1], 1) * root @ root.T,
+            sigma=(
+                residual_deviation(information, found, solution.inverse_root, self.weights)
+                if sigma is None
+                else sigma
+            ),
+            solution=replace(solution, x=found, residual_energy=energy, inverse_root=root),
+            iterations=self.iterations if iterations is None else iterations,
+            converged=self.converged if converged is None else converged,
+            information=own_information,
+            notes=notes,
+            dropped=dropped,
+            refit=None,
+        )
+
+
+def noise_floor(information: SquareRootInformation) -> float:
+    """Return the least noise: `SMALLEST_NOISE` of the largest torque RMS, 1 without torque."""
+    return (
+        SMALLEST_NOISE * float(np.sqrt(information.torque_energy.max() / information.n_samples))
+        or 1.0
+    )
+
+
+def residual_deviation(
+    information: SquareRootInformation, beta: Array, inverse_root: Array, weights: Array
+) -> Array:
+    """Return the standard deviation of each joint's residual, shape (n,)."""
+    spent = _spent(information, inverse_root, weights)
+    return np.asarray(
+        np.sqrt(information.residual_energy(beta) / np.maximum(information.n_samples - spent, 1.0))
+    )
+
+
+def _spent(information: SquareRootInformation, inverse_root: Array, weights: Array) -> Array:
+    """Return the trace (n,) of each joint's part of the hat matrix; the sum is the rank."""
+    parts = []
+    for support, factor, weight in zip(
+        information.support, information.joint_factors, weights, strict=True
+    ):
+        part = weight * factor[:-1, :-1] @ inverse_root[support]
+        parts.append(float(np.sum(part * part)))
+    return np.array(parts)
