@@ -471,7 +471,7 @@ def test_simulate_on_the_engine_with_a_tool_and_let_go(
     for wrong, message in (
         (("--preset", "shop"), "is not one of ideal, lab, factory"),
         (("--engine", "bullet"), "is not one of mujoco, inverse-dynamics"),
-        (("--engine", "inverse-dynamics", "--preset", "factory"), "knows no preset 'factory'"),
+        (("--engine", "inverse-dynamics", "--preset", "factory"), "no virtual robot 'factory' on the engine"),
         (("--tool", "heavy"), "a tool is KG@X,Y,Z"),
         (("--tool", "1", "--at", "nose"), "no moving link or frame 'nose'"),
         (("--free", "hop"), "is not one of drop, step, free"),

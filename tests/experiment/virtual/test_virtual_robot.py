@@ -296,6 +296,6 @@ def test_errors_say_what_is_wrong(iiwa: RobotModel) -> None:
     heavy = LinkInertia.from_com(300.0, [0.0, 0.0, 0.3], np.eye(3))
     with pytest.raises(
         MotionError,
-        match=r"the controller loses joint .* with a torque limit of .*; slow the motion down",
+        match=r"joint .* does not follow the command .* torque limit is .*; slow the motion down",
     ):
         VirtualRobot.preset("ideal", iiwa, tool=heavy).record(random_fourier(iiwa, 1, duration=2.0))

@@ -14,7 +14,7 @@ from asbuilt.experiment.recording import TorqueSource
 from asbuilt.findings import Cure
 
 _QUANTITIES = ("position", "velocity", "acceleration", "torque")
-_LETTERS = {"q": "position", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
+_SYMBOLS = {"q": "position", "qd": "velocity", "qdd": "acceleration", "tau": "torque"}
 _EXTRA_TORQUES = {"external": "tau_ext", "motor": "tau_motor", "sensor": "tau_sensor"}
 
 
@@ -147,9 +147,9 @@ def _own_columns(
     if model is None or sheet.joints is not None:
         return {}
     return {
-        f"{letters}_{joint}": (quantity, joint)
-        for letters, quantity in _LETTERS.items()
-        if all(f"{letters}_{joint}" in names for joint in model.joint_names)
+        f"{symbols}_{joint}": (quantity, joint)
+        for symbols, quantity in _SYMBOLS.items()
+        if all(f"{symbols}_{joint}" in names for joint in model.joint_names)
         for joint in model.joint_names
     }
 

@@ -42,7 +42,7 @@ _WORDS: dict[str, Quantity] = {
     ),
     **dict.fromkeys(("current", "currents", "amps", "ampere", "amperes"), "current"),
 }
-_LETTERS: dict[str, Quantity] = {
+_SYMBOLS: dict[str, Quantity] = {
     "t": "time",
     "q": "position",
     "qd": "velocity",
@@ -241,8 +241,8 @@ def quantity_of_file(stem: str) -> tuple[Quantity | None, str]:
     for k in (len(words) - 1, 0):
         if words and words[k] in _WORDS and _WORDS[words[k]] != "time":
             return _WORDS[words[k]], "_".join(words[:k] + words[k + 1 :])
-        if words and words[k] in _LETTERS and words[k] not in {"t", "i"}:
-            return _LETTERS[words[k]], "_".join(words[:k] + words[k + 1 :])
+        if words and words[k] in _SYMBOLS and words[k] not in {"t", "i"}:
+            return _SYMBOLS[words[k]], "_".join(words[:k] + words[k + 1 :])
     return None, "_".join(words)
 
 
@@ -271,7 +271,7 @@ def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
     strong = [k for k, word in enumerate(words) if word in _WORDS]
     if strong:
         k = next((i for i in reversed(strong) if _WORDS[words[i]] != "time"), strong[-1])
-        letters = [
+        symbols = [
             i
             for i, word in enumerate(words)
             if word in {"q"}
@@ -279,16 +279,16 @@ def _quantity(words: list[str]) -> tuple[Quantity | None, list[int]]:
             and abs(i - k) == 1
             and not _follows_number(words, i)
         ]
-        return _WORDS[words[k]], sorted([k, *letters])
+        return _WORDS[words[k]], sorted([k, *symbols])
     if "sec" in words and "stamp" in words:
         return "time", [words.index("stamp")]
     for k, word in enumerate(words):
-        if word in _LETTERS and (
+        if word in _SYMBOLS and (
             word not in {"t", "i"}
             or len(words) == 1
             or (k + 1 < len(words) and words[k + 1].isdigit())
         ):
-            return _LETTERS[word], [k]
+            return _SYMBOLS[word], [k]
     return None, []
 
 

@@ -1,7 +1,4 @@
-"""MuJoCo as the physics of a robot.
-
-An engine written by others, so that what it says is a second opinion.
-"""
+"""Physics of a robot by MuJoCo, an engine independent of asbuilt's own dynamics."""
 
 from __future__ import annotations
 
@@ -24,26 +21,17 @@ from asbuilt.description.rotation import quaternion_from_rotation, rotation_from
 from asbuilt.dynamics.newton_euler import mass_matrix
 from asbuilt.errors import InertiaError, MissingExtraError
 
-_ASKEW = rotation_from_rpy([0.3, 0.2, 0.1])
-STAND_IN = LinkInertia.from_com(1.0, [0.1, 0.2, 0.3], _ASKEW @ np.diag([2.0, 3.0, 4.0]) @ _ASKEW.T)
-"""Compiled in place of an inertia that no body has and overwritten afterwards.
-
-Askew, lest MuJoCo takes shortcuts with it.
-"""
+_AXES = rotation_from_rpy([0.3, 0.2, 0.1])
+PLACEHOLDER = LinkInertia.from_com(1.0, [0.1, 0.2, 0.3], _AXES @ np.diag([2.0, 3.0, 4.0]) @ _AXES.T)
+"""Inertia compiled in place of an inconsistent one, then overwritten; its axes are general."""
 FRICTION_IMPEDANCE = 0.9999
-"""How hard MuJoCo makes dry friction.
-
-The share of the force that stops a joint which it applies (1 would be rigid).
-"""
+"""Share of the force that stops a joint which MuJoCo applies as dry friction; 1 is rigid."""
 FRICTION_TIME = 0.002
-"""Time constant with which a joint that dry friction holds comes to rest [s]."""
+"""Time constant of a joint that dry friction stops [s]."""
 SINGULAR = 1e-12
-"""Ratio of the eigenvalues of a mass matrix at which it counts as singular."""
+"""Ratio of the eigenvalues of a mass matrix below which it is singular."""
 STABLE = 2.0
-"""Step times rate of decay up to which the integrator is used.
-
-Runge-Kutta of fourth order blows up from 2.79 on.
-"""
+"""Largest product of step and decay rate; fourth-order Runge-Kutta is stable up to 2.79."""
 
 
 def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
@@ -55,14 +43,20 @@ def mujoco_module(purpose: str = "a virtual robot") -> ModuleType:
 
 
 class Physics:
-    """A robot in MuJoCo: rigid bodies, armature, viscous and dry friction, torques on the joints.
+    """Simulate a robot in MuJoCo: rigid bodies, armature, viscous and dry friction, joint torques.
 
-    Without contacts and joint stops.
+    There are no contacts and joint stops. Any inertia is accepted, also a physically inconsistent
+    one, as long as the mass matrix is positive definite.
 
-    Any inertia is taken, also one that no rigid body has, as long as the mass matrix is positive
-    definite. `armature`, `viscous` and `coulomb` (n,) replace what the description says; zeros
-    where they are not given. `timestep` [s] is that of the integrator, Runge-Kutta of fourth order,
-    which divides it further where viscous friction stops a light joint within it.
+    Parameters
+    ----------
+    model
+        The robot.
+    armature, viscous, coulomb
+        Drive parameters in place of the description's, one number or (n,).
+    timestep
+        Step of the integrator [s], fourth-order Runge-Kutta, divided further where viscous
+        friction decays faster.
 
     Raises
     ------
@@ -91,7 +85,7 @@ class Physics:
                 (
                     link
                     if link.inertia.is_consistent and link.inertia.mass > 0
-                    else replace(link, inertia=STAND_IN)
+                    else replace(link, inertia=PLACEHOLDER)
                 )
                 for link in model.links
             ),
@@ -131,8 +125,10 @@ class Physics:
             self._mujoco.mj_setConst(self.compiled, self.data)
 
     def _take_inertias(self, compiled: RobotModel) -> None:
-        for k, link, stand_in in zip(self._bodies, self.model.links, compiled.links, strict=True):
-            if stand_in.inertia is not STAND_IN:
+        for k, link, placeholder in zip(
+            self._bodies, self.model.links, compiled.links, strict=True
+        ):
+            if placeholder.inertia is not PLACEHOLDER:
                 continue
             inertia = link.inertia
             if inertia.mass == 0.0 and np.any(inertia.first_moment != 0.0):
