@@ -103,9 +103,7 @@ def test_total_least_squares_keeps_to_cad_what_no_sample_tells(robot):
 def test_total_least_squares_without_a_solution_is_refused(robot):
     model, base, beta = robot
     samples = recording(model, base, beta, noise=5.0, seconds=1.0, seed=2, parallel=False)
-    with pytest.raises(
-        IdentifiabilityError, match="total least squares has no reliable solution"
-    ):
+    with pytest.raises(IdentifiabilityError, match="total least squares has no reliable solution"):
         methods["total"].estimate(data_of(robot, samples))
 
 
