@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from asbuilt.cli.answers import answer, listed_files, progress_bar
+from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
 from asbuilt.cli.options import (
     AsJson,
     Filtering,
@@ -87,7 +87,9 @@ def identify(
     answer(
         as_json,
         lambda: study_document(study, files, notes, carried),
-        lambda: study_text(study, carried, full=full) + listed_files(files, notes),
+        lambda: (
+            study_text(study, carried, full=full, cure_text=cure_text) + listed_files(files, notes)
+        ),
     )
 
 

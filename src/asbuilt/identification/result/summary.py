@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from asbuilt.findings import Finding, ranked
+from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.bodies.consistency import non_passive_drives
 from asbuilt.identification.estimators.methods import method_title
 from asbuilt.identification.result.determination import determination
@@ -25,6 +25,7 @@ from asbuilt.tables import (
     percent,
     rounded,
     share,
+    shortened,
     significant,
     wrapped,
 )
@@ -34,7 +35,9 @@ if TYPE_CHECKING:
 
 EXPRESSION_WIDTH = 34
 MOST_FINDINGS = 3
-FINDING_LINES = 2
+FINDING_LINES = 3
+SPARE = 20
+"""Characters that breaking the lines of a finding at spaces may cost."""
 MOST_PARAMETERS = 10
 DROPPED = "dropped"
 """Text for the error of a parameter that the estimator set to zero."""
@@ -73,18 +76,20 @@ class Summary:
     def _repr_html_(self) -> str:
         return self.as_html()
 
-    def as_text(self, full: bool = False) -> str:
+    def as_text(self, full: bool = False, cure_text: Callable[[Cure], str] = str) -> str:
         """Return the summary in fixed-width characters, lines ending in a newline.
 
         Parameters
         ----------
         full
             Show all findings, parameters and notes; else what fits one screen of 80 columns.
+        cure_text
+            Function that writes a cure, for an interface that adds the names of its options.
         """
         rule = "-" * WIDTH
         parts = [wrapped(self.title), *_heading_lines(self.heading)]
         if self.findings:
-            parts += [rule, *finding_lines(self.findings, full)]
+            parts += [rule, *finding_lines(self.findings, full, cure_text)]
         parts += [rule, self.joints.as_text(full).rstrip("\n")]
         parts += [rule, self.parameters.as_text(full).rstrip("\n")]
         parts += numbered(self.notes if full else self.notes[:2])
@@ -153,18 +158,22 @@ def summarise(
     )
 
 
-def finding_lines(findings: Sequence[Finding], full: bool = False) -> list[str]:
+def finding_lines(
+    findings: Sequence[Finding], full: bool = False, cure_text: Callable[[Cure], str] = str
+) -> list[str]:
     """Return ranked findings as lines of 80 columns; without `full` the first few, shortened."""
     shown = findings if full else [each for each in findings if each.severity != "info"]
     shown = shown if full else shown[:MOST_FINDINGS]
-    lines = [
-        wrapped(
-            finding.text,
-            f"{finding.severity.upper():<7}  ",
-            lines=None if full else FINDING_LINES,
-        )
-        for finding in shown
-    ]
+    lines = []
+    for finding in shown:
+        label = f"{finding.severity.upper():<7}  "
+        cure = "" if finding.cure is None else cure_text(finding.cure)
+        advice = f" {cure[0].upper()}{cure[1:]}." if cure else ""
+        message = f"{finding.message}."
+        room = FINDING_LINES * (WIDTH - len(label)) - SPARE - len(advice)
+        if not full and len(message) > room:
+            message = shortened(finding.message, max(room, WIDTH))
+        lines.append(wrapped(message + advice, label, lines=None if full else FINDING_LINES))
     hidden = len(findings) - len(shown)
     if hidden:
         lines.append(f"... {hidden} more finding{'s' if hidden > 1 else ''}")

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from asbuilt.errors import DescriptionError, IdentifiabilityError
+from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.result import IdentificationResult
@@ -35,10 +36,19 @@ from asbuilt.writers.tables.tabular import (
 )
 
 
-def study_text(study: Study, payload: Payload | None = None, *, full: bool = False) -> str:
-    """Return what `asbuilt identify` prints, with the payload if one was identified too."""
+def study_text(
+    study: Study,
+    payload: Payload | None = None,
+    *,
+    full: bool = False,
+    cure_text: Callable[[Cure], str] = str,
+) -> str:
+    """Return what `asbuilt identify` prints, with the payload if one was identified too.
+
+    `cure_text` writes cures, for an interface that adds the names of its options.
+    """
     masses = link_masses(study.result)
-    parts = [study.summary.with_mass(masses and masses.totals).as_text(full)]
+    parts = [study.summary.with_mass(masses and masses.totals).as_text(full, cure_text)]
     if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"
