@@ -11,76 +11,27 @@ from typing import Literal
 import numpy as np
 
 from asbuilt.arrays import Array
-from asbuilt.description.cad.meshes import PLAUSIBLE_SIZE, density_of
+from asbuilt.description.cad.meshes import density_of
 from asbuilt.description.cad.solids import GeometryKind, LinkSolid, read_solids
 from asbuilt.description.cad.table import read_cad_table
 from asbuilt.description.formats.xml import close_match
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, UsageError
-from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.findings import Finding, ranked
+from asbuilt.workflow.mass_findings import (
+    LinkMass,
+    Plausibility,
+    copy_findings,
+    described_findings,
+    least_plausible_first,
+    link_finding,
+    plausible_size,
+    surface_findings,
+)
 
 Material = str | float
 """Name of a material, or a density [kg/m^3]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plausibility:
-    """Thresholds of mass properties."""
-
-    lightest: float = 100.0
-    """Density [kg/m^3] of a hollow housing with thin walls; foam and balsa are lighter."""
-    heaviest: float = 20000.0
-    """Density [kg/m^3] above that of tungsten, 19300."""
-    equal: float = 1e-6
-    """Relative difference below which two values count as copied."""
-    change: float = 0.2
-    """Relative difference to the computed value that is worth a note: a CAD model without cables,
-    grease and paint differs by less."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LinkMass:
-    """Hold the mass properties of one moving link, in its frame.
-
-    Parameters
-    ----------
-    name
-        Name of the link.
-    described
-        Mass properties in the description, None if it has none.
-    computed
-        Mass properties from geometry or table, None if these lack the link.
-    origin
-        Where `computed` comes from: visual, collision, table, or empty.
-    volume
-        Volume of the geometry [m^3], NaN if there is none.
-    lower, upper
-        Corners of the box around the geometry, along the link axes [m], shape (3,).
-    """
-
-    name: str
-    described: LinkInertia | None
-    computed: LinkInertia | None
-    origin: str
-    volume: float
-    lower: Array
-    upper: Array
-
-    @property
-    def density(self) -> float:
-        """Mass in the description over volume of the geometry [kg/m^3], NaN if unknown."""
-        return self.described.mass / self.volume if self.described is not None else float("nan")
-
-    @property
-    def mass_change(self) -> float:
-        """Relative difference of the computed mass to that of the description, NaN if unknown."""
-        if self.computed is None or self.described is None or not self.described.mass:
-            return float("nan")
-        return self.computed.mass / self.described.mass - 1.0
-
-    def __repr__(self) -> str:
-        return f"LinkMass({self.name!r}, described={self.described}, computed={self.computed})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +132,9 @@ def link_masses(
             raise DescriptionError(f"there is no folder {folder} with meshes", file=str(folder))
         solids = read_solids(model, [] if folder is None else [folder], prefer=prefer)
         links, findings = _from_solids(model, solids, _materials(model, density, material))
-    findings = [*findings, *(found for each in links for found in _doubts(each, limits))]
-    findings += _copies(links, limits)
-    return LinkMasses(model, _least_plausible_first(links, findings), ranked(findings))
+    findings = [*findings, *(found for each in links for found in described_findings(each, limits))]
+    findings += copy_findings(links, limits)
+    return LinkMasses(model, least_plausible_first(links, findings), ranked(findings))
 
 
 def _materials(
@@ -217,16 +168,18 @@ def _from_solids(
     links, findings = list[LinkMass](), list[Finding]()
     for k, link in enumerate(model.links):
         own = [solid for solid in solids if solid.link == k]
-        findings += [found for solid in own for found in _surface_findings(link.name, solid)]
+        findings += [found for solid in own for found in surface_findings(link.name, solid)]
         if not own:
-            findings.append(_finding("no_geometry", "info", link.name, "it has no geometry"))
+            findings.append(link_finding("no_geometry", "info", link.name, "it has no geometry"))
         parts = dict(link.parts) or {link.name: link.inertia}
         scaled, complete = list[Array](), bool(own)
         for solid in own:
             value = _density(solid, link.name, densities, parts)
-            complete = complete and value is not None and not solid.missing and _sized(solid)
+            complete = (
+                complete and value is not None and not solid.missing and plausible_size(solid)
+            )
             scaled += [] if value is None else [value * solid.inertia.parameters]
-        sized = [solid for solid in own if _sized(solid)]
+        sized = [solid for solid in own if plausible_size(solid)]
         corners = np.concatenate([solid.corners for solid in sized] or [np.zeros((0, 3))])
         links.append(
             LinkMass(
@@ -240,11 +193,6 @@ def _from_solids(
             )
         )
     return links, findings
-
-
-def _sized(solid: LinkSolid) -> bool:
-    """Whether the size is plausible, so that length unit and scale are right."""
-    return not len(solid.corners) or float(np.ptp(solid.corners, axis=0).max()) <= PLAUSIBLE_SIZE[1]
 
 
 def _density(
@@ -287,133 +235,7 @@ def _from_table(
         for link in model.links
     ]
     return links, [
-        _finding("doubtful_table", "warning", name, doubt)
+        link_finding("doubtful_table", "warning", name, doubt)
         for name, cad in read.items()
         for doubt in cad.warnings
     ]
-
-
-def _surface_findings(link: str, solid: LinkSolid) -> list[Finding]:
-    """Return findings on meshes that are missing, open, unreadable or of doubtful size."""
-    findings = [
-        _finding(
-            "missing_mesh",
-            "warning",
-            link,
-            f"the mesh {name} of {solid.name} was not found or not read",
-            Cure("name the folder with the meshes", {"meshes": "DIR"}),
-        )
-        for name in solid.missing
-    ]
-    findings += [
-        _finding("doubtful_mesh", "warning", link, f"{solid.kind} of {solid.name}: {doubt}")
-        for doubt in solid.doubts
-        if _sized(solid)
-    ]
-    if not _sized(solid):
-        size = float(np.ptp(solid.corners, axis=0).max())
-        findings.append(
-            _finding(
-                "mesh_scale",
-                "error",
-                link,
-                f"the {solid.kind} of {solid.name} is {size:.3g} m long",
-                Cure('write scale="0.001 0.001 0.001" for a mesh in millimetres'),
-            )
-        )
-    return findings
-
-
-def _doubts(link: LinkMass, limits: Plausibility) -> list[Finding]:
-    """Return what is implausible about the values of the description."""
-    if link.described is None:
-        return [_finding("no_inertia", "warning", link.name, "the description gives no inertia")]
-    body, findings = link.described, list[Finding]()
-    reason = body.inconsistency()
-    if reason is not None:
-        findings.append(_finding("inconsistent_inertia", "error", link.name, reason))
-    if not limits.lightest <= link.density <= limits.heaviest and np.isfinite(link.density):
-        findings.append(
-            _finding(
-                "implausible_density",
-                "error",
-                link.name,
-                f"{body.mass:.4g} kg in {1e3 * link.volume:.4g} litres is {link.density:.3g}"
-                f" kg/m^3, outside {limits.lightest:g} to {limits.heaviest:g}",
-            )
-        )
-    moments = np.diag(body.inertia_about_com)
-    if body.mass > 0.0 and np.allclose(body.principal_moments, 1.0, rtol=limits.equal):
-        findings.append(
-            _finding("unit_inertia", "error", link.name, "its inertia is 1 kg m^2 about every axis")
-        )
-    if abs(link.mass_change) > limits.change and link.computed is not None:
-        message = f"{body.mass:.4g} kg in the description, {link.computed.mass:.4g} kg computed"
-        findings.append(_finding("mass_differs", "info", link.name, message))
-    if not np.isfinite(link.lower).all():
-        return findings
-    half = (link.upper - link.lower) / 2.0
-    largest = body.mass * (np.sum(half**2) - half**2)
-    beyond = moments > (1.0 + limits.equal) * largest
-    if beyond.any():
-        axis = int(np.argmax(moments / largest))
-        findings.append(
-            _finding(
-                "inertia_too_large",
-                "error",
-                link.name,
-                f"I{'xyz'[axis] * 2} about the centre of mass is {moments[axis]:.3g} kg m^2; within"
-                f" its box {body.mass:.4g} kg have at most {largest[axis]:.3g}",
-            )
-        )
-    outside = np.maximum(link.lower - body.com, body.com - link.upper).max()
-    if body.mass > 0.0 and outside > limits.equal * half.max():
-        findings.append(
-            _finding(
-                "com_outside",
-                "warning",
-                link.name,
-                f"its centre of mass lies {1e3 * outside:.3g} mm outside the box of its geometry",
-            )
-        )
-    return findings
-
-
-def _copies(links: list[LinkMass], limits: Plausibility) -> list[Finding]:
-    """Return a finding per link whose inertia about the centre of mass is that of another link."""
-    known = [(each.name, each.described) for each in links if each.described is not None]
-    tensors = [(name, body.mass, body.inertia_about_com) for name, body in known if body.mass > 0.0]
-    findings = []
-    for k, (name, mass, tensor) in enumerate(tensors):
-        same = [
-            other
-            for j, (other, its, of_other) in enumerate(tensors)
-            if j != k
-            and np.isclose(mass, its, rtol=limits.equal, atol=0.0)
-            and np.abs(tensor - of_other).max() <= limits.equal * np.abs(tensor).max()
-        ]
-        if same:
-            message = f"mass and inertia equal those of {', '.join(same)}"
-            findings.append(_finding("copied_inertia", "warning", name, message))
-    return findings
-
-
-def _finding(
-    code: str,
-    severity: Literal["error", "warning", "info"],
-    link: str,
-    message: str,
-    cure: Cure | None = None,
-) -> Finding:
-    return Finding(code, severity, f"link {link}: {message}", cure)
-
-
-def _least_plausible_first(links: list[LinkMass], findings: list[Finding]) -> tuple[LinkMass, ...]:
-    """Sort links by their worst finding, then by the change of mass, both descending."""
-    worst = {each.name: 3 for each in links}
-    for finding in findings:
-        name = finding.message.removeprefix("link ").partition(":")[0]
-        worst[name] = min(worst[name], ("error", "warning", "info").index(finding.severity))
-    return tuple(
-        sorted(links, key=lambda each: (worst[each.name], -np.nan_to_num(abs(each.mass_change))))
-    )

@@ -300,7 +300,7 @@ class _Tree:
             what = "free" if kind == FREE else "ball"
             raise DescriptionError(
                 f"{self.source}: joint {name!r} of body {body!r} is a {what} joint; asbuilt"
-                " describes robots on a standing root with hinge and slide joints: remove it, or"
+                " describes robots on a fixed root with hinge and slide joints: remove it, or"
                 " replace it by hinges"
             )
         onto, anchor = rotation_onto(m.jnt_axis[index]), np.array(m.jnt_pos[index])

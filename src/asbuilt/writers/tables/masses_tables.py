@@ -8,7 +8,8 @@ import numpy as np
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.tables import Cell, Column, Table
-from asbuilt.workflow.masses import LinkMass, LinkMasses
+from asbuilt.workflow.mass_findings import LinkMass
+from asbuilt.workflow.masses import LinkMasses
 
 
 def masses_document(masses: LinkMasses) -> dict[str, Any]:

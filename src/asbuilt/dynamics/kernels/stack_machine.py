@@ -1,0 +1,114 @@
+"""A stack machine that runs the drive program of one sample; see `operations`."""
+
+# mypy: allow-untyped-defs
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from asbuilt.dynamics.kernels.compilation import compiled
+from asbuilt.dynamics.kernels.operations import (
+    ABS,
+    ACT,
+    ADD,
+    ATAN,
+    COS,
+    DIVIDE,
+    EXP,
+    LOAD,
+    LOG,
+    MAXIMUM,
+    MINIMUM,
+    MULTIPLY,
+    NEGATIVE,
+    NUMBER,
+    POWER,
+    QD,
+    QDD,
+    SIGN,
+    SIN,
+    SPEND,
+    SQRT,
+    SUBTRACT,
+    TANH,
+    Q,
+)
+
+
+@compiled
+def run(program, first, numbers, constants, q, qd, qdd, load, stack, out):
+    """Add the torques of a drive program, `program[first:]`."""
+    top = -1
+    for row in range(first, program.size, 3):
+        operation, joint = program[row], program[row + 1]
+        if operation == SPEND:
+            out[joint] += stack[top] * numbers[constants + program[row + 2]]
+            top -= 1
+        elif operation == ACT:
+            out[joint] += stack[top] * numbers[constants + program[row + 2]]
+        elif operation == NUMBER:
+            top += 1
+            stack[top] = numbers[constants + program[row + 2]]
+        elif operation == Q:
+            top += 1
+            stack[top] = q[joint]
+        elif operation == QD:
+            top += 1
+            stack[top] = qd[joint]
+        elif operation == QDD:
+            top += 1
+            stack[top] = qdd[joint]
+        elif operation == LOAD:
+            top += 1
+            stack[top] = load[joint]
+        elif operation < NEGATIVE:
+            top -= 1
+            stack[top] = _binary(operation, stack[top], stack[top + 1])
+        else:
+            stack[top] = _unary(operation, stack[top])
+
+
+@compiled
+def _binary(operation, a, b):
+    if operation == ADD:
+        return a + b
+    if operation == SUBTRACT:
+        return a - b
+    if operation == MULTIPLY:
+        return a * b
+    if operation == DIVIDE:
+        return a / b
+    if operation == POWER:
+        return a * a if b == 2.0 else a**b
+    if operation == MINIMUM:
+        return min(a, b)
+    if operation == MAXIMUM:
+        return max(a, b)
+    return np.nan
+
+
+@compiled
+def _unary(operation, x):
+    if operation == NEGATIVE:
+        return -x
+    if operation == ABS:
+        return abs(x)
+    if operation == SIGN:
+        return 1.0 if x > 0.0 else -1.0 if x < 0.0 else 0.0
+    if operation == EXP:
+        return math.exp(x)
+    if operation == LOG:
+        return math.log(x)
+    if operation == SQRT:
+        return math.sqrt(x)
+    if operation == SIN:
+        return math.sin(x)
+    if operation == COS:
+        return math.cos(x)
+    if operation == TANH:
+        return math.tanh(x)
+    if operation == ATAN:
+        return math.atan(x)
+    return np.nan
