@@ -32,9 +32,6 @@ class Cure:
     def __str__(self) -> str:
         return self.text
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return text, settings and call as plain data."""
-        return {"text": self.text, "settings": dict(self.settings), "call": self.call}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +81,9 @@ class Finding:
             "code": self.code,
             "severity": self.severity,
             "message": self.message,
-            "cure": None if self.cure is None else self.cure.as_dict(),
+            "cure": "" if self.cure is None else self.cure.text,
+            "settings": {} if self.cure is None else dict(self.cure.settings),
+            "call": "" if self.cure is None else self.cure.call,
             "joint": self.joint,
             "time": self.time,
         }
