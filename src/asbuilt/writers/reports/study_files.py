@@ -48,7 +48,9 @@ def study_text(
     `cure_text` writes cures, for an interface that adds the names of its options.
     """
     masses = link_masses(study.result)
-    parts = [study.summary.with_mass(masses and masses.totals).as_text(full, cure_text)]
+    parts = [
+        study.summary.with_mass(None if masses is None else masses.totals).as_text(full, cure_text)
+    ]
     if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"
