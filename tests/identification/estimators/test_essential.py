@@ -49,7 +49,9 @@ def machine() -> VirtualRobot:
 def moved(robot: VirtualRobot, seed: int):
     return prepare_samples(
         robot.record(
-            random_fourier(robot.model, rng=seed, duration=20.0, n_harmonics=8), rate=200.0, rng=seed
+            random_fourier(robot.model, rng=seed, duration=20.0, n_harmonics=8),
+            rate=200.0,
+            rng=seed,
         ).recording
     )
 
