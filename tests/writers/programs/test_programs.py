@@ -453,7 +453,7 @@ def test_programs_say_which_collisions_were_checked(form: str) -> None:
         for collision in (None, "skeleton:0.01")
     }
     assert "neither on the motion nor on the approach" in head[None]
-    said = re.search(r"come no nearer than (\d+) mm", head["skeleton:0.01"])
+    said = re.search(r"keep at least (\d+) mm from each other", head["skeleton:0.01"])
     assert said is not None
     guard = CollisionGuard(model, surroundings(model, "skeleton:0.01"))
     nearest = min(
@@ -461,7 +461,7 @@ def test_programs_say_which_collisions_were_checked(form: str) -> None:
         for t in np.arange(0.0, 5.0005, 0.01)
     )
     assert int(said[1]) == pytest.approx(1000 * nearest, abs=2.0)
-    assert "NOT checked: collisions on the way to the start pose" in head["skeleton:0.01"]
+    assert "NOT checked: collisions on the approach to the start pose" in head["skeleton:0.01"]
 
 
 def test_motions_on_which_bodies_touch_are_refused() -> None:
