@@ -309,7 +309,7 @@ def _joint_table(result: IdentificationResult) -> Table:
         Column("of torque", "%", "decimal", ".1f"),
         Column("R2", "", "decimal", ".4f"),
     )
-    judged = result.validation[0] if result.validation else result.train
+    shown = result.validation[0] if result.validation else result.train
     rows: list[tuple[Cell, ...]] = []
     for k, name in enumerate(result.joint_names):
         errors = [each.rms[k] for each in (result.train, *result.validation, result.cad)]
@@ -318,7 +318,7 @@ def _joint_table(result: IdentificationResult) -> Table:
                 name,
                 *([kinds[k]] if mixed else []),
                 *(Shown(float(error), significant(float(error))) for error in errors),
-                100.0 * float(judged.relative_error_per_joint[k]),
+                100.0 * float(shown.relative_error_per_joint[k]),
                 float(result.train.r_squared[k]),
             )
         )

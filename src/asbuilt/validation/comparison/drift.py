@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from asbuilt.arrays import Mask
 from asbuilt.errors import ResultError
-from asbuilt.findings import joined
 from asbuilt.identification.result.summary import DROPPED, EXPRESSION_WIDTH, MOST_PARAMETERS
 from asbuilt.tables import (
     Cell,
@@ -26,6 +24,12 @@ from asbuilt.tables import (
 from asbuilt.tables import share as percentage
 from asbuilt.validation.comparison.compared_parameter import matters_text
 from asbuilt.validation.comparison.comparison import FALSE_DISCOVERY_RATE, recording_name
+from asbuilt.validation.comparison.drift_text import (
+    ParameterChange,
+    dropped_sentence,
+    friction_sentences,
+    other_drives_sentence,
+)
 from asbuilt.validation.comparison.equal_terms import ComparedValues, on_equal_terms
 from asbuilt.validation.comparison.parameter_text import parameter_texts
 from asbuilt.validation.comparison.significance import (
@@ -50,44 +54,6 @@ if TYPE_CHECKING:
 
 
 MOST_SENTENCES = 4
-LARGEST_GROWTH = 3.0
-"""Largest relative change given in percent; beyond it the first value was near zero."""
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterChange:
-    """Hold one base parameter in two results; what is unknown is None.
-
-    | attribute | meaning |
-    |---|---|
-    | `sigmas`, `p_value` | difference in its standard errors, and the probability by chance |
-    | `false_discovery`, `holm` | the same for as many tests |
-    | `torque_total`, `felt_at` | RMS torque of the change, and the joint with most of it |
-    | `changed` | whether it changed significantly |
-    | `matters` | whether its own torque is large beside some joint's error |
-    | `shared_with` | parameters that could make up for the rest, if only all of it is large |
-    | `dropped` | whether a result set it to zero, without an error; it is not tested |
-    """
-
-    id: int
-    name: str
-    expression: str
-    unit: str
-    before: float
-    before_error: float
-    after: float
-    after_error: float
-    sigmas: float | None
-    p_value: float | None
-    false_discovery: float | None
-    holm: float | None
-    torque_total: float | None
-    felt_at: int | None
-    changed: bool
-    matters: bool | None
-    words: str = ""
-    dropped: bool = False
-    shared_with: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -388,97 +354,15 @@ def compare_results(
         chi_square=chi_square(difference[tested], together[np.ix_(tested, tested)]),
         level=level,
         sentences=(
-            *_other_drives(before, after, said),
+            *other_drives_sentence(before, after, said),
             *torque_sentence(joints, level, of_models=of_models),
             *terms,
-            *_dropping(dropped),
-            *_friction(after, changes, said if of_models else None),
+            *dropped_sentence(dropped),
+            *friction_sentences(after, changes, said if of_models else None),
         ),
         joints=joints,
         of_models=of_models,
     )
-
-
-def _other_drives(
-    before: IdentificationResult, after: IdentificationResult, labels: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Return a sentence if the results have different drive terms or nonlinear parameters."""
-    one, two = (
-        {term.key: str(term) for term in result.base.drive.terms} for result in (before, after)
-    )
-    if one == two:
-        return ()
-    alone = [
-        (label, [key for key in own if key not in others])
-        for label, own, others in zip(labels, (one, two), (two, one), strict=True)
-    ]
-    parts = [f"only {label} has {', '.join(keys)}" for label, keys in alone if keys]
-    changed = [key for key, term in one.items() if two.get(key, term) != term]
-    parts += (
-        [f"both have {', '.join(changed)}, with other nonlinear parameters or at other joints"]
-        if changed
-        else []
-    )
-    missing = any(keys for _, keys in alone)
-    richer = max(before.base.drive, after.base.drive, key=lambda drive: len(drive.terms))
-    return (
-        f"DIFFERENT DRIVE TERMS: {'; '.join(parts)}."
-        f" {'Those that only one has are left out here. ' if missing else ''}What follows may be"
-        f" the effect of these terms; identify both with {richer}.",
-    )
-
-
-def _dropping(dropped: Mask) -> tuple[str, ...]:
-    """Return a sentence if parameters were dropped and so not tested."""
-    if not dropped.any():
-        return ()
-    return (
-        f"{np.count_nonzero(dropped)} parameters that one result or both dropped are not tested;"
-        " their torque counts as change.",
-    )
-
-
-def _friction(
-    result: IdentificationResult,
-    changes: tuple[ParameterChange, ...],
-    models: tuple[str, ...] | None,
-) -> tuple[str, ...]:
-    """Return how the drive terms of every joint changed."""
-    by_name = {change.name: change for change in changes}
-    named = {"Fc": "Coulomb friction", "Fv": "viscous friction", "Fo": "offset", "Ia": "armature"}
-    found = []
-    for k, joint in enumerate(result.joint_names):
-        parts = []
-        for symbol, what in named.items():
-            change = by_name.get(f"{symbol}{k + 1}")
-            if change is None or not change.changed:
-                continue
-            growth = (
-                change.after / change.before - 1
-                if change.before > 3 * change.before_error
-                else np.inf
-            )
-            relative = f" ({100 * growth:+.0f} %)" if abs(growth) <= LARGEST_GROWTH else ""
-            traded = (
-                f" (correlated with {joined(change.shared_with)})" if change.shared_with else ""
-            )
-            before, after = (
-                _shown(change.before, change.before_error),
-                _shown(change.after, change.after_error),
-            )
-            values = (
-                f"{before} to {after} {change.unit}"
-                if models is None
-                else f"{before} ({models[0]}) against {after} {change.unit} ({models[1]})"
-            )
-            parts.append(f"{what} {values}{relative}{traded}")
-        if parts:
-            found.append(f"{joint}: {', '.join(parts)}.")
-    return tuple(found) or (f"No drive term {'differs' if models else 'changed'} significantly.",)
-
-
-def _shown(value: float, error: float) -> str:
-    return rounded(value, error if error > 0 else None)[0]
 
 
 def _number(value: float) -> float | None:

@@ -76,13 +76,13 @@ def chi_square(difference: ArrayLike, covariance: ArrayLike) -> ChiSquare:
     """
     d, C = np.asarray(difference, dtype=np.float64), np.asarray(covariance, dtype=np.float64)
     size = np.sqrt(np.diag(C))
-    told = size > 0
-    if not told.any():
+    known = size > 0
+    if not known.any():
         return ChiSquare(0.0, 0, 1.0)
-    size = size[told]
-    eigenvalues, vectors = np.linalg.eigh(C[np.ix_(told, told)] / np.outer(size, size))
+    size = size[known]
+    eigenvalues, vectors = np.linalg.eigh(C[np.ix_(known, known)] / np.outer(size, size))
     kept = eigenvalues > SMALLEST_EIGENVALUE * eigenvalues[-1]
-    whitened = (vectors[:, kept].T @ (d[told] / size)) / np.sqrt(eigenvalues[kept])
+    whitened = (vectors[:, kept].T @ (d[known] / size)) / np.sqrt(eigenvalues[kept])
     statistic = float(whitened @ whitened)
     return ChiSquare(statistic, int(kept.sum()), float(chdtrc(int(kept.sum()), statistic)))
 
@@ -104,5 +104,5 @@ def size_probability(vector: ArrayLike, covariance: ArrayLike) -> float:
 
 
 def probability_text(p: float) -> str:
-    """Return a probability with two digits, in words where it is too small for a number."""
+    """Return a probability with two digits, as text if it is too small for a number."""
     return "below 1e-300" if p < 1e-300 else f"{p:.2g}"
