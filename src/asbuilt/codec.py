@@ -71,7 +71,7 @@ def decoded(kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()) 
     """Return the fields of a dataclass, those of `but` apart, as `restored` makes them."""
     if not isinstance(data, Mapping):
         raise TypeError(f"{kind.__name__} is stored as an object, got {type(data).__name__}")
-    hints, given = _hints(kind), {}
+    hints, given = _hints(kind), {}  # type: ignore[arg-type]
     for item in fields(kind):
         if item.name in but:
             continue
