@@ -33,7 +33,6 @@ class Cure:
         return self.text
 
 
-
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Name what is wrong (`message`: place and value) and what to do about it (`cure`).
@@ -101,4 +100,4 @@ def joined(names: Sequence[str], most: int = 7) -> str:
     ('A1, A2 and A3', 'A1 and 2 more')
     """
     listed = [*names[:most], *([f"{len(names) - most} more"] if len(names) > most else [])]
-    return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}"
+    return "".join(listed) if len(listed) < 2 else f"{', '.join(listed[:-1])} and {listed[-1]}"

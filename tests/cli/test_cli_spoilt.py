@@ -95,8 +95,8 @@ def one_flipped(table: np.ndarray) -> None:
 FAULTS = [
     (degrees, "look like degrees"),
     (swapped, "look swapped"),
-    (missing, "no usable numbers"),
-    (without_torque, "do not change at all"),
+    (missing, "missing (NaN)"),
+    (without_torque, "torques are constant"),
     (one_flipped, "opposite sign"),
 ]
 
