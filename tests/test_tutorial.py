@@ -1,0 +1,64 @@
+"""The tutorial's commands run in order and print what the page shows, numbers aside."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "tutorial.md"
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    """Return each command of the page with the lines shown below it."""
+    found: list[tuple[str, list[str]]] = []
+    for block in re.findall(r"^```console\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                found.append((line[2:], []))
+            else:
+                found[-1][1].append(line)
+    return found
+
+
+def masked(text: str) -> list[str]:
+    """Return the words of a text, numbers replaced by `#` and rules removed."""
+    text = re.sub(r"-{3,}", " ", text)
+    return re.sub(r"(?<![\w.])[-+]?\d[\d.]*(e[-+]?\d+)?", "#", text).split()
+
+
+def shown(expected: list[str], words: list[str]) -> str:
+    """Return the first part, between ellipses, that the output lacks, or an empty string."""
+    place = 0
+    for part in re.split(r"\.\.\.$", "\n".join(expected), flags=re.MULTILINE):
+        wanted = masked(part)
+        fits = (
+            k for k in range(place, len(words) + 1) if words[k : k + len(wanted)] == wanted
+        )
+        start = next(fits, None)
+        if start is None:
+            return part
+        place = start + len(wanted)
+    return ""
+
+
+@pytest.mark.slow
+def test_the_tutorial_prints_what_it_shows(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    environment = os.environ | {"COLUMNS": "80", "OMP_NUM_THREADS": "1"}
+    assert commands()
+    for line, expected in commands():
+        program, *arguments = shlex.split(line)
+        assert program == "asbuilt"
+        done = subprocess.run(
+            [sys.executable, "-m", "asbuilt.cli.app", *arguments],
+            cwd=tmp_path, env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+        missing = shown(expected, masked(done.stdout))
+        assert not missing, f"{line} prints no longer:\n{missing}\nbut\n{done.stdout}"
