@@ -40,7 +40,6 @@ HEAVY = (
     "scipy",
     "polars",
     "matplotlib",
-    "plotly",
     "clarabel",
     "trimesh",
     "mujoco",

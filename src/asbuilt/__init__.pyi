@@ -25,6 +25,8 @@ from .errors import UsageError as UsageError
 from .excitation.design.design import design_motion as design_motion
 from .excitation.design.options import DesignOptions as DesignOptions
 from .excitation.motions.motion_csv import read_motion as read_motion
+from .excitation.motions.random_motion import random_fourier as random_fourier
+from .excitation.motions.random_motion import random_point_to_point as random_point_to_point
 from .experiment.logs.options import ReadingOptions as ReadingOptions
 from .experiment.logs.readers import read_recording as read_recording
 from .experiment.logs.recordings import as_recordings as as_recordings

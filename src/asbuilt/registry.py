@@ -40,7 +40,7 @@ class Registry(Mapping[str, T]):
     def register(self, name: str, value: T) -> T:
         """Add an object and return it; raises `UsageError` if another has its name."""
         known = self._objects.setdefault(name, value)
-        if known is not value and type(known) is not type(value):
+        if known is not value:
             raise UsageError(f"{self.what} {name!r} is registered twice: {known!r} and {value!r}")
         return value
 

@@ -134,7 +134,7 @@ def answer(as_json: bool, document: Callable[[], dict[str, Any]], text: Callable
     screen = _screen.get() or Screen()
     screen.close()
     if as_json:
-        from asbuilt.writers.tables.tabular import json_text
+        from asbuilt.codec import json_text
 
         sys.stdout.write(json_text(document()))
     elif not screen.quiet:

@@ -29,7 +29,8 @@ from asbuilt.tables import Column, Table, share, significant, stacked, wrapped
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.prediction import Validation
 from asbuilt.validation.recovery import Recovery, compare_with_truth
-from asbuilt.workflow.study import Study, StudyOptions, identify
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.study import Study, identify
 from asbuilt.writers.files import path_texts
 from asbuilt.writers.models.export import Export, export_result
 from asbuilt.writers.motion_files import write_motion

@@ -144,7 +144,7 @@ class Filtering:
         return given_options(self)
 
     def chain(self) -> SignalChain:
-        """Return the named signal chain, with the cutoff and decimation given in place of its own."""
+        """Return the named signal chain, with the cutoff and decimation given."""
         from asbuilt.experiment.signal.signal_chain import SignalChain
 
         chain = SignalChain.preset(self.preset)
@@ -220,9 +220,7 @@ def distinct_logs(*groups: Sequence[Path] | None) -> None:
 
 
 def refuse_idle(why: str, given: Mapping[str, bool]) -> None:
-    """Raise `UsageError`, saying why, where options were `given` that the command would not look
-    at.
-    """
+    """Raise `UsageError`, saying why, if options were `given` that would have no effect."""
     idle = [option for option, present in given.items() if present]
     if idle:
         raise UsageError(f"{why}; leave out {', '.join(idle)}")

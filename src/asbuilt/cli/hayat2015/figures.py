@@ -72,10 +72,9 @@ def all_figures(redone: Reproduction) -> dict[str, Figure]:
 
 def two_link_arm() -> RobotModel:
     """Return a spatial arm of two links for Figure 1."""
-    rows = [
-        DHRow(a=0.3, b=0.4, alpha=np.pi / 2, inertia=LinkInertia.from_com(2.0, [-0.12, 0.05, 0.06], 0.02 * np.eye(3))),
-        DHRow(a=0.4, inertia=LinkInertia.from_com(1.0, [-0.2, 0.06, 0.05], 0.01 * np.eye(3))),
-    ]  # fmt: skip
+    upper = LinkInertia.from_com(2.0, [-0.12, 0.05, 0.06], 0.02 * np.eye(3))
+    fore = LinkInertia.from_com(1.0, [-0.2, 0.06, 0.05], 0.01 * np.eye(3))
+    rows = [DHRow(a=0.3, b=0.4, alpha=np.pi / 2, inertia=upper), DHRow(a=0.4, inertia=fore)]
     return robot_from_dh(rows, name="spatial two-link arm")
 
 

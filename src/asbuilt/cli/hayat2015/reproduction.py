@@ -24,8 +24,8 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_para
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.excitation.motions.motion import Motion
-from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.bodies.consistency import consistency_margin
@@ -98,7 +98,7 @@ class SimulatedTorque:
 
     def rms(self, predicted: Array) -> Array:
         """Return the RMS error of a prediction, shape (n,) [N m]."""
-        return np.sqrt(np.mean((self.simulated - predicted) ** 2, axis=0))
+        return np.asarray(np.sqrt(np.mean((self.simulated - predicted) ** 2, axis=0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

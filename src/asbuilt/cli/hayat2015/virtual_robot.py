@@ -116,8 +116,9 @@ def _bounds(model: RobotModel) -> MotionBounds:
 
 def _training_motion(bounds: MotionBounds, rng: np.random.Generator) -> Motion:
     """Return spline and point-to-point motion of about the paper's 53 s."""
-    limits = {"velocity": bounds.velocity, "acceleration": bounds.acceleration}
-    spline = SplineMotion.within(_random_poses(bounds, rng, 14), **limits)
+    spline = SplineMotion.within(
+        _random_poses(bounds, rng, 14), velocity=bounds.velocity, acceleration=bounds.acceleration
+    )
     poses = _random_poses(bounds, rng, 12)
     poses[0] = spline.end
     return Concatenated([spline, _quintic(bounds, poses)])

@@ -26,7 +26,7 @@ from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
-from asbuilt.writers.tables.mass_table import link_masses
+from asbuilt.writers.tables.mass_table import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
 from asbuilt.writers.tables.tabular import (
     identify_document,
@@ -47,7 +47,7 @@ def study_text(
 
     `cure_text` writes cures, for an interface that adds the names of its options.
     """
-    masses = link_masses(study.result)
+    masses = exported_masses(study.result)
     parts = [
         study.summary.with_mass(None if masses is None else masses.totals).as_text(full, cure_text)
     ]

@@ -13,7 +13,7 @@ from asbuilt.writers.models.as_built import as_built
 
 
 @dataclass(frozen=True, slots=True)
-class LinkMasses:
+class ExportedMasses:
     """Hold the masses of the links [kg] by CAD, None if unknown, and of the exported robot."""
 
     names: tuple[str, ...]
@@ -49,13 +49,13 @@ class LinkMasses:
 
 
 @lru_cache(maxsize=4)
-def link_masses(result: IdentificationResult) -> LinkMasses | None:
+def exported_masses(result: IdentificationResult) -> ExportedMasses | None:
     """Return the masses of the links; None if no robot as built can be exported."""
     try:
         model = as_built(result).model
     except (IdentifiabilityError, DescriptionError):
         return None
-    return LinkMasses(
+    return ExportedMasses(
         names=tuple(link.name for link in result.model.links),
         cad=tuple(
             float(link.inertia.mass) if link.inertia_known else None for link in result.model.links
@@ -64,7 +64,7 @@ def link_masses(result: IdentificationResult) -> LinkMasses | None:
     )
 
 
-def mass_table(masses: LinkMasses) -> Table:
+def mass_table(masses: ExportedMasses) -> Table:
     """Return the masses link by link with their total."""
     columns = (
         Column("link", width=30),

@@ -24,6 +24,7 @@ from asbuilt.validation.prediction import Validation, torque_units
 from asbuilt.workflow.information_efficiency import RecordedInformation
 from asbuilt.workflow.study import Study
 from asbuilt.writers.files import atomic_write, path_texts
+from asbuilt.writers.tables.mass_table import exported_masses
 
 
 def base_document(base: BaseParameters, model: RobotModel) -> dict[str, Any]:
@@ -70,7 +71,7 @@ def identify_document(
     study: Study, *, files: Mapping[str, str | os.PathLike[str]] | None = None
 ) -> dict[str, Any]:
     """Return what `asbuilt identify --json` prints; `files` are the paths written, by kind."""
-    result = study.result
+    result, masses = study.result, exported_masses(study.result)
     return result.as_dict() | {
         "drive": str(result.base.drive),
         "errors": plain(result.errors) | {"sentence": result.errors_sentence},
@@ -80,6 +81,7 @@ def identify_document(
             else []
         ),
         "determination": study.determination.as_dict(),
+        "mass": None if masses is None else masses.as_dict(),
         "warnings": [{"code": each.code, "message": each.text} for each in study.findings],
         "findings": plain(study.findings),
         "files": path_texts(files),

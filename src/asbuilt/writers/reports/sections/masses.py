@@ -6,7 +6,7 @@ from typing import Any
 
 from asbuilt.writers.reports.page import table_markup
 from asbuilt.writers.reports.section import Report, Section, sections
-from asbuilt.writers.tables.mass_table import link_masses, mass_table
+from asbuilt.writers.tables.mass_table import exported_masses, mass_table
 
 TEMPLATE = """\
 <div class="scroll">{{ table }}</div>
@@ -14,7 +14,7 @@ TEMPLATE = """\
 
 
 def _context(report: Report) -> dict[str, Any] | None:
-    masses = link_masses(report.study.result)
+    masses = exported_masses(report.study.result)
     return None if masses is None else {"table": table_markup(mass_table(masses), "mass-table")}
 
 
