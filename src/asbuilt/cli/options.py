@@ -80,7 +80,7 @@ Judges = Annotated[
     typer.Option(
         "--validate",
         metavar="LOG",
-        help="a recording of the same kind to judge by; repeat for more",
+        help="a recording to validate on; repeat for more",
     ),
 ]
 Holdout = Annotated[
@@ -88,11 +88,11 @@ Holdout = Annotated[
     typer.Option(
         "--holdout",
         metavar="RULE",
-        help="blocks:5s:3 (every third 5 s block) or last:0.3, to judge by",
+        help="hold out for validation: blocks:5s:3 (every third 5 s block) or last:0.3",
     ),
 ]
 Unchecked = Annotated[
-    bool, typer.Option("--unchecked", help="use the recordings whatever the checks say of them")
+    bool, typer.Option("--unchecked", help="use the recordings whatever their checks find")
 ]
 Carrier = Annotated[
     str | None,
@@ -125,8 +125,8 @@ class Filtering:
             "--cutoff",
             metavar="HZ",
             help=(
-                "low-pass cutoff (default: chosen from the recording); of identify also auto:"
-                " held-out torque judges"
+                "low-pass cutoff, chosen from the recording by default; identify also takes auto:"
+                " chosen by held-out torque"
             ),
         ),
     ] = None
