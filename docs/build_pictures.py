@@ -101,7 +101,9 @@ def motion_figure(model: asbuilt.RobotModel, motion: object) -> None:
         axis.axhline(100, color=GRAY, lw=0.8, ls="--")
         axis.axhline(-100, color=GRAY, lw=0.8, ls="--")
         axis.set_ylabel(f"{what}\n[% of limit]")
-    axes[0].legend(model.joint_names, ncols=3, fontsize=7, loc="upper right")
+    axes[0].legend(
+        model.joint_names, ncols=6, fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1)
+    )
     axes[-1].set_xlabel("time [s]")
     saved(figure, BUILT / "tutorial_motion.png")
 
@@ -113,8 +115,21 @@ def filter_figure(recording: asbuilt.Recording) -> None:
     figure, axis = plt.subplots(figsize=(8, 2.6), layout="constrained")
     raw = (recording.t >= window[0]) & (recording.t <= window[1])
     kept = (samples.t >= window[0]) & (samples.t <= window[1])
-    axis.plot(recording.t[raw], recording.tau[raw, joint], color="#bbbbbb", lw=0.5, label="as recorded, 1000 Hz")
-    axis.plot(samples.t[kept], samples.tau[kept, joint], "o-", ms=3, color=BLUE, label="filtered and decimated")
+    axis.plot(
+        recording.t[raw],
+        recording.tau[raw, joint],
+        color="#bbbbbb",
+        lw=0.5,
+        label="as recorded, 1000 Hz",
+    )
+    axis.plot(
+        samples.t[kept],
+        samples.tau[kept, joint],
+        "o-",
+        ms=3,
+        color=BLUE,
+        label="filtered and decimated",
+    )
     axis.set(xlabel="time [s]", ylabel=f"{recording.joint_names[joint]} [N m]")
     axis.legend(fontsize=8)
     saved(figure, BUILT / "signal_chain.png")
@@ -146,7 +161,7 @@ def identifiability_figure() -> None:
     colours = ("#dddddd", "#9ecae1", "#2166ac")
     figure, axis = plt.subplots(figsize=(7, 2.9), layout="constrained")
     axis.imshow(grid, cmap=ListedColormap(colours), vmin=0, vmax=2, aspect="auto")
-    axis.set_xticks(range(10), "Ixx Ixy Ixz Iyy Iyz Izz mx my mz m".split())
+    axis.set_xticks(range(10), ["Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mx", "my", "mz", "m"])
     axis.set_yticks(range(len(grid)), [f"link {k + 1}" for k in range(len(grid))])
     axis.set_xticks(np.arange(0.5, 9), minor=True)
     axis.set_yticks(np.arange(0.5, len(grid) - 1), minor=True)
@@ -186,13 +201,15 @@ def home() -> None:
         asbuilt.view_robot("kuka-iiwa7-r800", save=folder / "robot.png")
         model = asbuilt.load_robot("kuka-iiwa7-r800")
         result = asbuilt.read_result(folder / "result.json")
-        test = asbuilt.prepare_samples(asbuilt.read_recording(folder / "validation.csv", model=model))
+        test = asbuilt.prepare_samples(
+            asbuilt.read_recording(folder / "validation.csv", model=model)
+        )
         cad, built = result.predict_cad(test), result.predict(test)
         joint = 1
         figure = plt.figure(figsize=(9, 3.1), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 2.6))
         picture = plt.imread(folder / "robot.png")
-        left.imshow(picture)
+        left.imshow(picture[70:420, 170:470])
         left.axis("off")
         t, shown = cad.t, cad.t <= 10.0
         for values, style in (
@@ -210,7 +227,9 @@ def home() -> None:
             f"another motion: torque error {errors[0]:.1f} % from CAD, {errors[1]:.1f} % as built",
             fontsize=10,
         )
-        right.legend(fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False)
+        right.legend(
+            fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.2), frameon=False
+        )
         KEPT.mkdir(exist_ok=True)
         saved(figure, KEPT / "home.png")
 

@@ -1,35 +1,26 @@
-"""From a recording to a result that predicts another motion.
+"""From a recording to a result that predicts another motion."""
 
-The main job from Python, on a virtual UR10e.
-"""
+import numpy as np
 
 import asbuilt
-from asbuilt.excitation.motions.random_motion import random_fourier, random_point_to_point
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 
 model = asbuilt.load_robot("ur10e")
-robot = VirtualRobot.typical(model, rng=1)
-training = robot.record(random_fourier(model, rng=2, n_harmonics=10), rate=500.0, rng=2).recording
-test = robot.record(random_point_to_point(model, rng=3, n_poses=8), rate=500.0, rng=3).recording
-
-for finding in asbuilt.check_recording(model, training).findings:
-    print(finding)
-
-options = asbuilt.StudyOptions(
-    drive=asbuilt.DriveSet.parse("armature,viscous,coulomb,offset"), method="auto"
+robot = asbuilt.VirtualRobot.typical(model, rng=1)
+motions = (
+    asbuilt.random_fourier(model, rng=2, n_harmonics=10),
+    asbuilt.random_point_to_point(model, rng=3, n_poses=8),
 )
-study = asbuilt.identify(model, [training], validation=[test], options=options)
+training, test = (robot.record(motion, rate=500.0, rng=4).recording for motion in motions)
+assert asbuilt.check_recording(model, training).ok
+
+study = asbuilt.identify(model, training, validation=test)
 result = study.result
-print(
-    f"{result.rank} of {result.n_base} parameters by {result.method}, physically consistent:"
-    f" {result.physically_consistent}"
-)
-for parameter in sorted(result.parameters, key=lambda p: p.relative_error)[:5]:
-    print(
-        f"  {parameter.name:6} {parameter.estimate:10.4f} +- {parameter.std_error:.4f}"
-        f" {parameter.unit}"
-    )
-print(study.comparison.torque_table().as_text())
+print(study.summary)
+assert result.rank == result.n_base
+assert result.validation[0].relative_error < 0.5 * result.cad.relative_error
+
+q, qd, qdd = np.zeros((3, model.n_joints))
+print("\nholding torque at the zero pose [N m]:", np.round(result.torque(q, qd, qdd), 2))
 
 again = asbuilt.IdentificationResult.from_json(result.to_json())
-print("the same from its JSON:", bool((again.estimates == result.estimates).all()))
+assert np.array_equal(again.estimates, result.estimates)

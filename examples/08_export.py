@@ -1,64 +1,35 @@
-"""Identify a virtual UR10e and hand the model to other software.
-
-URDF, MJCF and C code that a compiler checks.
-"""
-
-from __future__ import annotations
+"""Identify a virtual UR10e and write it as URDF, MJCF, TOML and C, which a compiler checks."""
 
 import shutil
 import subprocess
 import tempfile
 from pathlib import Path
 
-from asbuilt import load_robot
-from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.excitation.motions.random_motion import random_fourier
-from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
-from asbuilt.workflow.study import StudyOptions, identify
-from asbuilt.writers.models.export import export_result
+import numpy as np
 
-model = load_robot("ur10e")
-recording = (
-    VirtualRobot.typical(model, rng=3)
-    .record(random_fourier(model, rng=1, duration=20.0), rng=4)
-    .recording
-)
-options = StudyOptions(
-    method="consistent",
-    drive=DriveSet.parse("armature,viscous,coulomb,offset"),
-    holdout="blocks:2s:3",
-)
-result = identify(model, [recording], options=options).result
-print(
-    f"torque error held out: CAD {100 * result.cad.relative_error:.1f} %, as built"
-    f" {100 * result.validation[0].relative_error:.1f} %\n"
-)
+import asbuilt
 
-with tempfile.TemporaryDirectory() as folder:
-    place = Path(folder)
-    exported = export_result(
-        result,
-        urdf=place / "ur10e.urdf",
-        mjcf=place / "ur10e.xml",
-        c=place / "ur10e.c",
-        toml=place / "ur10e.toml",
-    )
-    print(exported.as_text().replace(f"{place}/", ""))
+model = asbuilt.load_robot("ur10e")
+motion = asbuilt.random_fourier(model, rng=1, duration=20.0)
+recording = asbuilt.VirtualRobot.typical(model, rng=3).record(motion, rng=4).recording
+options = asbuilt.StudyOptions(method="consistent", holdout="blocks:2s:3")
+result = asbuilt.identify(model, recording, options=options).result
+assert result.physically_consistent
+
+with tempfile.TemporaryDirectory() as name:
+    folder = Path(name)
+    files = {kind: folder / f"ur10e.{kind}" for kind in ("urdf", "toml", "c")}
+    exported = asbuilt.export_result(result, mjcf=folder / "ur10e.xml", **files)
+    print(exported.as_text().replace(f"{folder}/", ""))
+
+    q, qd, qdd = np.random.default_rng(0).normal(size=(3, 6))
+    back = asbuilt.load_robot(files["toml"])
+    rigid = asbuilt.inverse_dynamics(back, q, qd, qdd)
+    print("torque of the links alone [N m]:", np.round(rigid, 2))
+
     if shutil.which("gcc"):
-        program = place / "self_test"
-        subprocess.run(
-            [
-                "gcc",
-                "-std=c99",
-                "-DUR10E_SELF_TEST",
-                str(exported.files["c"]),
-                "-o",
-                str(program),
-                "-lm",
-            ],
-            check=True,
-        )
-        print(
-            "\nthe C code, compiled, against asbuilt:",
-            subprocess.run([program], check=True, capture_output=True, text=True).stdout.strip(),
-        )
+        program = folder / "self_test"
+        command = ["gcc", "-std=c99", "-DUR10E_SELF_TEST", files["c"], "-o", program, "-lm"]
+        subprocess.run(command, check=True)
+        done = subprocess.run([program], check=True, capture_output=True, text=True)
+        print("the C code, compiled, against asbuilt:", done.stdout.strip())
