@@ -1,0 +1,99 @@
+"""The recipes of docs/design/extending.md run as another distribution, from the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "design" / "extending.md"
+RECIPES = dict(
+    re.findall(
+        r'^```python title="(\w+)\.py"\n(.*?)^```', PAGE.read_text(), re.DOTALL | re.MULTILINE
+    )
+)
+GROUPS = {
+    "drive_terms": "saturated_term",
+    "estimators": "halved_estimator",
+    "log_formats": "json_lines_format",
+    "motions": "mirrored_motions",
+    "program_formats": "json_program",
+    "report_sections": "outside_section",
+    "description_formats": "chain_format",
+}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a distribution that has every recipe."""
+    folder = tmp_path_factory.mktemp("site")
+    about = folder / "recipes-1.0.dist-info"
+    about.mkdir()
+    for name, text in RECIPES.items():
+        (folder / f"{name}.py").write_text(text)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: recipes\nVersion: 1.0\n")
+    lines = [f"[asbuilt.{group}]\n{module} = {module}\n" for group, module in GROUPS.items()]
+    (about / "entry_points.txt").write_text("".join(lines))
+    return folder
+
+
+def run(site: Path, folder: Path, line: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "asbuilt.cli.app", *line.split()],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(site), *sys.path])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+    return done.stdout
+
+
+def test_there_is_a_recipe_for_every_registry() -> None:
+    assert set(RECIPES) == set(GROUPS.values())
+    text = PAGE.read_text()
+    source = Path(__file__).resolve().parents[1] / "src"
+    registry = re.compile(r'Registry\(\s*"[\w ]+",\s*"[\w.]+",\s*"asbuilt\.(\w+)"')
+    groups = {name for path in source.rglob("*.py") for name in registry.findall(path.read_text())}
+    assert groups == set(GROUPS)
+    assert all(f"`asbuilt.{group}`" in text for group in GROUPS)
+
+
+def test_term_and_description_format(site: Path, tmp_path: Path) -> None:
+    listed = json.loads(run(site, tmp_path, "drives --json"))["drives"]
+    assert "saturated" in {each["key"] for each in listed}
+    (tmp_path / "arm.chain").write_text('{"name": "heavy", "scale": 2.0}')
+    assert json.loads(run(site, tmp_path, "show arm.chain --json"))["robot"] == "heavy"
+
+
+@pytest.mark.slow
+def test_log_format_estimator_and_section(site: Path, tmp_path: Path) -> None:
+    simulate = "simulate two-link --engine inverse-dynamics --duration 6 --rate 100 --out log.csv"
+    run(site, tmp_path, simulate)
+    rows = pl.read_csv(tmp_path / "log.csv").to_dicts()
+    (tmp_path / "log.jsonl").write_text("\n".join(json.dumps(row) for row in rows))
+    found = {
+        name: json.loads(
+            run(site, tmp_path, f"identify two-link log.jsonl --method {name} --json --out {name}")
+        )
+        for name in ("halved", "ols")
+    }
+    half, whole = ([p["estimate"] for p in found[name]["parameters"]] for name in found)
+    assert [2 * value for value in half] == pytest.approx(whole)
+    assert "<h2>From outside</h2>" in (tmp_path / "ols" / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_motions_and_program(site: Path, tmp_path: Path) -> None:
+    line = "excite two-link --parametrisation mirrored --harmonics 5 --duration 6 --starts 1"
+    found = json.loads(run(site, tmp_path, f"{line} --program json --no-report --json"))
+    assert found["parametrisation"] == "mirrored"
+    points = json.loads((tmp_path / found["files"]["json_program"]).read_text())
+    assert points[0] == pytest.approx(points[-1])
