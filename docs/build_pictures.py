@@ -24,7 +24,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.patches import Patch
 
 import asbuilt
-from asbuilt.cli.hayat2015.pages import write_reproduction
+from asbuilt.cli.hayat2015.pages import sentences, write_reproduction
 from asbuilt.cli.hayat2015.tables import all_tables
 
 DOCS = Path(__file__).resolve().parent
@@ -55,6 +55,8 @@ def reproduction() -> None:
     """Write the tables and figures of the 2015 paper."""
     redone = asbuilt.reproduce_paper()
     write_reproduction(BUILT / "reproduction", redone)
+    listed = "\n".join(f"* {sentence}" for sentence in sentences(redone))
+    (BUILT / "reproduction" / "sentences.md").write_text(listed + "\n")
     for name, table in all_tables(redone).items():
         (BUILT / "reproduction" / f"{name}.html").write_text(table.as_html() + "\n")
 
