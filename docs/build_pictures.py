@@ -208,7 +208,7 @@ def home() -> None:
         )
         cad, built = result.predict_cad(test), result.predict(test)
         joint = 1
-        figure = plt.figure(figsize=(9, 3.1), layout="constrained")
+        figure = plt.figure(figsize=(7.5, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 2.6))
         picture = plt.imread(folder / "robot.png")
         left.imshow(picture[70:420, 170:470])

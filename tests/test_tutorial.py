@@ -37,9 +37,7 @@ def shown(expected: list[str], words: list[str]) -> str:
     place = 0
     for part in re.split(r"\.\.\.$", "\n".join(expected), flags=re.MULTILINE):
         wanted = masked(part)
-        fits = (
-            k for k in range(place, len(words) + 1) if words[k : k + len(wanted)] == wanted
-        )
+        fits = (k for k in range(place, len(words) + 1) if words[k : k + len(wanted)] == wanted)
         start = next(fits, None)
         if start is None:
             return part
@@ -62,3 +60,5 @@ def test_the_tutorial_prints_what_it_shows(tmp_path: Path) -> None:
         assert done.returncode == 0, f"{line}\n{done.stderr}"
         missing = shown(expected, masked(done.stdout))
         assert not missing, f"{line} prints no longer:\n{missing}\nbut\n{done.stdout}"
+    for block in re.findall(r"^```python\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE):
+        subprocess.run([sys.executable, "-c", block], cwd=tmp_path, env=environment, check=True)

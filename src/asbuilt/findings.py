@@ -68,6 +68,8 @@ class Finding:
     def text(self) -> str:
         """Message and cure as sentences.
 
+        Examples
+        --------
         >>> Finding("gap", "info", "a gap of 2 s at 4 s", Cure("record again")).text
         'a gap of 2 s at 4 s. Record again.'
         """
