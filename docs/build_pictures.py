@@ -211,7 +211,7 @@ def home() -> None:
         figure = plt.figure(figsize=(7.5, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, width_ratios=(1, 2.6))
         picture = plt.imread(folder / "robot.png")
-        left.imshow(picture[70:420, 170:470])
+        left.imshow(picture[:, picture.shape[1] // 5 : -(picture.shape[1] // 5)])
         left.axis("off")
         t, shown = cad.t, cad.t <= 10.0
         for values, style in (

@@ -98,6 +98,11 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         robot.record(random_fourier(model, rng=seed, duration=12.0), rate=100.0, rng=seed).recording
         for seed in (2, 3)
     ]
+    tool = asbuilt.LinkInertia.from_com(
+        2.0, [0.0, 0.0, 0.05], [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
+    )
+    motion = random_fourier(model, rng=4, duration=12.0)
+    loaded = robot.with_tool(tool).record(motion, rate=100.0, rng=4).recording
     recordings = [replace(each, extra={"tau_ext": 0.1 * each.tau}) for each in recordings]
     write_recording(folder / "hour.parquet", recordings[0])
     write_recording(folder / "timed.csv", recordings[0])
@@ -109,6 +114,7 @@ def at_hand(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "folder": folder,
         "model": model,
         "recording": recordings[0],
+        "loaded": loaded,
         "samples": samples,
         "other": other,
         "result": studies[0].result,
