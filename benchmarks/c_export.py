@@ -21,13 +21,17 @@ PROGRAM = """
 #include <stdio.h>
 #include <time.h>
 
-static double now(void) {{ struct timespec t; clock_gettime(CLOCK_MONOTONIC, &t); return 1e6*(double)t.tv_sec + 1e-3*(double)t.tv_nsec; }}
+static double now(void) {{ struct timespec t;
+  clock_gettime(CLOCK_MONOTONIC, &t);
+  return 1e6*(double)t.tv_sec + 1e-3*(double)t.tv_nsec; }}
 
 #define TIME(what, call) do {{ \\
     double best = 1e9; \\
     for (int repeat = 0; repeat < {repeats}; repeat++) {{ \\
         double start = now(); \\
-        for (int k = 0; k < {calls}; k++) {{ for (int j = 0; j < {n}; j++) q[j] += 1e-4*(j + 1); call; sum += out[k % {n}]; }} \\
+        for (int k = 0; k < {calls}; k++) {{ \\
+            for (int j = 0; j < {n}; j++) q[j] += 1e-4*(j + 1); \\
+            call; sum += out[k % {n}]; }} \\
         double each = (now() - start)/{calls}; \\
         if (each < best) best = each; \\
     }} \\

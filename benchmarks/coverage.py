@@ -222,7 +222,10 @@ def measure(repetitions: int | None = None) -> dict[str, float | str]:
             repetitions or REPETITIONS_OF_BODIES,
             pulled=pulled,
         )
-        name = f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
+        name = (
+            f"{'entropic' if pulled else 'bodies'}_{robot}_{correlation_time:g}s"
+            f"_noise_of_{noise:g}_{duration:g}s_edge_{edge:g}"
+        )
         numbers |= {f"{name}{kind}": value for kind, value in found.items()}
     return numbers
 

@@ -58,9 +58,7 @@ class Problem:
         self.fine = DesignProgram(
             objective, self.family, self.bounds, int(1000 * DURATION), (torque,)
         )
-        self.middle = np.outer(
-            self.family.constant, (self.bounds.lower + self.bounds.upper) / 2
-        )
+        self.middle = np.outer(self.family.constant, (self.bounds.lower + self.bounds.upper) / 2)
         self.shape = self.middle.shape
 
     def log_det(self, coefficients: Array) -> float:
@@ -104,7 +102,7 @@ def slsqp(problem: Problem, seconds: float) -> Array:
     """
     end, best, value = time.monotonic() + seconds, problem.random(0), np.inf
 
-    def constraints_of(x: Array) -> float:
+    def watched(x: Array) -> float:
         nonlocal best, value
         if time.monotonic() > end:
             raise _OverError

@@ -22,9 +22,9 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.logs.streaming import stream_recording
 from asbuilt.experiment.signal.preparation import stream_samples
 from asbuilt.identification.estimators.least_squares import fit_least_squares
+from asbuilt.identification.information.square_root_information import accumulate_stream
 from asbuilt.identification.result.conclusion import conclude
 from asbuilt.identification.result.design_values import design_values
-from asbuilt.identification.information.square_root_information import accumulate_stream
 from factor import DRIVE, RATE, ROBOT, recorded
 
 HOUR = 3600.0

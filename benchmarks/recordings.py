@@ -86,7 +86,8 @@ class Way(NamedTuple):
     mounting: bool = False
 
     def __str__(self) -> str:
-        return f"{self.method}{f', drive {self.drive}' if self.drive else ''}{', mounting' if self.mounting else ''}"
+        drive = f", drive {self.drive}" if self.drive else ""
+        return f"{self.method}{drive}{', mounting' if self.mounting else ''}"
 
 
 WAYS = (Way("wls"), Way("consistent"), Way("auto"), Way("auto", "auto"))

@@ -53,7 +53,7 @@ def measure() -> dict[str, float | str]:
 
 
 def recovered(name: str, preset: str, seed: int) -> Recovery:
-    """Record one robot three times, identify it and hold it against its truth along a fresh motion."""
+    """Record one robot three times, identify it, compare it with its truth along a new motion."""
     model = bundled_robot(name)
     robot = VirtualRobot.preset(preset, model, rng=seed)
     learned = [

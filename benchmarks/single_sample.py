@@ -1,4 +1,4 @@
-"""Time of one sample called from Python, 7 joints, as multiples of `pinocchio.rnea` in the same run."""
+"""Time of one sample called from Python, 7 joints, in multiples of `pinocchio.rnea`, same run."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Folder with recordings and descriptions of real robots that are not part of this repository."""
+    """Folder with recordings and descriptions of real robots, outside this repository."""
     if not (SHARED / "data").is_dir():
         pytest.skip("the folder ../shared with recordings of real robots is not here")
     return SHARED

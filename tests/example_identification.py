@@ -19,8 +19,8 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.findings import Finding
+from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import (
     IdentificationResult,
     IdentifiedParameter,
@@ -165,15 +165,18 @@ def example_identification(
         ).reshape(len(held_out.t), model.n_joints, -1)
     )
     result = IdentificationResult(
-        model=model, base=base, method="ols", sources=("train.csv",), n_samples=len(tau), rate=train.rate, duration=train.duration,
-        parameters=parameters, covariance=9 * covariance, textbook_covariance=covariance, sigma=error.std(axis=0), effective_samples=len(tau) / 9,
-        rank=base.n_base - 1, singular_values=s, condition_number=float(np.linalg.cond(rows)), scaled_condition_number=float(s[0] / s[-1]),
+        model=model, base=base, method="ols", sources=("train.csv",), n_samples=len(tau),
+        rate=train.rate, duration=train.duration, parameters=parameters,
+        covariance=9 * covariance, textbook_covariance=covariance, sigma=error.std(axis=0),
+        effective_samples=len(tau) / 9, rank=base.n_base - 1, singular_values=s,
+        condition_number=float(np.linalg.cond(rows)), scaled_condition_number=float(s[0] / s[-1]),
         undetermined=(f"Fo4 - {HOSTILE}",),
         train=torque_metrics(tau, tau - error, "train.csv", model.joint_names),
         validation=(torque_metrics(test, columns @ beta, held_out.source, model.joint_names),),
         cad=torque_metrics(test, columns @ np.nan_to_num(cad), held_out.source, model.joint_names),
         physically_consistent=False, consistency_margin=-0.01,
-        findings=(Finding("weak_joint", "warning", f"joint {model.joint_names[1]} hardly moves; lengthen the motion"),),
+        findings=(Finding("weak_joint", "warning",
+                          f"joint {model.joint_names[1]} hardly moves; lengthen the motion"),),
         provenance=train.provenance,
     )  # fmt: skip
     return Example(model, truth, train, held_out, result)

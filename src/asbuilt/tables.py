@@ -418,7 +418,7 @@ def _aligned(cells: Sequence[str], align: Alignment) -> list[str]:
 
 
 def _fitted(widths: Sequence[int], columns: Sequence[Column]) -> list[int]:
-    """Narrow the widest columns of text until the table fits 80 columns, or none can be narrower."""
+    """Narrow the widest columns of text until the table fits 80 columns, where possible."""
     fitted = list(widths)
     places = [k for k, column in enumerate(columns) if column.align == "left"]
     while sum(fitted) + 2 * (len(fitted) - 1) > WIDTH and places:

@@ -23,6 +23,8 @@ from asbuilt.description.rotation import (
 )
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 
+MOMENTS = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+
 
 def rows_of(model: RobotModel, *, parents: list[int] | None = None) -> list[DHRow]:
     """Read the DH rows back from a standard DH robot, by the names of its lengths."""
@@ -90,7 +92,7 @@ def modified_toml(rows: list[DHRow]) -> str:
             f" {float(row.b)!r}, theta = {float(row.theta)!r} }}\n"
             f"mass = {float(chi[9])!r}\nfirst_moment = {[float(x) for x in chi[6:9]]}\n"
             "inertia_about_origin = {"
-            f" {', '.join(f'{n} = {float(x)!r}' for n, x in zip(('Ixx', 'Ixy', 'Ixz', 'Iyy', 'Iyz', 'Izz'), chi, strict=False))}"
+            f" {', '.join(f'{n} = {float(x)!r}' for n, x in zip(MOMENTS, chi, strict=False))}"
             " }\n"
         )
     return text

@@ -111,7 +111,7 @@ def test_slopes_of_torque_and_power_are_differences_of_the_values(make, others: 
 
 
 def test_friction_of_motors_that_several_joints_turn_counts() -> None:
-    """A motor that turns with two joints drags both by `Fvm (T qd)`; the torque is its transpose."""
+    """A motor that turns with two joints drags both by `T^T Fvm (T qd)`."""
     model = load_robot("ur10e")
     coupling = np.eye(6)
     coupling[4, 3] = 0.5

@@ -47,7 +47,7 @@ class Trial:
 
 
 def real_bodies(prior, rng, spread=0.1):
-    """Bodies around CAD: each pseudo-inertia turned and stretched at random, each drive positive."""
+    """Bodies around CAD: each pseudo-inertia rotated and scaled at random, drives positive."""
     chi = prior.parameters.copy()
     for i in range(prior.n_links):
         L = np.linalg.cholesky(LinkInertia(chi[10 * i : 10 * i + 10]).pseudo_inertia)

@@ -33,7 +33,7 @@ TILT = (1.0, -0.5)
 def recorded(
     robot: str, causes: str, *, seed: int = 1, friction: tuple[float, ...] = FRICTION
 ) -> Recording:
-    """Log a robot with these causes: letters of `pftgl` for payload, friction, tilt, gain, links."""
+    """Log a robot with these causes: `pftgl` is payload, friction, tilt, gain, links."""
     model = load_robot(robot)
     n = model.n_joints
     machine = (

@@ -99,7 +99,7 @@ def test_a_recording_too_short_to_tell_causes_says_so(recordings: list[Recording
     assert "0 held out" in said["causes_undetermined"]
     whole = identify(load_robot("scara"), recordings[:1])
     assert "causes_undetermined" not in {warning.code for warning in whole.findings}
-    with pytest.raises(ResultError, match="recordings of some seconds"):
+    with pytest.raises(ResultError, match="recordings of at least some seconds"):
         attribute(study.result)
 
 

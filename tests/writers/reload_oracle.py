@@ -63,9 +63,17 @@ def as_if_identified(model: RobotModel, seed: int, *, drives: bool = True) -> Ro
         )
         links.append(replace(link, inertia=link.inertia + added, inertia_known=True, parts=()))
     joints = [
-        replace(joint, drive=DriveValues(armature=rng.uniform(0.1, 1.0), viscous=rng.uniform(0.1, 2.0), coulomb=rng.uniform(0.1, 20.0), offset=rng.normal()))
+        replace(
+            joint,
+            drive=DriveValues(
+                armature=rng.uniform(0.1, 1.0),
+                viscous=rng.uniform(0.1, 2.0),
+                coulomb=rng.uniform(0.1, 20.0),
+                offset=rng.normal(),
+            ),
+        )
         for joint in model.joints
-    ]  # fmt: skip
+    ]
     return replace(model, links=tuple(links), joints=tuple(joints) if drives else model.joints)
 
 

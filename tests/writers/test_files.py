@@ -38,7 +38,7 @@ def test_full_disk_is_told_with_values(tmp_path: Path, monkeypatch: pytest.Monke
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(files.os, "fsync", full)
-    with pytest.raises(UsageError, match="cannot write 3 bytes to .*: No space left on device"):
+    with pytest.raises(UsageError, match=r"cannot write 3 bytes to .*: No space left on device"):
         atomic_write(tmp_path / "x.txt", "new")
     assert not list(tmp_path.iterdir())
 

@@ -19,7 +19,9 @@ TREE = """
   <option gravity="1 -2 -9"/>
   <default>
     <joint armature="0.1"/>
-    <default class="slider"><joint type="slide" damping="2"/><geom type="capsule" size="0.04 0.2" density="500"/></default>
+    <default class="slider">
+      <joint type="slide" damping="2"/>
+      <geom type="capsule" size="0.04 0.2" density="500"/></default>
   </default>
   <worldbody>
     <geom type="plane" size="1 1 1"/>
@@ -27,9 +29,11 @@ TREE = """
       <inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>
       <body name="shoulder" pos="0.1 0 0.2" quat="0.8 0.2 -0.3 0.1">
         <inertial pos="0.1 0.02 0" quat="0.9 0.1 0 0.2" mass="3" diaginertia="0.1 0.2 0.25"/>
-        <joint name="swing" axis="0.6 0 0.8" pos="0.02 -0.01 0.03" range="-90 45" ref="20" frictionloss="0.3"/>
+        <joint name="swing" axis="0.6 0 0.8" pos="0.02 -0.01 0.03" range="-90 45"
+          ref="20" frictionloss="0.3"/>
         <joint name="twist" axis="0 1 0" pos="0.1 0 0"/>
-        <body name="bracket" pos="0 0.2 0" euler="90 0 0"><inertial pos="0 0 0.1" mass="0.5" diaginertia="0.01 0.01 0.01"/>
+        <body name="bracket" pos="0 0.2 0" euler="90 0 0">
+          <inertial pos="0 0 0.1" mass="0.5" diaginertia="0.01 0.01 0.01"/>
           <body name="piston" pos="0 0 0.3" childclass="slider">
             <joint name="push" axis="0 0 -1" range="0 0.3" ref="0.1"/>
             <geom/>
@@ -37,7 +41,9 @@ TREE = """
           </body>
         </body>
       </body>
-      <body name="left" pos="0 -0.4 0"><joint name="left_hinge" axis="1 0 0"/><geom type="box" size="0.1 0.2 0.3" mass="2"/></body>
+      <body name="left" pos="0 -0.4 0">
+        <joint name="left_hinge" axis="1 0 0"/>
+        <geom type="box" size="0.1 0.2 0.3" mass="2"/></body>
     </body>
   </worldbody>
   <actuator><motor name="m" joint="left_hinge" gear="50" forcerange="-2 2"/></actuator>
@@ -105,9 +111,13 @@ def test_a_model_from_strangers_loads_without_its_meshes(shared):
 
 MESHES = """
 <mujoco><default><default class="v"><geom type="mesh"/></default></default>
-<asset><mesh name="m" file="nowhere.stl"/><texture name="t" type="2d" file="none.png"/><material name="p" texture="t"/></asset>
+<asset><mesh name="m" file="nowhere.stl"/>
+  <texture name="t" type="2d" file="none.png"/>
+  <material name="p" texture="t"/></asset>
 <worldbody><body name="a" childclass="v"><joint name="j"/>{inertial}
-<frame pos="0 0 1"><geom mesh="m" material="p"/><body name="b"><joint name="k" type="slide"/><geom type="sphere" size="0.1" mass="2"/></body></frame>
+<frame pos="0 0 1"><geom mesh="m" material="p"/>
+  <body name="b"><joint name="k" type="slide"/>
+  <geom type="sphere" size="0.1" mass="2"/></body></frame>
 </body></worldbody></mujoco>
 """
 

@@ -42,8 +42,10 @@ origin = { xyz = [0, 0, "-L2"] }
 after = { xyz = ["L2", 0, 0], rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]] }
 limits = { lower = 0, upper = 0.3, velocity = 1.0, torque = 80 }
 parts = [
-  { name = "rod", mass = 1.0, com = [0, 0, 0.2], inertia_about_com = { Ixx = 0.02, Iyy = 0.02, Izz = 0.001 } },
-  { name = "gripper", mass = 0.5, first_moment = [0, 0, 0.2], inertia_about_origin = { Ixx = 0.09, Iyy = 0.09, Izz = 0.001 } },
+  { name = "rod", mass = 1.0, com = [0, 0, 0.2], \
+    inertia_about_com = { Ixx = 0.02, Iyy = 0.02, Izz = 0.001 } },
+  { name = "gripper", mass = 0.5, first_moment = [0, 0, 0.2], \
+    inertia_about_origin = { Ixx = 0.09, Iyy = 0.09, Izz = 0.001 } },
 ]
 
 [[links]]

@@ -187,11 +187,17 @@ def test_a_capsule_around_points_holds_them_and_is_slim() -> None:
         assert capsule.radius < 0.26
 
 
-URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
-<collision><origin xyz="0 0 0.5" rpy="0 0 0"/><geometry><cylinder radius="0.1" length="1.0"/></geometry></collision></link>
+URDF = """<robot name="r"><link name="base"/>
+  <link name="arm"><inertial><mass value="1"/>
+  <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><origin xyz="0 0 0.5" rpy="0 0 0"/>
+  <geometry><cylinder radius="0.1" length="1.0"/></geometry></collision></link>
 <link name="hand"><collision><geometry><sphere radius="0.2"/></geometry></collision></link>
-<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" velocity="1" effort="10"/></joint>
-<joint name="f" type="fixed"><parent link="arm"/><child link="hand"/><origin xyz="0 0 1"/></joint></robot>"""
+<joint name="j" type="revolute">
+  <parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+  <limit lower="-2" upper="2" velocity="1" effort="10"/></joint>
+<joint name="f" type="fixed"><parent link="arm"/><child link="hand"/>
+  <origin xyz="0 0 1"/></joint></robot>"""
 
 
 def test_geometry_of_a_urdf_becomes_capsules_on_the_links_that_carry_it(tmp_path) -> None:

@@ -113,6 +113,6 @@ def test_counting_from_zero_among_names_is_not_guessed(tmp_path: Path) -> None:
         path, np.column_stack([t, q, tau]), delimiter=",", header=",".join(head), comments=""
     )
     with pytest.raises(
-        RecordingError, match="choose the robot that was recorded.*in a recording sheet"
+        RecordingError, match=r"choose the robot that was recorded.*in a recording sheet"
     ):
         read_recording(path, model=robot_with(("j1", "j2", "j3", "hand")))

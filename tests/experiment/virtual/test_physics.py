@@ -115,8 +115,8 @@ def test_without_mujoco_the_error_says_how_to_get_it(monkeypatch: pytest.MonkeyP
     with pytest.raises(
         MissingExtraError,
         match=(
-            r"a virtual robot needs the package mujoco, which is not installed; run pip install \w+,"
-            r" or pip install 'asbuilt\[sim\]'"
+            r"a virtual robot needs the package mujoco, which is not installed; run pip install"
+            r" \w+, or pip install 'asbuilt\[sim\]'"
         ),
     ):
         Physics(bundled_robot("two-link"))

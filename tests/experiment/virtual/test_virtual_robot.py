@@ -274,7 +274,9 @@ def test_every_bundled_robot_can_be_recorded(name: str) -> None:
 def test_errors_say_what_is_wrong(iiwa: RobotModel) -> None:
     with pytest.raises(
         UsageError,
-        match="there is no virtual robot 'shop' on the engine mujoco; there are ideal, lab, factory",
+        match=(
+            "there is no virtual robot 'shop' on the engine mujoco; there are ideal, lab, factory"
+        ),
     ):
         VirtualRobot.preset("shop", iiwa)
     with pytest.raises(UsageError, match="the motion moves 1 joints, kuka-iiwa7-r800 has 7"):

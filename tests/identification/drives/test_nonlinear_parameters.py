@@ -1,5 +1,6 @@
-"""Nonlinear parameters of drive terms and their choice, on simulated drives whose friction is known, and on
-recordings of real ones.
+"""Nonlinear parameters of drive terms and their choice.
+
+On simulated drives whose friction is known, and on recordings of real ones.
 """
 
 from __future__ import annotations
@@ -250,9 +251,7 @@ def test_friction_that_drives_is_not_believed(seed):
         model, [recorded(model, truth, np.tile([0.5, 1.0, -0.05, 0.2], 3), seed=seed)]
     )
     assert "load_friction" not in choice.drive.keys
-    assert any(
-        "are not positive" in (addition.objection or "") for addition in choice.additions
-    )
+    assert any("are not positive" in (addition.objection or "") for addition in choice.additions)
 
 
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e"])

@@ -209,7 +209,9 @@ def test_a_block_that_alone_tells_a_direction_is_reported(samples: Samples) -> N
         block_seconds=1.0,
     )
     estimate = fit_least_squares(information, weights="joint", prior=design_values(MODEL, BASE))
-    with pytest.raises(IdentifiabilityError, match="single blocks have information that others lack"):
+    with pytest.raises(
+        IdentifiabilityError, match="single blocks have information that others lack"
+    ):
         redraw(information, estimate)
 
 
@@ -258,8 +260,8 @@ def test_only_fits_that_bounds_hold_are_widened_for_few_blocks_and_warned_of(
     for method, codes in (
         ("wls", []),
         ("consistent", ["bootstrap_near_bounds"]),
-        ("entropic", ["bootstrap_of_regularised_fit"]),
-        ("ridge", ["bootstrap_of_regularised_fit"]),
+        ("entropic", ["bootstrap_of_regularised"]),
+        ("ridge", ["bootstrap_of_regularised"]),
     ):
         result = identify_samples(
             MODEL, samples, base=BASE, method=method, errors="bootstrap", block_seconds=2.0

@@ -31,6 +31,7 @@ from asbuilt.identification.result.summary import summarise
 from asbuilt.validation.comparison.cad_tolerance import CadTolerance
 from asbuilt.validation.comparison.comparison import compare
 from asbuilt.validation.comparison.drift import compare_results
+from asbuilt.workflow.study import Study
 from asbuilt.writers.models.as_built import as_built_model
 from asbuilt.writers.models.physical import refuse_inconsistent_result
 from asbuilt.writers.tables.tabular import identified_table, identify_document, json_text
@@ -88,13 +89,14 @@ def test_what_is_dropped_has_no_error_and_the_rest_has_one(essential: Identifica
 
 
 def test_files_say_null_and_not_zero(essential: IdentificationResult) -> None:
-    stored, told = (
+    study = Study(essential, essential.findings)
+    stored, printed = (
         json.loads(essential.to_json()),
-        json.loads(json_text(identify_document(essential))),
+        json.loads(json_text(identify_document(study))),
     )
     rows = list(csv.DictReader(io.StringIO(identified_table(essential).as_csv())))
     for parameter, one, other, row in zip(
-        essential.parameters, stored["parameters"], told["parameters"], rows, strict=True
+        essential.parameters, stored["parameters"], printed["parameters"], rows, strict=True
     ):
         assert (
             (one["std_error"] is None)
@@ -108,23 +110,8 @@ def test_files_say_null_and_not_zero(essential: IdentificationResult) -> None:
     np.testing.assert_array_equal(again.std_errors, essential.std_errors)
 
 
-def test_files_of_versions_that_said_zero_are_read_as_dropped(
-    essential: IdentificationResult,
-) -> None:
-    stored = json.loads(essential.to_json())
-    del stored["errors"]
-    for parameter in stored["parameters"]:
-        if parameter.pop("dropped"):
-            parameter["std_error"] = parameter["textbook_std_error"] = 0.0
-    again = IdentificationResult.from_json(json.dumps(stored))
-    np.testing.assert_array_equal(again.dropped, essential.dropped)
-    np.testing.assert_array_equal(again.std_errors, essential.std_errors)
-    assert again.errors.kind == "unstated"
-    assert "Standard errors allow for residual correlation" in str(summarise(again))
-
-
 def test_the_summary_shows_them_as_dropped(essential: IdentificationResult) -> None:
-    lines = str(summarise(essential)).splitlines()
+    lines = summarise(essential).as_text(full=True).splitlines()
     marked = {
         int(line.split()[0])
         for line in lines
@@ -144,7 +131,7 @@ def test_determination_lists_them_apart(essential: IdentificationResult) -> None
     assert names[-1] == {
         name for name, gone in zip(essential.base.names, essential.dropped, strict=True) if gone
     }
-    assert f"dropped as needless: {len(found.dropped)}" in found.in_short
+    assert f"dropped: {len(found.dropped)}" in found.in_short
     assert not names[-1] & {name for advice in found.advice for name in advice.names}
 
 
@@ -171,7 +158,7 @@ def test_compare_neither_tests_nor_counts_them(essential: IdentificationResult) 
     )
     tested = sum(verdict in ("differs", "agrees") for verdict in verdicts.values())
     assert comparison.n_compared == tested == comparison.chi_square.degrees
-    assert "dropped" in comparison.as_text()
+    assert "dropped" in comparison.as_text(full=True)
     json.loads(json_text(comparison.as_document()))
 
 
@@ -186,10 +173,10 @@ def test_a_parameter_dropped_on_one_side_is_no_change(
         }
         assert not any(change.changed for change in drift.parameters if change.dropped)
         assert drift.chi_square.degrees == results[0].n_base - results[0].dropped.sum()
-        assert (
-            f"{results[0].dropped.sum()} parameters were dropped as needless in one result or both"
-            in drift.as_text()
+        said = (
+            f"{results[0].dropped.sum()} parameters that one result or both dropped are not tested"
         )
+        assert said in " ".join(drift.as_text(full=True).split())
         json.loads(json_text(drift.as_document()))
 
 
@@ -227,5 +214,5 @@ def test_a_payload_is_weighed_with_them_at_zero(
 def test_a_refusal_to_export_does_not_take_zeros_for_measurements(
     essential: IdentificationResult,
 ) -> None:
-    with pytest.raises(InertiaError, match="dropped as needless count as zero"):
+    with pytest.raises(InertiaError, match="dropped parameters count as zero"):
         refuse_inconsistent_result(essential, as_built_model(essential))

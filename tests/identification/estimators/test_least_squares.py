@@ -38,7 +38,7 @@ DIGITS = {
     "Wampler5": (5.5, 12),
     "Filip": (7, 7),
 }
-"""Digits of (estimates, standard errors) that double precision attains on data as they are printed."""
+"""Digits of (estimates, standard errors) that double precision reaches on data as printed."""
 
 
 def design_matrix(certified):

@@ -181,7 +181,7 @@ def test_instruments_take_most_of_the_bias_that_noise_in_the_motion_causes(robot
 
 
 def test_instrumented_equations_hold(robot):
-    """Two-stage least squares with as many instruments as parameters solves Z^T (tau - W beta) = 0."""
+    """With as many instruments as parameters the solution is that of Z^T (tau - W beta) = 0."""
     from asbuilt.identification.estimators.instruments import follow
 
     model, base, _ = robot

@@ -23,7 +23,9 @@ def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) 
     for k in still:
         q[:, k] = 0.3
         qd[:, k] = qdd[:, k] = 0.0
-    tau = machine.exact_torque(q, qd, qdd) + np.random.default_rng(0).normal(scale=0.1, size=q.shape)
+    tau = machine.exact_torque(q, qd, qdd) + np.random.default_rng(0).normal(
+        scale=0.1, size=q.shape
+    )
     return Samples(sampled.t, q, qd, qdd, tau, rate=100.0, joint_names=model.joint_names)
 
 
@@ -102,7 +104,7 @@ def test_trade_offs_are_directions_that_hardly_change_the_torque() -> None:
 
 
 def test_advised_motion_really_helps() -> None:
-    """Identify again with the advised kind of motion added, drawn anew: the named errors must fall."""
+    """With the advised kind of motion added, drawn anew, the named errors must fall."""
     model = load_robot("scara")
     base = find_base_parameters(model, DriveSet.parse("viscous,coulomb,offset"))
     poor = samples("scara", still=(0,))

@@ -18,7 +18,8 @@ from shared_urdfs import SHARED_URDFS
 ARM = """<?xml version='1.0' encoding='ISO-8859-1'?>\r
 <!-- <inertial> in a comment, \xe9, stays -->\r
 <robot name="arm">\r
-  <link name="base"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>\r
+  <link name="base"><inertial><mass value="1"/>\
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>\r
   <link   name = 'upper' >\r
     <inertial>  <!-- CAD -->\r
       <mass   value='2' unit='kg'/>\r
@@ -27,25 +28,32 @@ ARM = """<?xml version='1.0' encoding='ISO-8859-1'?>\r
     </inertial>\r
     <visual note="a > b"><geometry><box size="1 1 1"/></geometry></visual>\r
   </link>\r
-  <link name="cover"><inertial><origin xyz="0 0.1 0"/><mass value="0.3"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link>\r
+  <link name="cover"><inertial><origin xyz="0 0.1 0"/><mass value="0.3"/>\
+<inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial></link>\r
   <link name="lower"/>\r
   <link name="gripper">\r
-    <inertial><mass value="0.8"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial>\r
+    <inertial><mass value="0.8"/>\
+<inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial>\r
   </link>\r
   <link name="slider">\r
-    <inertial><mass value="0.5"/><inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial>\r
+    <inertial><mass value="0.5"/>\
+<inertia ixx="1e-3" ixy="0" ixz="0" iyy="1e-3" iyz="0" izz="1e-3"/></inertial>\r
   </link>\r
-  <joint name="j1" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="9" velocity="2"/>\r
+  <joint name="j1" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>\
+<limit lower="-2" upper="2" effort="9" velocity="2"/>\r
     <dynamics friction="0.1"/></joint>\r
-  <joint name="fix" type="fixed"><origin xyz="0 0 0.2" rpy="0.5 0 0"/><parent link="upper"/><child link="cover"/></joint>\r
+  <joint name="fix" type="fixed"><origin xyz="0 0 0.2" rpy="0.5 0 0"/><parent link="upper"/>\
+<child link="cover"/></joint>\r
   <joint name="j2" type="continuous">\r
     <origin xyz="0.1 0 0.4" rpy="1.5707963267948966 0 0.3"/>\r
     <parent link="upper"/>\r
     <child link="lower"/>\r
     <axis xyz="0 0.6 0.8"/>\r
   </joint>\r
-  <joint name="grip" type="fixed"><origin xyz="0 0 0.3"/><parent link="lower"/><child link="gripper"/></joint>\r
-  <joint name="j3" type="prismatic"><parent link="gripper"/><child link="slider"/><axis xyz="1 0 0"/>\r
+  <joint name="grip" type="fixed"><origin xyz="0 0 0.3"/><parent link="lower"/>\
+<child link="gripper"/></joint>\r
+  <joint name="j3" type="prismatic"><parent link="gripper"/><child link="slider"/>\
+<axis xyz="1 0 0"/>\r
     <limit lower="0" upper="0.1" effort="9" velocity="2"/></joint>\r
 </robot>\r
 """

@@ -37,9 +37,15 @@ def test_places_are_those_of_the_text() -> None:
 
 @pytest.mark.parametrize(
     ("codec", "mark", "declared"),
-    [("utf-8", b"", ""), ("utf-8", codecs.BOM_UTF8, ""), ("utf-16-le", codecs.BOM_UTF16_LE, ""), ("utf-16-be", codecs.BOM_UTF16_BE, ""),
-     ("latin-1", b"", ' encoding="ISO-8859-1"'), ("cp1252", b"", " encoding='windows-1252'")],
-)  # fmt: skip
+    [
+        ("utf-8", b"", ""),
+        ("utf-8", codecs.BOM_UTF8, ""),
+        ("utf-16-le", codecs.BOM_UTF16_LE, ""),
+        ("utf-16-be", codecs.BOM_UTF16_BE, ""),
+        ("latin-1", b"", ' encoding="ISO-8859-1"'),
+        ("cp1252", b"", " encoding='windows-1252'"),
+    ],
+)
 def test_edits_keep_every_other_byte_in_every_encoding(
     codec: str, mark: bytes, declared: str
 ) -> None:
@@ -73,9 +79,13 @@ def test_overlapping_edits_are_a_mistake() -> None:
 
 @pytest.mark.parametrize(
     ("content", "reason"),
-    [(b"<a><b></a>", "edited"), (b'<?xml version="1.0" encoding="utf-8"?><a b="\xff"/>', "decoded"), (b'<?xml version="1.0" encoding="nonsense"?><a/>', "decoded"),
-     (b'<!DOCTYPE a [<!ENTITY e "x">]><a b="&e;"/>', "edited")],
-)  # fmt: skip
+    [
+        (b"<a><b></a>", "edited"),
+        (b'<?xml version="1.0" encoding="utf-8"?><a b="\xff"/>', "decoded"),
+        (b'<?xml version="1.0" encoding="nonsense"?><a/>', "decoded"),
+        (b'<!DOCTYPE a [<!ENTITY e "x">]><a b="&e;"/>', "edited"),
+    ],
+)
 def test_what_cannot_be_edited_is_refused(content: bytes, reason: str) -> None:
     with pytest.raises(DescriptionError, match=reason):
         XmlFile.of(content, "file.urdf")

@@ -36,7 +36,8 @@ class LBRState {
   long step = 0;
   double getSampleTime() const { return period; }
   unsigned int getTimestampSec() const { return 1000u + static_cast<unsigned int>(step * period); }
-  unsigned int getTimestampNanoSec() const { const double t = step * period; return static_cast<unsigned int>((t - static_cast<long>(t)) * 1e9 + 0.5); }
+  unsigned int getTimestampNanoSec() const { const double t = step * period;
+    return static_cast<unsigned int>((t - static_cast<long>(t)) * 1e9 + 0.5); }
   const double* getMeasuredJointPosition() const { return q; }
   const double* getMeasuredTorque() const { return tau; }
   const double* getExternalTorque() const { return ext; }
@@ -54,7 +55,8 @@ class LBRClient {
     std::ifstream file("robot.txt");
     file >> state.period;
     for (double& x : state.q) file >> x;
-    for (int j = 0; j < 7; ++j) { state.ipo[j] = state.q[j]; state.tau[j] = -state.q[j]; state.ext[j] = 0.5; command_.q[j] = state.q[j]; }
+    for (int j = 0; j < 7; ++j) { state.ipo[j] = state.q[j]; state.tau[j] = -state.q[j];
+      state.ext[j] = 0.5; command_.q[j] = state.q[j]; }
   }
   virtual ~LBRClient() {}
   virtual void onStateChange(ESessionState, ESessionState) {}
@@ -69,7 +71,8 @@ class LBRClient {
 class UdpConnection {};
 class ClientApplication {
  public:
-  ClientApplication(UdpConnection&, LBRClient& client) : client_(client), out_("commanded.txt") { out_.precision(12); }
+  ClientApplication(UdpConnection&, LBRClient& client)
+    : client_(client), out_("commanded.txt") { out_.precision(12); }
   bool connect(int port, const char*) { return port == 30200; }
   void disconnect() {}
   bool step() {
@@ -122,7 +125,8 @@ struct JointPositions : Finishable {
   JointPositions(const std::array<double, 7>& values) noexcept : q(values) {}
   std::array<double, 7> q;
 };
-inline JointPositions MotionFinished(JointPositions command) noexcept { command.motion_finished = true; return command; }
+inline JointPositions MotionFinished(JointPositions command) noexcept {
+  command.motion_finished = true; return command; }
 struct RobotState {
   std::array<double, 7> q{}, q_d{}, dq{}, tau_J{}, tau_ext_hat_filtered{};
   Duration time;
@@ -138,7 +142,8 @@ class Robot {
     for (double& x : state_.q) file >> x;
     state_.q_d = state_.q;
   }
-  void setCollisionBehavior(const std::array<double, 7>&, const std::array<double, 7>&, const std::array<double, 6>&, const std::array<double, 6>&) {}
+  void setCollisionBehavior(const std::array<double, 7>&, const std::array<double, 7>&,
+    const std::array<double, 6>&, const std::array<double, 6>&) {}
   RobotState readOnce() { return state_; }
   void control(std::function<JointPositions(const RobotState&, Duration)> callback) {
     out_ << "motion\\n";

@@ -37,13 +37,15 @@ CLASSES = {
     "com.kuka.roboticsAPI.applicationModel.IApplicationControl": (
         """public class IApplicationControl {
         private double o = 1.0;
-        public void setApplicationOverride(double value) { o = value; System.out.println("OVERRIDE " + value); }
+        public void setApplicationOverride(double value) { o = value;
+          System.out.println("OVERRIDE " + value); }
         public double getApplicationOverride() { return o; } }"""
     ),
     "com.kuka.roboticsAPI.applicationModel.RoboticsAPIContext": (
         """public class RoboticsAPIContext {
         public <T> T getDeviceFromType(Class<T> kind) {
-            try { return kind.getDeclaredConstructor().newInstance(); } catch (Exception e) { throw new RuntimeException(e); } } }"""
+            try { return kind.getDeclaredConstructor().newInstance(); }
+              catch (Exception e) { throw new RuntimeException(e); } } }"""
     ),
     "com.kuka.task.ITaskLogger": (
         """public class ITaskLogger {
@@ -79,7 +81,8 @@ CLASSES = {
         private final double[] q;
         public JointPosition(double... values) { q = values.clone(); }
         public double get(int i) { return q[i]; }
-        public String toString() { return java.util.Arrays.toString(q).replaceAll("[\\\\[\\\\],]", ""); } }"""
+        public String toString() {
+          return java.util.Arrays.toString(q).replaceAll("[\\\\[\\\\],]", ""); } }"""
     ),
     "com.kuka.roboticsAPI.motionModel.IMotion": "public interface IMotion { }",
     "com.kuka.roboticsAPI.motionModel.IMotionContainer": (
@@ -105,7 +108,8 @@ CLASSES = {
         private final StringBuilder text = new StringBuilder("SPLINE");
         private String rel = "";
         private SplineMotionJP<?> last;
-        public SplineJP(SplineMotionJP<?>... segments) { for (SplineMotionJP<?> s : segments) { text.append("\\n  " + s); last = s; } }
+        public SplineJP(SplineMotionJP<?>... segments) {
+          for (SplineMotionJP<?> s : segments) { text.append("\\n  " + s); last = s; } }
         public com.kuka.roboticsAPI.deviceModel.JointPosition end() { return last.goal; }
         public SplineJP setJointVelocityRel(double v) { rel += " v=" + v; return this; }
         public SplineJP setJointAccelerationRel(double a) { rel += " a=" + a; return this; }
@@ -114,7 +118,8 @@ CLASSES = {
     ),
     "com.kuka.roboticsAPI.motionModel.BasicMotions": (
         """public class BasicMotions {
-        public static PTP ptp(com.kuka.roboticsAPI.deviceModel.JointPosition q) { return new PTP(q); } }"""
+        public static PTP ptp(com.kuka.roboticsAPI.deviceModel.JointPosition q) {
+          return new PTP(q); } }"""
     ),
     "com.kuka.roboticsAPI.motionModel.controlModeModel.IMotionControlMode": (
         "public interface IMotionControlMode { }"
@@ -124,8 +129,11 @@ CLASSES = {
     ),
     "com.kuka.roboticsAPI.motionModel.PositionHold": (
         """public class PositionHold implements IMotion {
-        public PositionHold(com.kuka.roboticsAPI.motionModel.controlModeModel.IMotionControlMode mode, long time, java.util.concurrent.TimeUnit unit) { }
-        public PositionHold addMotionOverlay(com.kuka.connectivity.fastRobotInterface.FRIJointOverlay overlay) { return this; }
+        public PositionHold(
+          com.kuka.roboticsAPI.motionModel.controlModeModel.IMotionControlMode mode,
+          long time, java.util.concurrent.TimeUnit unit) { }
+        public PositionHold addMotionOverlay(
+          com.kuka.connectivity.fastRobotInterface.FRIJointOverlay overlay) { return this; }
         public String toString() { return "HOLD"; } }"""
     ),
     "com.kuka.roboticsAPI.deviceModel.LBR": (
@@ -146,10 +154,15 @@ CLASSES = {
         """public class DataRecorder {
         public enum AngleUnit { Radian, Degree }
         private String text;
-        public DataRecorder(String file, long timeout, java.util.concurrent.TimeUnit unit, int interval) { text = file + " " + timeout + " " + interval; }
-        public DataRecorder addCurrentJointPosition(com.kuka.roboticsAPI.deviceModel.LBR lbr, AngleUnit unit) { text += " q:" + unit; return this; }
-        public DataRecorder addInternalJointTorque(com.kuka.roboticsAPI.deviceModel.LBR lbr) { text += " tau"; return this; }
-        public DataRecorder addExternalJointTorque(com.kuka.roboticsAPI.deviceModel.LBR lbr) { text += " ext"; return this; }
+        public DataRecorder(String file,
+          long timeout, java.util.concurrent.TimeUnit unit, int interval) {
+          text = file + " " + timeout + " " + interval; }
+        public DataRecorder addCurrentJointPosition(com.kuka.roboticsAPI.deviceModel.LBR lbr,
+          AngleUnit unit) { text += " q:" + unit; return this; }
+        public DataRecorder addInternalJointTorque(com.kuka.roboticsAPI.deviceModel.LBR lbr) {
+          text += " tau"; return this; }
+        public DataRecorder addExternalJointTorque(com.kuka.roboticsAPI.deviceModel.LBR lbr) {
+          text += " ext"; return this; }
         public boolean enable() { System.out.println("ENABLE " + text); return true; }
         public boolean startRecording() { System.out.println("RECORD"); return true; }
         public boolean stopRecording() { System.out.println("STOP"); return true; }
@@ -157,14 +170,18 @@ CLASSES = {
     ),
     "com.kuka.connectivity.fastRobotInterface.FRIConfiguration": (
         """public class FRIConfiguration {
-        public static FRIConfiguration createRemoteConfiguration(com.kuka.roboticsAPI.deviceModel.LBR lbr, String host) { return new FRIConfiguration(); }
+        public static FRIConfiguration createRemoteConfiguration(
+          com.kuka.roboticsAPI.deviceModel.LBR lbr,
+          String host) { return new FRIConfiguration(); }
         public void setSendPeriodMilliSec(int ms) { System.out.println("PERIOD " + ms); } }"""
     ),
     "com.kuka.connectivity.fastRobotInterface.FRISession": (
         """public class FRISession {
         public FRISession(FRIConfiguration c) { }
-        public void await(long time, java.util.concurrent.TimeUnit unit) throws java.util.concurrent.TimeoutException {
-            if (Boolean.getBoolean("lonely")) throw new java.util.concurrent.TimeoutException("no client"); }
+        public void await(long time, java.util.concurrent.TimeUnit unit)
+          throws java.util.concurrent.TimeoutException {
+            if (Boolean.getBoolean("lonely"))
+              throw new java.util.concurrent.TimeoutException("no client"); }
         public void close() { System.out.println("CLOSE"); } }"""
     ),
     "com.kuka.connectivity.fastRobotInterface.FRIJointOverlay": (
@@ -173,7 +190,8 @@ CLASSES = {
     "Main": (
         """public class Main { public static void main(String[] a) throws Exception {
         com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication app =
-            (com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication) Class.forName(a[0]).getDeclaredConstructor().newInstance();
+            (com.kuka.roboticsAPI.applicationModel.RoboticsAPIApplication)
+              Class.forName(a[0]).getDeclaredConstructor().newInstance();
         app.initialize(); app.run(); } }"""
     ),
 }

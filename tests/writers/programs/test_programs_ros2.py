@@ -36,7 +36,8 @@ def spin_once(node, timeout_sec):
     for kind, topic, callback in node.subscriptions_made:
         callback(SimpleNamespace(name=STATE['names'][::-1], position=STATE['pose'][::-1]))
 def spin_until_future_complete(node, future, timeout_sec=None):
-    if STATE.get('interrupt') and future.kind == 'result' and STATE['goals'] == 2: raise KeyboardInterrupt
+    if STATE.get('interrupt') and future.kind == 'result' and STATE['goals'] == 2:
+        raise KeyboardInterrupt
 """
     ),
     "rclpy/signals.py": (
@@ -46,7 +47,8 @@ def spin_until_future_complete(node, future, timeout_sec=None):
         """
 class Node:
     def __init__(self, name): self.subscriptions_made = []
-    def create_subscription(self, kind, topic, callback, depth): self.subscriptions_made.append((kind, topic, callback))
+    def create_subscription(self, kind, topic, callback, depth):
+        self.subscriptions_made.append((kind, topic, callback))
 """
     ),
     "rclpy/action.py": (
@@ -63,14 +65,19 @@ class ActionClient:
     def send_goal_async(self, goal):
         state, trajectory = rclpy.STATE, goal.trajectory
         state['goals'] = state.get('goals', 0) + 1
-        rows = [[p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec, p.positions, p.velocities, p.accelerations] for p in trajectory.points]
+        rows = [[p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec,
+            p.positions, p.velocities, p.accelerations] for p in trajectory.points]
         with open(os.environ['GOALS'], 'a') as file:
-            file.write(json.dumps({'server': self.name, 'names': trajectory.joint_names, 'rows': rows}) + '\\n')
+            file.write(json.dumps({'server': self.name, 'names': trajectory.joint_names,
+                'rows': rows}) + '\\n')
         if not state.get('stuck'):
-            state['pose'] = [dict(zip(trajectory.joint_names, trajectory.points[-1].positions))[n] for n in state['names']]
+            state['pose'] = [dict(zip(trajectory.joint_names, trajectory.points[-1].positions))[n]
+                for n in state['names']]
         code = state.get('error', 0)
         answer = SimpleNamespace(result=SimpleNamespace(error_code=code, error_string='a reason'))
-        return Future('goal', SimpleNamespace(accepted=not state.get('refuse'), get_result_async=lambda: Future('result', answer), cancel_goal_async=self.cancel))
+        return Future('goal', SimpleNamespace(accepted=not state.get('refuse'),
+            get_result_async=lambda: Future('result', answer),
+            cancel_goal_async=self.cancel))
     def cancel(self):
         with open(os.environ['GOALS'], 'a') as file: file.write('"cancelled"\\n')
         return Future('cancel', None)
@@ -97,10 +104,13 @@ class Duration:
         """
 class JointTrajectoryPoint:
     def __init__(self, positions, velocities, accelerations, time_from_start):
-        for values in (positions, velocities, accelerations): assert all(isinstance(x, float) for x in values)
-        self.positions, self.velocities, self.accelerations, self.time_from_start = positions, velocities, accelerations, time_from_start
+        for values in (positions, velocities, accelerations):
+            assert all(isinstance(x, float) for x in values)
+        self.positions, self.velocities, self.accelerations = positions, velocities, accelerations
+        self.time_from_start = time_from_start
 class JointTrajectory:
-    def __init__(self, joint_names=None, points=None): self.joint_names, self.points = joint_names or [], points or []
+    def __init__(self, joint_names=None, points=None):
+        self.joint_names, self.points = joint_names or [], points or []
 """
     ),
 }
@@ -169,9 +179,13 @@ def made(request: pytest.FixtureRequest, tmp_path: Path) -> Made:
         (path.parent / "__init__.py").touch()
         path.write_text(text)
     recorder = tmp_path / "fakes" / "ros2"
-    recorder.write_text(f'#!{sys.executable}\nimport pathlib, signal, sys, time\n' + f'bag = pathlib.Path({str(tmp_path / "recorder.txt")!r})\n'
-        + 'def stop(*_):\n    bag.write_text(bag.read_text() + "\\nclosed")\n    sys.exit(0)\n'
-        + 'bag.write_text(" ".join(sys.argv[1:]))\nsignal.signal(signal.SIGINT, stop)\ntime.sleep(30)\n')  # fmt: skip
+    recorder.write_text(
+        f"#!{sys.executable}\nimport pathlib, signal, sys, time\n"
+        f"bag = pathlib.Path({str(tmp_path / 'recorder.txt')!r})\n"
+        'def stop(*_):\n    bag.write_text(bag.read_text() + "\\nclosed")\n    sys.exit(0)\n'
+        'bag.write_text(" ".join(sys.argv[1:]))\nsignal.signal(signal.SIGINT, stop)\n'
+        "time.sleep(30)\n"
+    )
     recorder.chmod(0o755)
     return Made(motion, model.joint_names, tmp_path)
 

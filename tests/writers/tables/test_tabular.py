@@ -8,6 +8,7 @@ import numpy as np
 
 from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.validation.prediction import validate_samples
+from asbuilt.workflow.study import Study
 from asbuilt.writers.tables.tabular import (
     base_document,
     identify_document,
@@ -23,12 +24,15 @@ METRICS = {"source", "rms", "max_abs", "r_squared", "relative_error"}
 
 def test_identify_document_has_the_promised_fields(example: Any, tmp_path: Path) -> None:
     promised = {
-        "robot", "method", "n_samples", "n_standard", "n_base", "rank", "condition_number", "scaled_condition_number", "joints",
-        "parameters", "train", "validation", "cad", "physically_consistent", "warnings", "files",
+        "robot", "method", "n_samples", "n_standard", "n_base", "rank", "condition_number",
+        "scaled_condition_number", "joints", "parameters", "train", "validation", "cad",
+        "physically_consistent", "warnings", "files",
     }  # fmt: skip
     write_json(
         tmp_path / "x.json",
-        identify_document(example.result, files={"result": tmp_path / "r.json"}),
+        identify_document(
+            Study(example.result, example.result.findings), files={"result": tmp_path / "r.json"}
+        ),
     )
     document = json.loads((tmp_path / "x.json").read_text())
     assert promised <= document.keys()
@@ -45,9 +49,8 @@ def test_identify_document_has_the_promised_fields(example: Any, tmp_path: Path)
 
 def test_json_never_has_nan(example: Any) -> None:
     parameters = tuple(replace(p, cad=np.nan, std_error=np.inf) for p in example.result.parameters)
-    text = json_text(
-        identify_document(replace(example.result, parameters=parameters, condition_number=np.inf))
-    )
+    result = replace(example.result, parameters=parameters, condition_number=np.inf)
+    text = json_text(identify_document(Study(result, result.findings)))
     document = json.loads(
         text, parse_constant=lambda constant: (_ for _ in ()).throw(AssertionError(constant))
     )

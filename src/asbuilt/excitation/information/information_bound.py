@@ -56,10 +56,10 @@ class InformationBound:
 
     By the equivalence theorem of Kiefer and Wolfowitz (1960), `log det M* <= log det M + p
     log(max_x d(x) / p)` with `d(x) = tr(M^-1 Y(x)^T S^-1 Y(x))` for any design M and every state x
-    within the bounds. `upper` is the right side with the maximum over all states that were evaluated:
-    `n_states` random ones and those reached from them by climbing d. It is exact for these, and a
-    (very likely tight) estimate for the continuum between. States are independent here, while a
-    motion cannot be at its highest speed and acceleration in both directions at once.
+    within the bounds. `upper` is the right side with the maximum over all states that were
+    evaluated: `n_states` random ones and those reached from them by climbing d. It is exact for
+    these, and a (very likely tight) estimate for the continuum between. States are independent
+    here, while a motion cannot be at its highest speed and acceleration in both directions at once.
     """
 
     information: Array

@@ -1,4 +1,4 @@
-"""Page of a designed motion: joints against their limits, path of the tool, margins, information."""
+"""Page of a designed motion: joints and their limits, path of the tool, margins, information."""
 
 from __future__ import annotations
 

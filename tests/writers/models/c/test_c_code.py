@@ -175,7 +175,8 @@ def test_richer_drive_terms_and_coupled_motors(tmp_path: Path) -> None:
     coupling = np.eye(6)
     coupling[5, 4], coupling[4, 3] = 1.0, -0.5
     model = replace(model, motor_coupling=coupling)
-    keys = "motor_armature,motor_viscous,motor_coulomb,viscous,quadratic,cubic,coulomb,asymmetric_coulomb,asymmetric_viscous,spring,balancer,offset"
+    keys = "motor_armature,motor_viscous,motor_coulomb,viscous,quadratic,cubic,coulomb"
+    keys += ",asymmetric_coulomb,asymmetric_viscous,spring,balancer,offset"
     drive = DriveSet.parse(keys)
     values = np.random.default_rng(0).uniform(0.1, 1.0, 6 * drive.columns_per_joint)
     compiled = Compiled(tmp_path, model, drive=drive, drive_values=values)

@@ -12,7 +12,8 @@ from asbuilt.writers.reports.section import Report, Section, sections
 TEMPLATE = """\
 <p>{{ verdict }}</p>
 <div class="controls">
-<label>Find <input id="find" type="search" placeholder="Izz4, Fv, m7 ..." autocomplete="off"></label>
+<label>Find <input id="find" type="search" placeholder="Izz4, Fv, m7 ..." \
+autocomplete="off"></label>
 <label>Show <select id="show"><option value="">all</option>\
 {% for verdict in verdicts %}<option value="{{ verdict }}">{{ verdict }}</option>{% endfor %}\
 </select></label>
@@ -28,7 +29,8 @@ TEMPLATE = """\
 <th scope="col" class="number"><button type="button">as built</button></th>
 <th scope="col" class="number"><button type="button">std err</button></th>
 <th scope="col" class="number minor"><button type="button">%</button></th>
-<th scope="col"><span class="key"><i class="ring"></i>CAD <i class="dot"></i>as built, 95 %</span></th>
+<th scope="col"><span class="key"><i class="ring"></i>CAD <i class="dot"></i>\
+as built, 95 %</span></th>
 <th scope="col" class="number"><button type="button">vs CAD</button></th>
 </tr></thead>
 <tbody>
