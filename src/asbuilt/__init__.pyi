@@ -23,7 +23,9 @@ from .errors import RecordingError as RecordingError
 from .errors import ResultError as ResultError
 from .errors import UsageError as UsageError
 from .excitation.design.design import design_motion as design_motion
+from .excitation.design.designed_motion import Design as Design
 from .excitation.design.options import DesignOptions as DesignOptions
+from .excitation.design.static_poses import design_static_poses as design_static_poses
 from .excitation.motions.motion_csv import read_motion as read_motion
 from .excitation.motions.random_motion import random_fourier as random_fourier
 from .excitation.motions.random_motion import random_point_to_point as random_point_to_point

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from asbuilt.description.formats.dh import DHRow, robot_from_dh
 from asbuilt.description.formats.toml import robot_from_toml
 from asbuilt.description.formats.urdf import read_urdf
-from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import (
@@ -22,6 +21,7 @@ from asbuilt.description.rotation import (
     rpy_from_rotation,
 )
 from asbuilt.dynamics.newton_euler import inverse_dynamics
+from log_cholesky import from_log_cholesky
 
 MOMENTS = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
@@ -65,7 +65,7 @@ def two_armed() -> list[DHRow]:
     for parent, kind in zip(parents, kinds, strict=True):
         a, b, theta = rng.uniform(-0.5, 0.5, 3)
         alpha = rng.choice([np.pi / 2, -np.pi / 2, 0.0, 0.3])
-        inertia = LinkInertia.from_log_cholesky(rng.uniform(-1, 1, 10))
+        inertia = from_log_cholesky(rng.uniform(-1, 1, 10))
         rows.append(
             DHRow(a=a, b=b, alpha=alpha, theta=theta, kind=kind, inertia=inertia, parent=parent)
         )

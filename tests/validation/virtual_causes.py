@@ -16,6 +16,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.virtual.bodies import perturbed_links
 from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.identification.identify import identify_samples
@@ -42,7 +43,8 @@ def recorded(
         .with_noise(SensorNoise(torque_noise=0.1))
     )
     if "l" in causes:
-        machine = machine.with_perturbed_links(0.1, 4)
+        links = perturbed_links(machine.model, 0.1, np.random.default_rng(4))
+        machine = replace(machine, model=links)
     if "p" in causes:
         machine = machine.with_tool(TOOL)
     if "t" in causes:

@@ -114,20 +114,20 @@ def _parameters(group: type[Any]) -> list[inspect.Parameter]:
 
 
 def _generated(field: Field[Any], hint: Any, panel: str | None) -> inspect.Parameter:
-    told, plain = field.metadata, _without_none(hint)
-    text = str(told["help"])
+    metadata, plain = field.metadata, _without_none(hint)
+    text = str(metadata["help"])
     flag = plain is bool
     if not flag and field.default not in (None, MISSING, ()):
-        text += f" [default: {_name_of(field.default, told.get('choices'))}]"
+        text += f" [default: {_name_of(field.default, metadata.get('choices'))}]"
     option = typer.Option(
         option_name(field.name),
-        *told.get("also", ()),
-        metavar=None if flag else told.get("metavar", field.name.upper()),
+        *metadata.get("also", ()),
+        metavar=None if flag else metadata.get("metavar", field.name.upper()),
         help=text,
         show_default=False,
         rich_help_panel=panel,
     )
-    kind: Any = plain if plain in (int, float, Path) and "parse" not in told else str
+    kind: Any = plain if plain in (int, float, Path) and "parse" not in metadata else str
     return _keyword(
         field.name, Annotated[bool if flag else kind | None, option], False if flag else None
     )
@@ -148,18 +148,18 @@ def _collected(group: type[Any], given: dict[str, Any]) -> Any:
     return group(**values)
 
 
-def _parsed(option: str, value: Any, told: Mapping[str, Any]) -> Any:
-    if "choices" in told:
-        return one_of(option, value, told["choices"])
-    if "parse" not in told:
+def _parsed(option: str, value: Any, metadata: Mapping[str, Any]) -> Any:
+    if "choices" in metadata:
+        return one_of(option, value, metadata["choices"])
+    if "parse" not in metadata:
         return value
     try:
-        return told["parse"](value)
+        return metadata["parse"](value)
     except AsbuiltError as problem:
         raise UsageError(f"{option}: {problem.message}", cure=problem.cure) from None
     except ValueError:
         raise UsageError(
-            f"{option} takes {told.get('metavar', 'a value')}, got {value!r}",
+            f"{option} takes {metadata.get('metavar', 'a value')}, got {value!r}",
             option=option,
             value=value,
         ) from None

@@ -146,63 +146,6 @@ class LinkInertia:
             )
         return cls(_parameters_of(J))
 
-    @property
-    def log_cholesky(self) -> Array:
-        """Log-Cholesky parameters `alpha d1 d2 d3 s12 s23 s13 t1 t2 t3`, shape (10,).
-
-        `pseudo_inertia = U U^T`, `U = exp(alpha) [[exp(d1), s12, s13, t1], [0, exp(d2), s23, t2],
-        [0, 0, exp(d3), t3], [0, 0, 0, 1]]` (Rucker and Wensing, 2022, eq. 10). Raises
-        `InertiaError` where the pseudo-inertia is not positive definite.
-        """
-        flipped = self.pseudo_inertia[::-1, ::-1]
-        try:
-            U = np.linalg.cholesky(flipped)[::-1, ::-1]
-        except np.linalg.LinAlgError:
-            reason = self.inconsistency() or "its mass lies in a plane, on a line or in a point"
-            raise InertiaError(
-                "log-Cholesky parameters exist only for positive definite pseudo-inertias;"
-                f" {reason}"
-            ) from None
-        scale = U[3, 3]
-        S = U / scale
-        return np.array(
-            [
-                np.log(scale),
-                *np.log(np.diag(S)[:3]),
-                S[0, 1],
-                S[1, 2],
-                S[0, 2],
-                S[0, 3],
-                S[1, 3],
-                S[2, 3],
-            ]
-        )
-
-    @classmethod
-    def from_log_cholesky(cls, theta: ArrayLike) -> LinkInertia:
-        """Build from log-Cholesky parameters, shape (10,).
-
-        Any ten finite numbers give a physically consistent link (Rucker and Wensing, 2022).
-
-        Raises `InertiaError` for another shape.
-        """
-        values = np.asarray(theta, dtype=np.float64)
-        if values.shape != (10,):
-            raise InertiaError(
-                "log-Cholesky parameters are 10 numbers (alpha d1 d2 d3 s12 s23 s13 t1 t2 t3), got"
-                f" shape {values.shape}"
-            )
-        alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = values
-        U = np.exp(alpha) * np.array(
-            [
-                [np.exp(d1), s12, s13, t1],
-                [0.0, np.exp(d2), s23, t2],
-                [0.0, 0.0, np.exp(d3), t3],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-        return cls(_parameters_of(U @ U.T))
-
     def to_pinocchio_order(self) -> Array:
         """Return the ten parameters as Pinocchio's `toDynamicParameters` has them.
 

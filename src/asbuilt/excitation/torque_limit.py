@@ -20,7 +20,7 @@ SIGN_WIDTH = 0.02
 """Width over which the sign in described friction is smoothed for derivatives [rad/s or m/s]."""
 
 STANDING = 0.9
-"""Share of the allowed torque that a standing robot may need; the rest accelerates it."""
+"""Share of the allowed torque that a robot at rest may need; the rest accelerates it."""
 
 STEP = 1e-6
 """Step of the central differences through described friction."""

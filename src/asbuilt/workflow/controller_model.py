@@ -12,7 +12,7 @@ from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.logs.readers import read_recording
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
-from asbuilt.experiment.quality.checks import refuse_spoilt
+from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.identify import identify_samples
@@ -128,7 +128,7 @@ def compare_controller(
             f" controller's model is tau - {EXTERNAL}"
         )
     if options.checked:
-        refuse_spoilt(result.model, [logged])
+        check_recording(result.model, logged).raise_errors(but=TOO_LITTLE)
     predicted = replace(
         logged,
         tau=logged.tau - external,

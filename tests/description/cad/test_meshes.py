@@ -11,6 +11,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.load import load_robot
 from asbuilt.description.rotation import placement
 from asbuilt.errors import DescriptionError, MissingExtraError
+from log_cholesky import from_log_cholesky
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -158,7 +159,7 @@ UNITS = (
     [(PLAIN, ",", ("g", "mm")), (UNITS, ",", ("", "")), (PLAIN, ";", ("g", "mm"))],
 )
 def test_every_convention_of_cad_tables(tmp_path, about, products, sign, header, separator, units):
-    inertia = LinkInertia.from_log_cholesky(np.random.default_rng(2).uniform(-1, 1, 10))
+    inertia = from_log_cholesky(np.random.default_rng(2).uniform(-1, 1, 10))
     exported(
         tmp_path / "t.csv",
         inertia,
@@ -177,7 +178,7 @@ def test_every_convention_of_cad_tables(tmp_path, about, products, sign, header,
 
 
 def test_rows_of_one_link_add_up_and_move_to_its_frame(tmp_path):
-    inertia = LinkInertia.from_log_cholesky(np.zeros(10))
+    inertia = from_log_cholesky(np.zeros(10))
     exported(tmp_path / "t.csv", inertia, about="com", sign=1.0, header=UNITS, rows=3)
     T = placement(translation=(0, 0, 1.0))
     links = read_cad_table(

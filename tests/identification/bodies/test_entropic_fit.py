@@ -18,6 +18,7 @@ from asbuilt.identification.bodies.entropic_fit import (
     EntropicProblem,
     _Search,
 )
+from log_cholesky import from_log_cholesky, log_cholesky
 
 
 def factor_of(trial):
@@ -109,12 +110,10 @@ def test_same_minimum_as_a_descent_in_log_cholesky_coordinates(trial, robot, wei
     n = case.prior.n_links
 
     def bodies(theta):
-        return np.concatenate(
-            [LinkInertia.from_log_cholesky(row).parameters for row in theta.reshape(n, 10)]
-        )
+        return np.concatenate([from_log_cholesky(row).parameters for row in theta.reshape(n, 10)])
 
     start = np.concatenate(
-        [LinkInertia(body).log_cholesky for body in case.prior.parameters.reshape(n, 10)]
+        [log_cholesky(LinkInertia(body)) for body in case.prior.parameters.reshape(n, 10)]
     )
     found = minimize(
         lambda theta: objective(case, factor, bodies(theta), weight),

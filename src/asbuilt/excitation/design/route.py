@@ -1,4 +1,4 @@
-"""Route between standing poses avoiding collisions."""
+"""Route between static poses avoiding collisions."""
 
 from __future__ import annotations
 

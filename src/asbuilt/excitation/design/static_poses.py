@@ -236,7 +236,7 @@ def _information(information: Information, kept: Array, poses: Array) -> Array:
 
 
 def _exchanged(rows: Array, count: int) -> list[int]:
-    """Return the indices of a D-optimal subset: greedy, then exchanged one by one."""
+    """Return the indices of a D-optimal subset: greedy, then improved one by one."""
     p = rows.shape[2]
     small = 1e-6 * float(np.einsum("ski,ski->", rows, rows)) / len(rows) / p * np.eye(p)
 

@@ -72,7 +72,7 @@ class PiecewisePolynomial(Motion):
     def extremes(self, order: int) -> tuple[Array, Array]:
         """Return the smallest and the largest value of a derivative, two (n,).
 
-        Exact: they are attained at a break, from either side, or where the next derivative
+        Exact: they are reached at a break, from either side, or where the next derivative
         vanishes.
         """
         low, high = self.extremes_per_piece(order)

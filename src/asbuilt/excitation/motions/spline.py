@@ -109,7 +109,7 @@ class SplineMotion(PiecewisePolynomial):
 
         The times between way points start from the limits of each step alone and are improved by a
         quasi-Newton method (L-BFGS) on a smooth stand-in for the duration; then the whole is scaled
-        so that one limit is attained exactly, since velocity falls with the scale of time,
+        so that one limit is reached exactly, since velocity falls with the scale of time,
         acceleration with its square and jerk with its cube. The shorter of the two is returned; it
         is not proven optimal.
         """

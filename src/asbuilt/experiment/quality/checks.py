@@ -12,7 +12,7 @@ import numpy as np
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
+from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.quality.clock_checks import clock_findings
 from asbuilt.experiment.quality.excitation_checks import excitation_findings
 from asbuilt.experiment.quality.first_pass import FirstPass, first_pass
@@ -222,20 +222,6 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
         duration=known.duration,
         findings=ranked(findings),
     )
-
-
-def refuse_spoilt(
-    model: RobotModel,
-    recordings: Iterable[Recording | RecordingStream],
-    *,
-    but: Collection[str] = TOO_LITTLE,
-) -> None:
-    """Raise the errors of the first recording that has some, except those of the codes `but`.
-
-    A stream is checked by its first chunk.
-    """
-    for recording in recordings:
-        check_recording(model, head_of(recording)).raise_errors(but=but)
 
 
 def _findings_in_time(

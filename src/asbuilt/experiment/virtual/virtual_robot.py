@@ -19,7 +19,7 @@ from asbuilt.dynamics.parameters import parameter_names
 from asbuilt.errors import UsageError
 from asbuilt.excitation.motions.motion import Motion, Trajectory, read_only
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.virtual.bodies import perturbed_links, tilted_base, with_body
+from asbuilt.experiment.virtual.bodies import tilted_base, with_body
 from asbuilt.experiment.virtual.data_logger import DataLogger
 from asbuilt.experiment.virtual.drive_train import DriveTrain, PositionController, TermDrives
 from asbuilt.experiment.virtual.physics import Physics
@@ -227,12 +227,6 @@ class VirtualRobot:
     def with_tool(self, tool: LinkInertia, at: str | None = None) -> VirtualRobot:
         """Return the robot with a body welded to a link or frame, by default the last link."""
         return replace(self, model=with_body(self.model, tool, at))
-
-    def with_perturbed_links(self, fraction: float, rng: Seed = None) -> VirtualRobot:
-        """Return the robot with other mass distributions, off by about `fraction`."""
-        return replace(
-            self, model=perturbed_links(self.model, fraction, np.random.default_rng(rng))
-        )
 
     def tilted(self, roll: float, pitch: float) -> VirtualRobot:
         """Return the robot with its base tilted by small angles [rad] about x, then y."""

@@ -14,6 +14,7 @@ from asbuilt.identification.information.square_root_information import (
     SquareRootInformation,
     accumulate_stream,
 )
+from asbuilt.identification.information.triangular import widened
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.identification.result.torque_prediction import carrying
 
@@ -88,12 +89,10 @@ class PayloadRows:
 
 def _whole(information: SquareRootInformation) -> list[Array]:
     """Return the factor of each joint with a column for every base parameter and the torque."""
-    whole = []
-    for support, factor in zip(information.support, information.joint_factors, strict=True):
-        wide = np.zeros((len(factor), information.base.n_base + 1))
-        wide[:, np.append(support, information.base.n_base)] = factor
-        whole.append(wide)
-    return whole
+    return [
+        widened(factor, support, information.base.n_base)
+        for support, factor in zip(information.support, information.joint_factors, strict=True)
+    ]
 
 
 def _widened(factor: Array, kept: NDArray[np.bool_]) -> Array:

@@ -41,9 +41,9 @@ class RecursiveIdentification:
 
     With `forgetting` f = 1 the estimate is that of all samples at once; with f < 1 a sample counts
     f^age, a memory of 1 / (1 - f) samples, so that a change of load is followed. `weights` (n,) are
-    one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds what no sample tells and, with
-    `prior_strength` > 0 (how many samples of unit weighted torque it is worth), is never forgotten,
-    so that standing still loses nothing. Friction that depends on load feels that of `model`.
+    one per joint, 1 / sigma of a batch fit say. `prior` (p,) holds values of what no sample
+    excites. With `prior_strength` > 0 (how many samples of unit weighted torque it is worth) it is
+    never forgotten, so that rest loses nothing. Friction that depends on load uses that of `model`.
 
     Source: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapter 5;
     square-root form of recursive least squares with forgetting.

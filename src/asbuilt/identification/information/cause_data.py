@@ -24,6 +24,7 @@ from asbuilt.identification.information.triangular import (
     GrowingFactor,
     packed_triangle,
     unpacked_triangle,
+    widened,
 )
 
 if TYPE_CHECKING:
@@ -94,12 +95,10 @@ class CauseData:
 
     def whole(self, factors: tuple[Array, ...]) -> tuple[Array, ...]:
         """Return factors (p_k + 1, p + 1) with a column for every name and the torque last."""
-        every = []
-        for support, factor in zip(self.support, factors, strict=True):
-            wide = np.zeros((len(factor), len(self.names) + 1))
-            wide[:, np.append(support, len(self.names))] = factor
-            every.append(wide)
-        return tuple(every)
+        return tuple(
+            widened(factor, support, len(self.names))
+            for support, factor in zip(self.support, factors, strict=True)
+        )
 
     def error_of(self, names: Iterable[str], values: Array) -> Array:
         """Return the RMS torque error (n,) on held-out data of named parameters, others zero."""

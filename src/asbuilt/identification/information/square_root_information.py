@@ -28,6 +28,7 @@ from asbuilt.identification.information.triangular import (
     ROWS_AT_ONCE,
     GrowingFactor,
     triangular_factor,
+    widened,
 )
 
 if TYPE_CHECKING:
@@ -167,13 +168,11 @@ class SquareRootInformation:
 
     def _stacked(self, factors: Sequence[Array], weights: ArrayLike | None) -> Array:
         w = np.ones(self.n_joints) if weights is None else np.asarray(weights, dtype=np.float64)
-        p = self.base.n_base
-        rows = np.zeros((sum(len(factor) for factor in factors), p + 1))
-        top = 0
-        for support, factor, weight in zip(self.support, factors, w, strict=True):
-            rows[top : top + len(factor), np.append(support, p)] = weight * factor
-            top += len(factor)
-        return triangular_factor(rows)
+        rows = [
+            widened(weight * factor, support, self.base.n_base)
+            for support, factor, weight in zip(self.support, factors, w, strict=True)
+        ]
+        return triangular_factor(np.vstack(rows))
 
     def residual_energy(self, beta: ArrayLike) -> Array:
         """Return `|tau_k - W_k beta|^2` for every joint, shape (n,).

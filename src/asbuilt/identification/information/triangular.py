@@ -7,7 +7,7 @@ import base64
 import numpy as np
 from scipy.linalg import lapack
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 
 ROWS_AT_ONCE = 1024
 """Rows reduced by one QR: with some 50 columns they fit the cache."""
@@ -18,6 +18,13 @@ def triangular_factor(rows: Array) -> Array:
     growing = GrowingFactor(rows.shape[1], len(rows))
     growing.append(np.ascontiguousarray(rows.T))
     return growing.factor()
+
+
+def widened(factor: Array, support: Indices, p: int) -> Array:
+    """Return a factor of the columns `support` and the torque with all p columns and the torque."""
+    wide = np.zeros((len(factor), p + 1))
+    wide[:, np.append(support, p)] = factor
+    return wide
 
 
 def packed_triangle(matrix: Array) -> str:

@@ -20,9 +20,9 @@ def plain_text(text: str) -> str:
     >>> plain_text('Müller\u2019s "arm" */ \\u000a')
     "Mullers 'arm' * / /u000a"
     """
-    letters = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode("ascii")
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode("ascii")
     line = " ".join(
-        "".join(character if character.isprintable() else " " for character in letters).split()
+        "".join(character if character.isprintable() else " " for character in plain).split()
     )
     return (
         line.replace("\\", "/")
@@ -34,7 +34,7 @@ def plain_text(text: str) -> str:
 
 
 def file_stem(name: str, *, default: str = "motion") -> str:
-    """Return a file name without suffix of letters, digits, `_` and `-`.
+    """Return a file name without suffix of characters a-z, A-Z, digits, `_` and `-`.
 
     Examples
     --------
