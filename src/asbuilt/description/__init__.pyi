@@ -12,4 +12,5 @@ from .model import Geometry as Geometry
 from .model import Joint as Joint
 from .model import JointLimits as JointLimits
 from .model import Link as Link
+from .model import Mimic as Mimic
 from .model import RobotModel as RobotModel

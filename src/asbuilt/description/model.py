@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.locking import locked_model
 from asbuilt.description.rotation import checked_placement
 from asbuilt.errors import DescriptionError
 from asbuilt.tables import Column, Table
@@ -83,13 +84,23 @@ class DriveValues:
     terms: Mapping[str, Mapping[str, float]] = field(default_factory=dict, hash=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """Say that a joint follows another: its position is `multiplier * position + offset`."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
     """Connect a parent link to the link of the same index.
 
     The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the
-    motion is a rotation about z or a translation along z. Raises `DescriptionError` for another
-    kind, and for matrices that are no placements.
+    motion is a rotation about z or a translation along z. `mimic` names a joint that this one
+    follows, None if it has a drive of its own. Raises `DescriptionError` for another kind, and for
+    matrices that are no placements.
     """
 
     name: str
@@ -101,6 +112,7 @@ class Joint:
     drive: DriveValues = DriveValues()
     before_symbols: Symbols | None = None
     after_symbols: Symbols | None = None
+    mimic: Mimic | None = None
 
     def __post_init__(self) -> None:
         kinds = get_args(JointKind)
@@ -192,8 +204,9 @@ class RobotModel:
     are settings for a simulator (URDF, MJCF) rather than facts of the design. `motor_coupling` T
     (n, n) says how the motors turn with the joints, `motor velocity = T qd` in units of the joints
     (gear ratios divided out), where a motor turns with more than its own joint, as in the wrists of
-    many arms; the motors' torques act on the joints by its transpose. None means T = 1. `source`
-    says where the description came from, `citation` whose facts they are.
+    many arms; the motors' torques act on the joints by its transpose. None means T = 1.
+    `locked_joints` gives the positions [rad or m] of joints that were taken out by `locked`.
+    `source` says where the description came from, `citation` whose facts they are.
     """
 
     name: str
@@ -205,6 +218,7 @@ class RobotModel:
     lengths: Mapping[str, float] = field(default_factory=dict)
     drives_by_design: bool = True
     motor_coupling: Array | None = None
+    locked_joints: Mapping[str, float] = field(default_factory=dict)
     source: str = ""
     citation: str = ""
     notes: tuple[str, ...] = ()
@@ -241,6 +255,8 @@ class RobotModel:
                     f"{self.name}: joint {joint.name!r} (number {i + 1}) precedes its parent link"
                     f" (index {joint.parent})"
                 )
+            if joint.mimic is not None and joint.mimic.joint == joint.name:
+                raise DescriptionError(f"{self.name}: joint {joint.name!r} mimics itself")
         for frame in self.frames:
             if not ROOT <= frame.link < len(self.links):
                 raise DescriptionError(
@@ -365,6 +381,38 @@ class RobotModel:
             for link, inertia in zip(self.links, inertias, strict=True)
         )
         return replace(self, links=links)
+
+    def locked(self, joints: Mapping[str, float | None] | Iterable[str]) -> RobotModel:
+        """Return the same robot with some joints held still.
+
+        The link of a locked joint is merged into the link that carries it, as over a fixed joint:
+        its name stays as a frame and as a part. Joints that mimic a locked joint are locked too.
+
+        Parameters
+        ----------
+        joints
+            Joints with their positions [rad or m]; without one, or with None, 0, or the middle of
+            the limits if 0 lies outside them, or what a mimic joint follows.
+
+        Returns
+        -------
+        RobotModel
+            The robot with the other joints; `locked_joints` has the positions.
+
+        Raises
+        ------
+        DescriptionError
+            If there is no such joint, no joint is left, or motors that stay are coupled to a
+            joint locked.
+
+        Examples
+        --------
+        >>> from asbuilt.description.catalogue import bundled_robot
+        >>> elbow = bundled_robot("two-link").locked({"joint_2": 0.5})
+        >>> elbow.joint_names, elbow.locked_joints
+        (('joint_1',), {'joint_2': 0.5})
+        """
+        return locked_model(self, joints)
 
     def with_gravity(self, gravity: ArrayLike) -> RobotModel:
         """Return the same robot with another gravity [m/s^2] in the root frame."""
