@@ -138,8 +138,8 @@ def test_what_cannot_be_locked_is_refused() -> None:
 
 def test_a_finding_names_the_locked_joints() -> None:
     model = bundled_robot("two-link")
-    assert lock_findings(model) == ()
-    (finding,) = lock_findings(model.locked({"joint_2": 0.5}))
+    assert lock_findings(model.locked_joints) == ()
+    (finding,) = lock_findings({"joint_2": 0.5})
     assert finding.code == "joints_locked"
     assert "joint_2 at 0.5" in finding.message
     assert finding.cure is not None

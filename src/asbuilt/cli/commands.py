@@ -55,7 +55,10 @@ GROUPS: dict[str, dict[str, Entry]] = {
         "convert": Entry(
             "robot",
             "Write a robot description in another format.",
-            ("my_robot.urdf my_robot.toml --gravity -x", "my_robot.urdf arm.urdf --lock finger"),
+            (
+                "my_robot.urdf my_robot.toml --gravity 9.81,0,0",
+                "my_robot.urdf arm.urdf --lock finger",
+            ),
             "convert_robot",
         ),
         "view": Entry(

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.parts import ROOT, Frame, Joint, JointLimits, Link
 from asbuilt.description.rotation import composed, placement, rotation_z
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure, Finding, joined
-
-if TYPE_CHECKING:
-    from asbuilt.description.model import Joint, JointLimits, Link, RobotModel
 
 
 def usual_position(limits: JointLimits) -> float:
@@ -56,64 +53,54 @@ def locks_from_text(text: str) -> dict[str, float | None]:
     return found
 
 
-def locked_model(
-    model: RobotModel, joints: Mapping[str, float | None] | Iterable[str]
-) -> RobotModel:
-    """Return the robot of `RobotModel.locked`."""
-    from asbuilt.description.model import ROOT, Frame  # noqa: PLC0415 - model imports this module
-
-    values = _positions(model, joints)
-    if not values:
-        return model
-    if len(values) == model.n_joints:
-        raise DescriptionError(f"{model.name}: all joints are locked; leave at least one free")
+def merged(
+    joints: Sequence[Joint],
+    links: Sequence[Link],
+    frames: Sequence[Frame],
+    values: Mapping[str, float],
+) -> tuple[tuple[Joint, ...], tuple[Link, ...], tuple[Frame, ...]]:
+    """Return joints, links and frames of a robot whose joints of `values` are fixed there."""
     kept: list[Joint] = []
-    links: list[Link] = []
+    carriers: list[Link] = []
     carrier: list[int] = []
     pose: list[Array] = []
-    frames: list[Frame] = []
-    for joint, link in zip(model.joints, model.links, strict=True):
+    named: list[Frame] = []
+    for joint, link in zip(joints, links, strict=True):
         on, at = (
             (ROOT, np.eye(4))
             if joint.parent == ROOT
             else (carrier[joint.parent], pose[joint.parent])
         )
         if joint.name not in values:
-            moved = not np.array_equal(at, np.eye(4))
-            placed = {"before": composed(at, joint.before), "before_symbols": None} if moved else {}
-            kept.append(replace(joint, parent=on, **placed))
-            links.append(link)
+            free = replace(joint, parent=on)
+            if not np.array_equal(at, np.eye(4)):
+                free = replace(free, before=composed(at, joint.before), before_symbols=None)
+            kept.append(free)
+            carriers.append(link)
             carrier.append(len(kept) - 1)
             pose.append(np.eye(4))
             continue
         at = composed(at, joint.before, _motion(joint, values[joint.name]), joint.after)
         carrier.append(on)
         pose.append(at)
-        frames.append(Frame(link.name, on, at))
+        named.append(Frame(link.name, on, at))
         if on != ROOT:
-            links[on] = _with_parts(links[on], link, at)
-    for frame in model.frames:
+            carriers[on] = _with_parts(carriers[on], link, at)
+    for frame in frames:
         if frame.link == ROOT:
-            frames.append(frame)
+            named.append(frame)
         else:
             place = composed(pose[frame.link], frame.placement)
-            frames.append(replace(frame, link=carrier[frame.link], placement=place))
-    return replace(
-        model,
-        joints=tuple(kept),
-        links=tuple(links),
-        frames=tuple(frames),
-        motor_coupling=_coupling(model, values),
-        locked_joints={**model.locked_joints, **values},
-    )
+            named.append(replace(frame, link=carrier[frame.link], placement=place))
+    return tuple(kept), tuple(carriers), tuple(named)
 
 
-def lock_findings(model: RobotModel) -> tuple[Finding, ...]:
-    """Return a finding that names the locked joints of a robot with their positions."""
-    if not model.locked_joints:
+def lock_findings(locked: Mapping[str, float]) -> tuple[Finding, ...]:
+    """Return a finding that names the locked joints with their positions."""
+    if not locked:
         return ()
-    held = [f"{name} at {value:.4g}" for name, value in model.locked_joints.items()]
-    names = ",".join(f"{name}=VALUE" for name in model.locked_joints)
+    held = [f"{name} at {value:.4g}" for name, value in locked.items()]
+    names = ",".join(f"{name}=VALUE" for name in locked)
     several = len(held) > 1
     return (
         Finding(
@@ -127,32 +114,35 @@ def lock_findings(model: RobotModel) -> tuple[Finding, ...]:
     )
 
 
-def _positions(
-    model: RobotModel, joints: Mapping[str, float | None] | Iterable[str]
+def locked_positions(
+    robot: str,
+    present: Sequence[Joint],
+    locked: Mapping[str, float],
+    joints: Mapping[str, float | None] | Iterable[str],
 ) -> dict[str, float]:
     """Return the position of every joint to lock, those that mimic a locked one included."""
     asked = dict(joints) if isinstance(joints, Mapping) else dict.fromkeys(joints)
-    by_name = {joint.name: joint for joint in model.joints}
-    unknown = [name for name in asked if name not in by_name and name not in model.locked_joints]
+    by_name = {joint.name: joint for joint in present}
+    unknown = [name for name in asked if name not in by_name and name not in locked]
     if unknown:
         raise DescriptionError(
-            f"{model.name} has no joint {unknown[0]!r} to lock; its joints are"
-            f" {', '.join((*model.joint_names, *model.locked_joints))}",
+            f"{robot} has no joint {unknown[0]!r} to lock; its joints are"
+            f" {', '.join((*by_name, *locked))}",
             value=unknown[0],
-            available=[*model.joint_names, *model.locked_joints],
+            available=[*by_name, *locked],
         )
     for name, value in asked.items():
         if value is not None and not math.isfinite(value):
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")
-        held = model.locked_joints.get(name)
+        held = locked.get(name)
         if name not in by_name and value is not None and value != held:
             raise DescriptionError(f"joint {name!r} is locked at {held:g} already, not at {value}")
     found: dict[str, float] = {}
 
     def position(name: str) -> float:
         """Return where a joint stands, of a mimic joint by what it follows."""
-        if name in model.locked_joints:
-            return model.locked_joints[name]
+        if name in locked:
+            return locked[name]
         if name not in found:
             joint, value = by_name[name], asked.get(name)
             found[name] = usual_position(joint.limits)
@@ -164,10 +154,12 @@ def _positions(
         return found[name]
 
     held = {name for name in asked if name in by_name}
-    followers = {joint.name: joint.mimic.joint for joint in model.joints if joint.mimic is not None}
+    followers = {joint.name: joint.mimic.joint for joint in present if joint.mimic is not None}
     while more := {name for name, of in followers.items() if of in held} - held:
         held |= more
-    return {joint.name: position(joint.name) for joint in model.joints if joint.name in held}
+    if held == by_name.keys():
+        raise DescriptionError(f"{robot}: all joints are locked; leave at least one free")
+    return {joint.name: position(joint.name) for joint in present if joint.name in held}
 
 
 def _motion(joint: Joint, value: float) -> Array:
@@ -185,16 +177,3 @@ def _with_parts(carrier: Link, link: Link, pose: Array) -> Link:
     parts = (*own, *((name, inertia.moved(pose)) for name, inertia in more))
     total = LinkInertia(np.sum([inertia.parameters for _, inertia in parts], axis=0))
     return replace(carrier, inertia=total, inertia_known=True, parts=parts)
-
-
-def _coupling(model: RobotModel, values: Mapping[str, float]) -> Array | None:
-    if model.motor_coupling is None:
-        return None
-    free = [k for k, name in enumerate(model.joint_names) if name not in values]
-    coupling = model.motor_coupling[np.ix_(free, free)]
-    if abs(np.linalg.det(coupling)) < 1e-9:
-        raise DescriptionError(
-            f"{model.name}: with {', '.join(values)} locked, the coupled motors of the other joints"
-            " do not turn with these alone; lock the joints coupled to them too"
-        )
-    return None if np.array_equal(coupling, np.eye(len(free))) else coupling

@@ -252,7 +252,7 @@ def _concluded(
         *result.findings,
         *_drive_findings(choice),
         *_check_findings(prepared.checks),
-        *lock_findings(model),
+        *lock_findings(model.locked_joints),
         *validation_findings(result.train, validations),
         *repetition_findings(training, held),
         *too_short,

@@ -213,7 +213,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     findings = list(clock_findings(known))
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         findings += _findings_in_time(model, chunks, known)
-    findings += lock_findings(model)
+    findings += lock_findings(model.locked_joints)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
         robot=model.name,
