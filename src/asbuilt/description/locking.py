@@ -134,9 +134,9 @@ def locked_positions(
     for name, value in asked.items():
         if value is not None and not math.isfinite(value):
             raise DescriptionError(f"joint {name!r} cannot be locked at {value}; give a number")
-        held = locked.get(name)
-        if name not in by_name and value is not None and value != held:
-            raise DescriptionError(f"joint {name!r} is locked at {held:g} already, not at {value}")
+        there = locked.get(name)
+        if name not in by_name and value is not None and there is not None and value != there:
+            raise DescriptionError(f"joint {name!r} is locked at {there:g} already, not at {value}")
     found: dict[str, float] = {}
 
     def position(name: str) -> float:
