@@ -69,6 +69,7 @@ from .workflow.study import Study as Study
 from .workflow.study import identify as identify
 from .workflow.validation import validate as validate
 from .workflow.validation import validate_robot as validate_robot
+from .writers.models.convert import convert_robot as convert_robot
 from .writers.models.export import export_result as export_result
 from .writers.motion_files import write_motion as write_motion
 from .writers.pictures.view import view_robot as view_robot

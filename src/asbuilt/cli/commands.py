@@ -52,6 +52,15 @@ GROUPS: dict[str, dict[str, Entry]] = {
             "link_masses",
             compiles=False,
         ),
+        "convert": Entry(
+            "robot",
+            "Write a robot description in another format.",
+            (
+                "my_robot.urdf my_robot.toml --gravity 9.81,0,0",
+                "my_robot.urdf arm.urdf --lock finger",
+            ),
+            "convert_robot",
+        ),
         "view": Entry(
             "robot",
             "Show the robot in 3-D in the browser, or save a picture.",

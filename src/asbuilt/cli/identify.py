@@ -25,6 +25,7 @@ from asbuilt.cli.options import (
     read_result,
     recordings_of,
     refuse_idle,
+    robot_and_recordings,
 )
 from asbuilt.cli.spread import given_options
 from asbuilt.errors import UsageError
@@ -67,8 +68,8 @@ def identify(
     options = replace(options, chain=chain, sweep_cutoff=swept)
     with progress_bar() as report:
         report("read", 0.0)
-        recordings, others, loaded = (
-            recordings_of(model, logs, reading) for logs in (log, validate, payload)
+        model, (recordings, others, loaded) = robot_and_recordings(
+            model, reading, log, validate, payload
         )
         study = identify_robot(
             model, recordings, validation=others, options=options, progress=report
@@ -131,8 +132,8 @@ def validate(
                 "--out writes the predictions of a result; for a robot as described there is only"
                 " the table"
             )
-        model = described_robot(result)
-        errors = validate_robot(model, recordings_of(model, log, reading), options=options)
+        model, (logged,) = robot_and_recordings(described_robot(result), reading, log)
+        errors = validate_robot(model, logged, options=options)
         answer(
             as_json,
             lambda: described_document(model, errors),
@@ -260,6 +261,9 @@ def compare(
         )
         return
     design = None if cad is None else described_robot(cad)
+    if design is not None:
+        held = identified.model.locked_joints.items()
+        design = design.locked({name: at for name, at in held if name in design.joint_names})
     verdict = CadVerdict(
         compare_with(
             identified,

@@ -199,10 +199,26 @@ def number_list(option: str, text: str | None, count: int | None = None) -> tupl
     return values
 
 
+def robot_and_recordings(
+    model: RobotModel, reading: ReadingOptions, *logs: Sequence[Path] | None
+) -> tuple[RobotModel, list[list[Recording | RecordingStream]]]:
+    """Return a described robot as it was recorded, and its recordings, one list for each of `logs`.
+
+    Joints that the recordings lack are locked, and what the options say of the robot is applied.
+    """
+    from asbuilt.experiment.logs.recordings import fitted_recordings
+
+    return fitted_recordings(model, [each or [] for each in logs], reading)  # type: ignore[return-value]
+
+
 def recordings_of(
     model: RobotModel, logs: Sequence[Path] | None, reading: ReadingOptions
 ) -> list[Recording | RecordingStream]:
-    """Return the recordings of a robot, none if no logs are given."""
+    """Return the recordings of an identified robot, none if no logs are given."""
+    refuse_idle(
+        "the robot of a result is taken as it was identified",
+        {"--lock": reading.lock is not None, "--gravity": reading.gravity is not None},
+    )
     from asbuilt.experiment.logs.recordings import as_recordings
 
     return as_recordings(model, logs or [], reading)  # type: ignore[return-value]

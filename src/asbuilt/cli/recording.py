@@ -24,8 +24,8 @@ from asbuilt.cli.options import (
     distinct_logs,
     number_list,
     positive_number,
-    recordings_of,
     refuse_idle,
+    robot_and_recordings,
     robot_as_built,
     writable_file,
 )
@@ -64,8 +64,7 @@ def check(
     from asbuilt.writers.tables.tabular import check_document
 
     distinct_logs(log)
-    model = described_robot(robot)
-    recordings = recordings_of(model, log, reading)
+    model, (recordings,) = robot_and_recordings(described_robot(robot), reading, log)
     checks = [check_recording(model, recording) for recording in recordings]
     carried = [
         recorded_information(model, recording) if information and found.ok else None
@@ -129,7 +128,7 @@ def gains(
         chain=filtering.chain(),
         checked=not unchecked,
     )
-    bare, under = (recordings_of(model, logs, currents) for logs in (log, loaded))
+    model, (bare, under) = robot_and_recordings(model, currents, log, loaded)
     with progress_bar() as report:
         found = find_gains(model, bare, under, mass=mass, options=options, progress=report)
     answer(as_json, lambda: gains_document(found), lambda: gains_text(found, full))
@@ -196,8 +195,8 @@ def channels(
         torque_source="motor",
         sheet=motor_sheet or reading.sheet,
     )
-    sensors = recordings_of(model, log, on_links)
-    motors = recordings_of(model, motor, on_motors)
+    model, (sensors,) = robot_and_recordings(model, on_links, log)
+    model, (motors,) = robot_and_recordings(model, on_motors, motor)
     options = ChannelOptions(
         link_side=None if drive is None else DriveSet.parse(drive),
         motor_side=None if motor_drive is None else DriveSet.parse(motor_drive),

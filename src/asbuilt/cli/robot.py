@@ -200,3 +200,45 @@ def export(
         force=force,
     )
     answer(as_json, exported.as_document, exported.as_text)
+
+
+def convert(
+    robot: Robot,
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="file to write: .toml, .urdf, or .xml (MJCF)"),
+    ],
+    lock: Annotated[
+        str | None,
+        typer.Option(
+            "--lock",
+            metavar="JOINT[=VALUE],...",
+            help="joints to merge as fixed, at a position [rad or m; default: 0]",
+        ),
+    ] = None,
+    gravity: Annotated[
+        str | None,
+        typer.Option(
+            "--gravity",
+            metavar="X,Y,Z",
+            help="free fall in the root frame [m/s^2], or its axis such as -z",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write a robot description in another format.
+
+    A robot file (.toml) also holds gravity, couplings of motors and drives, which can be added
+    there by hand. What the format cannot hold is listed; shapes and meshes are left out.
+    """
+    from asbuilt.description.locking import locks_from_text
+    from asbuilt.experiment.logs.options import gravity_of
+    from asbuilt.writers.models.convert import convert_robot
+
+    model = described_robot(robot)
+    if lock is not None:
+        model = model.locked(locks_from_text(lock))
+    if gravity is not None:
+        model = model.with_gravity(gravity_of(gravity))
+    converted = convert_robot(model, writable_file(out) or out)
+    answer(as_json, converted.as_document, converted.as_text)

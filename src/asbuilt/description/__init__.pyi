@@ -7,9 +7,10 @@ from .formats.dh import DHRow as DHRow
 from .formats.dh import robot_from_dh as robot_from_dh
 from .inertia import LinkInertia as LinkInertia
 from .load import load_robot as load_robot
-from .model import Frame as Frame
-from .model import Geometry as Geometry
-from .model import Joint as Joint
-from .model import JointLimits as JointLimits
-from .model import Link as Link
 from .model import RobotModel as RobotModel
+from .parts import Frame as Frame
+from .parts import Geometry as Geometry
+from .parts import Joint as Joint
+from .parts import JointLimits as JointLimits
+from .parts import Link as Link
+from .parts import Mimic as Mimic

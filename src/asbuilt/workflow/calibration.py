@@ -8,7 +8,7 @@ from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.long_recordings import head_of
-from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.logs.recordings import RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import TOO_LITTLE, UNKNOWN_TORQUE
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.calibration.torque_gains import (
@@ -63,7 +63,7 @@ def find_gains(
     """
     options = options or GainOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    bare, under = as_recordings(model, recordings), as_recordings(model, loaded)
+    model, (bare, under) = fitted_recordings(model, (recordings, loaded))
     prepared = prepare(
         model,
         [*bare, *under],
@@ -121,7 +121,7 @@ def identify_channels(
     """
     options = options or ChannelOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
-    sensors, motors = as_recordings(model, sensor), as_recordings(model, motor)
+    model, (sensors, motors) = fitted_recordings(model, (sensor, motor))
     if len(sensors) != len(motors):
         raise UsageError(
             f"each recording needs both channels, got {len(sensors)} of sensors and {len(motors)}"

@@ -9,12 +9,13 @@ from pathlib import Path
 
 from asbuilt.codec import plain, restored
 from asbuilt.description.load import load_robot
+from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.errors import IdentifiabilityError, ResultError, UsageError
-from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.logs.recordings import RecordingLike, fitted_recordings
 from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
@@ -175,6 +176,7 @@ def identify(
     options = options or StudyOptions()
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model, (trained, others) = fitted_recordings(model, (recordings, validation))
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -183,8 +185,8 @@ def identify(
 
     prepared = prepare(
         model,
-        as_recordings(model, recordings),
-        validation=as_recordings(model, validation),
+        trained,
+        validation=others,
         chain=options.chain,
         holdout=options.holdout,
         checked=options.checked,
@@ -250,6 +252,7 @@ def _concluded(
         *result.findings,
         *_drive_findings(choice),
         *_check_findings(prepared.checks),
+        *lock_findings(model.locked_joints),
         *validation_findings(result.train, validations),
         *repetition_findings(training, held),
         *too_short,

@@ -8,7 +8,12 @@ from pathlib import Path
 from asbuilt.description.load import load_robot
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.logs.long_recordings import head_of
-from asbuilt.experiment.logs.recordings import Recorded, RecordingLike, as_recordings
+from asbuilt.experiment.logs.recordings import (
+    Recorded,
+    RecordingLike,
+    as_recordings,
+    fitted_recordings,
+)
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.result.metrics import TorqueMetrics
 from asbuilt.identification.result.result import IdentificationResult
@@ -83,12 +88,13 @@ def validate_robot(
     """
     options = options or ValidationOptions()
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    model, (logged,) = fitted_recordings(model, (recordings,))
     return tuple(
         validate_description(
             model,
             prepare(model, [recording], chain=options.chain, checked=options.checked).training[0],
         )
-        for recording in as_recordings(model, recordings)
+        for recording in logged
     )
 
 

@@ -163,7 +163,13 @@ def test_equality_constraints_are_noted():
     text = TREE.replace(
         "</mujoco>", '<equality><joint joint1="swing" joint2="twist"/></equality></mujoco>'
     )
-    assert any("equality constraints" in note for note in read_mjcf(text).notes)
+    model = read_mjcf(text)
+    swing = model.joints[model.joint_names.index("swing")]
+    assert swing.mimic is not None
+    assert (swing.mimic.joint, swing.mimic.multiplier) == ("twist", 1.0)
+    assert any("mimics 'twist'" in note for note in model.notes)
+    curved = text.replace('joint2="twist"', 'joint2="twist" polycoef="0 1 2 0 0"')
+    assert any("equality constraints" in note for note in read_mjcf(curved).notes)
 
 
 def test_springs_of_joints_are_noted():

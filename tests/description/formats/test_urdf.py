@@ -329,7 +329,10 @@ HOSTILE = {
         two_links(joint=FLOATING.replace("floating", "hinge")),
         r"type is 'hinge'; it must be revolute",
     ),
-    "mimic": (two_links(joint=MIMIC), r"joint 'j1': the joint mimics another one.*fixed"),
+    "mimic": (
+        two_links(joint=MIMIC),
+        r"joint 'j1': the joint mimics 'other', which does not exist",
+    ),
     "crossed limits": (
         two_links().replace('lower="-1"', 'lower="5"'),
         r"lower limit 5.0 exceeds upper limit 2.0",

@@ -178,6 +178,28 @@ def test_velocities(iiwa: RobotModel, clean: Recording) -> None:
     assert finding(iiwa, replace(clean, qd=np.zeros_like(clean.qd)), "velocity_zero")
 
 
+def test_one_factor_of_all_velocities_is_a_wrong_rate(iiwa: RobotModel, clean: Recording) -> None:
+    assert clean.qd is not None
+    for factor in (0.5, 2.0):
+        found = finding(iiwa, replace(clean, t=clean.t / factor), "rate_wrong")
+        assert found.cure is not None
+        assert found.cure.settings["rate"] == pytest.approx(200.0, rel=0.02)
+        assert found.severity == "error"
+    one = np.where(np.arange(7) == 2, 0.5, 1.0)
+    check = check_recording(iiwa, replace(clean, qd=clean.qd * one))
+    assert "rate_wrong" not in check.codes
+    assert "velocity_mismatch" in check.codes
+    assert "rate_wrong" not in check_recording(iiwa, replace(clean, qd=clean.qd * 9.549)).codes
+
+
+def test_the_scale_of_a_gravity_torque_is_doubted(iiwa: RobotModel, clean: Recording) -> None:
+    less = np.where(np.arange(7) == 3, 0.4, 1.0)
+    found = finding(iiwa, replace(clean, tau=clean.tau * less), "torque_scale")
+    assert (found.joint, found.severity) == ("A4", "warning")
+    assert found.cure is not None
+    assert found.cure.call == "find_gains"
+
+
 def test_missing_values(iiwa: RobotModel, clean: Recording) -> None:
     tau, q = clean.tau.copy(), clean.q.copy()
     tau[123, 4] = np.nan

@@ -6,7 +6,7 @@ Written to JSON and read back, it is the same robot to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from asbuilt.description.model import (
     Joint,
     JointLimits,
     Link,
+    Mimic,
     RobotModel,
     Symbols,
 )
@@ -39,6 +40,7 @@ def model_document(model: RobotModel) -> dict[str, Any]:
         "root_link": model.root_link,
         "lengths": dict(model.lengths),
         "drives_by_design": model.drives_by_design,
+        "locked_joints": dict(model.locked_joints),
         "motor_coupling": None if model.motor_coupling is None else model.motor_coupling.tolist(),
         "joints": [_joint_document(joint) for joint in model.joints],
         "links": [_link_document(link) for link in model.links],
@@ -72,6 +74,9 @@ def model_from_document(document: Mapping[str, Any]) -> RobotModel:
                 if document.get("motor_coupling") is None
                 else _array(document["motor_coupling"])
             ),
+            locked_joints={
+                str(name): float(value) for name, value in document.get("locked_joints", {}).items()
+            },
             source=str(document["source"]),
             citation=str(document["citation"]),
             notes=tuple(str(note) for note in document["notes"]),
@@ -102,6 +107,7 @@ def _joint_document(joint: Joint) -> dict[str, Any]:
         "drive_terms": {key: dict(numbers) for key, numbers in joint.drive.terms.items()},
         "before_symbols": joint.before_symbols,
         "after_symbols": joint.after_symbols,
+        "mimic": None if joint.mimic is None else asdict(joint.mimic),
     }
 
 
@@ -128,6 +134,7 @@ def _joint(document: Mapping[str, Any]) -> Joint:
         drive=DriveValues(**drive, terms=terms),
         before_symbols=_symbols(document["before_symbols"]),
         after_symbols=_symbols(document["after_symbols"]),
+        mimic=None if document.get("mimic") is None else Mimic(**document["mimic"]),
     )
 
 

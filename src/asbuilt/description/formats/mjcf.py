@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,6 +23,7 @@ from asbuilt.description.model import (
     JointKind,
     JointLimits,
     Link,
+    Mimic,
     RobotModel,
 )
 from asbuilt.description.rotation import (
@@ -102,10 +103,10 @@ def read_mjcf(path_or_text: str | Path) -> RobotModel:
             f"the springs of {', '.join(sprung)} (stiffness) are left out; identify them with the"
             " drive terms auto,spring:joints=..."
         )
-    if compiled.neq:
+    left_out = tree.add_mimics()
+    if left_out:
         tree.notes.append(
-            f"{compiled.neq} equality constraints are left out; every joint counts as driven on"
-            " its own"
+            f"{left_out} equality constraints are left out; every joint counts as driven on its own"
         )
     return RobotModel(
         drives_by_design=False,
@@ -385,6 +386,32 @@ class _Tree:
                         name=name, link=self.carrier[body], placement=composed(self.pose[body], own)
                     )
                 )
+
+    def add_mimics(self) -> int:
+        """Make joints mimic those that an equality couples them to linearly; return the rest."""
+        m, taken = self.model, 0
+        for k in range(m.neq):
+            one, other = int(m.eq_obj1id[k]), int(m.eq_obj2id[k])
+            coefficients = m.eq_data[k, :5]
+            if (
+                m.eq_type[k] != self.mujoco.mjtEq.mjEQ_JOINT
+                or not m.eq_active0[k]
+                or other < 0
+                or np.any(coefficients[2:])
+                or any(self.joints[j].mimic is not None for j in (one, other))
+            ):
+                continue
+            zero, master = (float(m.qpos0[m.jnt_qposadr[j]]) for j in (one, other))
+            offset, multiplier = (float(value) for value in coefficients[:2])
+            name = self.joints[other].name
+            followed = Mimic(name, multiplier, zero + offset - multiplier * master)
+            self.joints[one] = replace(self.joints[one], mimic=followed)
+            self.notes.append(
+                f"joint {self.joints[one].name!r} mimics {name!r} (equality constraint); it counts"
+                " as a joint of its own until it is locked"
+            )
+            taken += 1
+        return int(m.neq) - taken
 
     def link(self, index: int) -> Link:
         name, parts = self.names[index], self.parts[index]

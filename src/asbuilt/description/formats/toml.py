@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,16 @@ from asbuilt.description.formats.toml_tables import (
 )
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.lengths import length_values, parsed_length, rotated_symbols
-from asbuilt.description.model import ROOT, Frame, Joint, JointLimits, Link, RobotModel, Symbols
+from asbuilt.description.model import (
+    ROOT,
+    Frame,
+    Joint,
+    JointLimits,
+    Link,
+    Mimic,
+    RobotModel,
+    Symbols,
+)
 from asbuilt.description.rotation import (
     composed,
     placement,
@@ -207,7 +216,10 @@ def _model(file: RobotFile, source: str) -> RobotModel:
             if link.parent is None
             else reading.link_index(link.parent, names[:i], f"parent of link {link.name!r}")
         )
-        joints.append(reading.joint(link, i, parent))
+        joint = reading.joint(link, i, parent)
+        if link.mimic is not None:
+            joint = replace(joint, mimic=_mimic(link, file))
+        joints.append(joint)
     frames = []
     for frame in file.frames:
         carrier = reading.link_index(frame.link, names, f"link of frame {frame.name!r}")
@@ -226,11 +238,23 @@ def _model(file: RobotFile, source: str) -> RobotModel:
         root_link=file.root_link,
         frames=tuple(frames),
         lengths=reading.lengths,
+        drives_by_design=file.drives_by_design,
         source=source,
         citation=file.citation,
         notes=tuple(reading.notes),
         motor_coupling=_motor_coupling(file, [joint.name for joint in joints]),
     )
+
+
+def _mimic(link: LinkTable, file: RobotFile) -> Mimic:
+    assert link.mimic is not None
+    names = [each.joint or f"joint_{i + 1}" for i, each in enumerate(file.links)]
+    if link.mimic.joint not in names:
+        raise DescriptionError(
+            f"mimic of link {link.name!r} names joint {link.mimic.joint!r}, which does not exist;"
+            f" the joints are {', '.join(names)}"
+        )
+    return Mimic(**link.mimic.model_dump())
 
 
 def _motor_coupling(file: RobotFile, names: list[str]) -> Array | None:

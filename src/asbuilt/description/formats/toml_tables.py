@@ -227,6 +227,14 @@ class DriveTable(_Table):
         )
 
 
+class MimicTable(_Table):
+    """The joint that a joint follows: its position is `multiplier * position + offset`."""
+
+    joint: str
+    multiplier: Finite = 1.0
+    offset: Finite = 0.0
+
+
 class LinkTable(MassTable):
     """A link and the joint that moves it, placed by `dh` or by `origin`, `axis` and `after`."""
 
@@ -241,6 +249,7 @@ class LinkTable(MassTable):
     parts: tuple[PartTable, ...] = ()
     limits: LimitsTable = LimitsTable()
     drive: DriveTable = DriveTable()
+    mimic: MimicTable | None = None
 
     @model_validator(mode="after")
     def _one_geometry(self) -> LinkTable:
@@ -286,6 +295,7 @@ class RobotFile(_Table):
     convention: Literal["standard", "modified"] | None = None
     angle_unit: AngleUnit = "rad"
     lengths: dict[str, Finite] = {}
+    drives_by_design: bool = True
     links: tuple[LinkTable, ...] = Field(min_length=1)
     frames: tuple[FrameTable, ...] = ()
     couplings: tuple[CouplingTable, ...] = ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -28,6 +28,7 @@ from asbuilt.description.model import (
     JointKind,
     JointLimits,
     Link,
+    Mimic,
     RobotModel,
 )
 from asbuilt.description.rotation import (
@@ -111,6 +112,7 @@ def read_urdf(path_or_text: str | Path | bytes, *, straighten: bool = True) -> R
             f"{source}: no joint moves (revolute, continuous or prismatic), so there is nothing to"
             " identify"
         )
+    _check_mimics(tree.joints, connections, source, notes)
     links = []
     for name, parts in zip(tree.links, tree.parts, strict=True):
         total = (
@@ -220,11 +222,6 @@ def _connections(
             raise DescriptionError(
                 f"{place}: type is {kind!r}; it must be revolute, continuous, prismatic or fixed"
             )
-        if kind != "fixed" and element.find("mimic") is not None:
-            raise DescriptionError(
-                f"{place}: the joint mimics another one, so it has no drive of its own: make it"
-                ' type="fixed", or remove <mimic> if it is driven'
-            )
         parent, child = (_end(element, end, bodies, place) for end in ("parent", "child"))
         if parent == child:
             raise DescriptionError(f"{place}: the joint connects link {parent!r} with itself")
@@ -324,7 +321,50 @@ def _joint(connection: _Connection, parent: int, pose: Array, notes: list[str]) 
         after=placement(onto.T),
         limits=_limits(connection, notes),
         drive=_drive(connection),
+        mimic=_mimic(connection),
     )
+
+
+def _mimic(connection: _Connection) -> Mimic | None:
+    element, place = connection.element.find("mimic"), connection.place
+    if element is None:
+        return None
+    return Mimic(
+        required(element, "joint", f"{place}, mimic"),
+        number(element, "multiplier", place, 1.0),
+        number(element, "offset", place, 0.0),
+    )
+
+
+def _check_mimics(
+    joints: list[Joint], connections: list[_Connection], source: str, notes: list[str]
+) -> None:
+    """Refuse joints that follow one that is not there, or each other in a circle."""
+    moving = {joint.name: joint for joint in joints}
+    fixed = {each.name for each in connections} - moving.keys()
+    for k, joint in enumerate(joints):
+        if joint.mimic is None:
+            continue
+        place = f"{source}, joint {joint.name!r}"
+        master, seen = joint.mimic.joint, {joint.name}
+        while master in moving and moving[master].mimic is not None and master not in seen:
+            seen.add(master)
+            master = moving[master].mimic.joint  # type: ignore[union-attr]
+        if master in seen:
+            raise DescriptionError(f"{place}: the joint mimics itself; name the joint it follows")
+        if master not in moving and master not in fixed:
+            raise DescriptionError(
+                f"{place}: the joint mimics {master!r}, which does not exist"
+                f"{close_match(master, moving)}"
+            )
+        if joint.mimic.joint in fixed:
+            joints[k] = replace(joint, mimic=None)
+            notes.append(f"{place}: the joint mimics a fixed joint; <mimic> is left out")
+        else:
+            notes.append(
+                f"{place}: the joint mimics {joint.mimic.joint!r}; it counts as a joint of its own"
+                " until it is locked"
+            )
 
 
 def _axis(connection: _Connection, notes: list[str]) -> Array:

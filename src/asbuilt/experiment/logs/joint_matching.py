@@ -76,6 +76,35 @@ def numbers_in(labels: Sequence[str]) -> list[int] | None:
     return [int(words[varying[0]]) for words in split]
 
 
+def joints_without_label(
+    labels: Sequence[str], joint_names: Sequence[str]
+) -> tuple[str, ...] | None:
+    """Return the joints that no label names; None unless the labels name some of the joints.
+
+    At least half of the labels must name a joint each.
+
+    >>> joints_without_label(["elbow", "wrist"], ["elbow_joint", "wrist_joint", "finger_joint"])
+    ('finger_joint',)
+    """
+    for simplify in (_itself, _words, _significant_words):
+        keys, wanted = [simplify(each) for each in labels], [simplify(each) for each in joint_names]
+        for fits in (_equal, _same_end):
+            found = [[k for k, want in enumerate(wanted) if fits(key, want)] for key in keys]
+            named = [each[0] for each in found if len(each) == 1]
+            clear = len(set(named)) == len(named) and all(len(each) < 2 for each in found)
+            if clear and 0 < len(named) < len(joint_names) and 2 * len(named) >= len(labels):
+                return tuple(name for k, name in enumerate(joint_names) if k not in named)
+    return None
+
+
+def _equal(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
+    return bool(key) and key == want
+
+
+def _same_end(key: tuple[str, ...], want: tuple[str, ...]) -> bool:
+    return bool(key and want) and (key[-len(want) :] == want or want[-len(key) :] == key)
+
+
 def _misfit(
     labels: Sequence[str], joint_names: Sequence[str], source: str, robot: str
 ) -> RecordingError:
@@ -93,6 +122,7 @@ def _misfit(
         file=source,
         value=list(labels),
         expected=list(joint_names),
+        missing=joints_without_label(labels, joint_names),
     )
 
 

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from asbuilt.description.model import RobotModel
+from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.errors import RecordingError
-from asbuilt.experiment.logs.joint_matching import match_joints, numbers_in
+from asbuilt.experiment.logs.joint_matching import (
+    joints_without_label,
+    match_joints,
+    numbers_in,
+)
 from asbuilt.experiment.logs.roles import Role, recognise, unit_scale
 from asbuilt.experiment.logs.sheet import ColumnName, RecordingSheet
 from asbuilt.experiment.recording import TorqueSource
@@ -342,19 +346,40 @@ def _order_for(
         order, notes = match_joints(labels, model.joint_names, source=source, robot=model.name)
         return model.joint_names, order, notes
     if len(labels) != model.n_joints:
+        missing = joints_without_label(labels, model.joint_names) if named else None
+        beyond = ", ".join(model.joint_names[len(labels) :])
+        more = f"; joints that the log lacks can be locked: {beyond}" if beyond else ""
         raise RecordingError(
             f"{source} has {len(labels)} position columns ({position.names[0]} ..."
             f" {position.names[-1]}) but {model.name} has {model.n_joints} joints"
             f" ({', '.join(model.joint_names)})",
             cure=Cure(
                 "choose the robot that was recorded, or give the columns of its joints in a"
-                " recording sheet"
+                f" recording sheet{more}"
             ),
             file=source,
             value=len(labels),
             expected=model.n_joints,
+            missing=missing or _gripper_joints(model, len(labels)),
         )
     return model.joint_names, list(range(len(labels))), ()
+
+
+def _gripper_joints(model: RobotModel, count: int) -> tuple[str, ...] | None:
+    """Return the joints behind the first `count` if those are an arm and these its gripper.
+
+    The arm is a chain of joints in order. The others hang on its last link, and are no continuation
+    of it: several hang on one link, or one slides or mimics another.
+    """
+    parents, rest = model.parents, model.joints[count:]
+    chain = 0 < count < model.n_joints and parents[:count] == (ROOT, *range(count - 1))
+    behind = all(joint.parent >= count - 1 for joint in rest)
+    on = [joint.parent for joint in rest]
+    branched = len(set(on)) < len(on)
+    slides = all(joint.mimic is not None or not joint.is_revolute for joint in rest)
+    if not (chain and behind and (branched or slides)):
+        return None
+    return tuple(joint.name for joint in rest)
 
 
 def _scales(

@@ -47,6 +47,8 @@ class RecordingStream:
         How to read it.
     chunk_samples
         Samples per chunk.
+    joints
+        Joints to keep, in order; None: those of the robot.
 
     Examples
     --------
@@ -58,6 +60,7 @@ class RecordingStream:
     model: RobotModel | None = field(default=None, repr=False)
     options: ReadingOptions = field(default_factory=ReadingOptions)
     chunk_samples: int = CHUNK
+    joints: tuple[str, ...] | None = None
 
     @property
     def source(self) -> str:
@@ -69,9 +72,11 @@ class RecordingStream:
         return self._read(self.chunk_samples)
 
     def _read(self, chunk_samples: int) -> Iterator[Recording]:
-        return stream_recording(
+        chunks = stream_recording(
             self.path, model=self.model, options=self.options, chunk_samples=chunk_samples
         )
+        joints = self.joints
+        return chunks if joints is None else (chunk.reordered(joints) for chunk in chunks)
 
     @cached_property
     def head(self) -> Recording:

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from asbuilt.description.locking import locks_from_text
+from asbuilt.description.model import USUAL_GRAVITY
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.sheet import RecordingSheet
 from asbuilt.experiment.recording import TORQUE_SOURCES, TorqueSource
@@ -42,6 +44,12 @@ class ReadingOptions:
     sheet
         Recording sheet that describes the log: a path, a `RecordingSheet`, or a dict with the
         fields of one; by default the one beside the log.
+    lock
+        Joints that are not identified, with their positions [rad or m], None where unknown; a text
+        `JOINT[=VALUE],...` does too. Added to the sheet's. `fitted_recordings` locks them.
+    gravity
+        Acceleration of free fall in the root frame [m/s^2], in place of the description's; `-z` and
+        the other axes are 9.81 m/s^2 in that direction. `fitted_recordings` applies it.
 
     Raises
     ------
@@ -87,6 +95,24 @@ class ReadingOptions:
             "parse": Path,
         },
     )
+    lock: Mapping[str, float | None] | str | None = field(
+        default=None,
+        metadata={
+            "help": "joints to hold still at a position [rad or m]: those that the log lacks,"
+            " by themselves at 0",
+            "metavar": "JOINT[=VALUE],...",
+            "parse": str,
+        },
+    )
+    gravity: ArrayLike | str | None = field(
+        default=None,
+        metadata={
+            "help": "free fall in the root frame [m/s^2], or its axis such as -z; replaces the"
+            " robot's",
+            "metavar": "X,Y,Z",
+            "parse": str,
+        },
+    )
 
     def __post_init__(self) -> None:
         if self.rate is not None and not 0.0 < self.rate < np.inf:
@@ -104,8 +130,39 @@ class ReadingOptions:
         if self.gain is not None:
             gains = np.atleast_1d(np.asarray(self.gain, dtype=np.float64))
             object.__setattr__(self, "gain", tuple(gains.ravel().tolist()))
+        if isinstance(self.lock, str):
+            object.__setattr__(self, "lock", locks_from_text(self.lock))
+        if self.gravity is not None:
+            object.__setattr__(self, "gravity", gravity_of(self.gravity))
         if isinstance(self.sheet, Mapping):
             object.__setattr__(self, "sheet", RecordingSheet.model_validate(dict(self.sheet)))
+
+
+def gravity_of(given: ArrayLike | str) -> tuple[float, float, float]:
+    """Return a gravity [m/s^2] from three numbers, from their text, or from an axis such as `-z`.
+
+    Raises `UsageError` for anything else.
+
+    >>> gravity_of("-y"), gravity_of("0,0,-9.8")
+    ((0.0, -9.81, 0.0), (0.0, 0.0, -9.8))
+    """
+    text = given.strip().lower() if isinstance(given, str) else ""
+    if len(text) in (1, 2) and text[-1] in "xyz" and text[:-1] in ("", "+", "-"):
+        free_fall = float(np.linalg.norm(USUAL_GRAVITY)) * (-1.0 if text[0] == "-" else 1.0)
+        x, y, z = (free_fall if axis == text[-1] else 0.0 for axis in "xyz")
+        return x, y, z
+    try:
+        values = np.asarray(text.split(",") if text else given, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape != (3,) or not np.all(np.isfinite(values)):
+        raise UsageError(
+            "gravity is three numbers [m/s^2], such as 0,0,-9.81, or an axis, such as -z; got"
+            f" {given!r}",
+            value=given,
+        )
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def reading_options(options: ReadingOptions | None, settings: Mapping[str, Any]) -> ReadingOptions:

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from asbuilt.description.model import RobotModel
+from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.frames import is_columns
 from asbuilt.experiment.logs.long_recordings import RecordingStream, is_long
 from asbuilt.experiment.logs.options import PathLike, ReadingOptions, reading_options
-from asbuilt.experiment.logs.readers import grouped_files, read_recording
+from asbuilt.experiment.logs.readers import (
+    check_readable,
+    find_sheet,
+    grouped_files,
+    read_recording,
+)
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 
@@ -70,6 +79,103 @@ def as_recordings(
         else:
             found.append(read_recording(item, model=model, options=chosen))
     return found
+
+
+def fitted_recordings(
+    model: RobotModel,
+    groups: Sequence[RecordingLike | Sequence[RecordingLike]],
+    options: ReadingOptions | None = None,
+) -> tuple[RobotModel, list[list[Recorded]]]:
+    """Return the robot as it was recorded, and its recordings, group by group.
+
+    Joints that a recording lacks are locked, at 0 or in the middle of their limits; `lock` of the
+    options and sheets gives others, and positions; one that is logged is locked at its median
+    position. `gravity` of the options replaces that of the robot.
+
+    Parameters
+    ----------
+    model
+        Robot as described.
+    groups
+        Items as `as_recordings` takes them.
+    options
+        How files, frames and dicts are read.
+
+    Returns
+    -------
+    RobotModel, list of lists of recordings
+        The robot without the joints that are locked, and recordings with the joints of the robot.
+
+    Raises
+    ------
+    RecordingError
+        If an item is no recording or does not fit the robot.
+    """
+    chosen = options or ReadingOptions()
+    if chosen.gravity is not None:
+        model = model.with_gravity(np.asarray(chosen.gravity, dtype=np.float64))
+    listed = [_listed(items) for items in groups]
+    asked = _locks([item for items in listed for item in items], chosen)
+    while True:
+        try:
+            read = [as_recordings(model, items, chosen) for items in listed]
+            logged = [[_joints_of(item, model) for item in items] for items in read]
+        except RecordingError as problem:
+            missing = problem.fields.get("missing")
+            if not missing:
+                raise
+            model = model.locked({name: asked.get(name) for name in missing})
+            continue
+        present = set(model.joint_names).intersection(*(each for group in logged for each in group))
+        absent = [name for name in model.joint_names if name not in present]
+        if not absent:
+            break
+        model = model.locked({name: asked.get(name) for name in absent})
+    free = [name for name in asked if name in model.joint_names]
+    first = next((item for items in read for item in items), None)
+    values = {name: _held_at(first, name, asked[name]) for name in free}
+    for name in asked.keys() - values.keys() - model.locked_joints.keys():
+        values[name] = None
+    whole, model = model, model.locked({**asked, **values})
+    if model is whole and all(joints == model.joint_names for group in logged for joints in group):
+        return model, read
+    return model, [[_with_joints(item, model.joint_names) for item in items] for items in read]
+
+
+def _locks(items: Sequence[Any], options: ReadingOptions) -> dict[str, float | None]:
+    """Return the joints to lock of the sheets and, in their place, of the options."""
+    found: dict[str, float | None] = {}
+    for item in items:
+        if isinstance(item, str | Path):
+            check_readable(Path(item))
+            found |= find_sheet(Path(item), options.sheet)[0].lock
+    lock = options.lock
+    return found | (dict(lock) if isinstance(lock, Mapping) else {})
+
+
+def _joints_of(item: Recorded, model: RobotModel) -> tuple[str, ...]:
+    """Return the joints that a recording has; those of the robot, where names say nothing."""
+    names = item.head.joint_names if isinstance(item, RecordingStream) else item.joint_names
+    known = set(names) & set(model.joint_names)
+    return names if known else model.joint_names
+
+
+def _held_at(item: Recorded | None, joint: str, value: float | None) -> float | None:
+    """Return the position given, or the median of a recording that has the joint."""
+    if value is not None or item is None:
+        return value
+    head = item.head if isinstance(item, RecordingStream) else item
+    if joint not in head.joint_names:
+        return None
+    return float(np.nanmedian(head.q[:, head.joint_names.index(joint)]))
+
+
+def _with_joints(item: Recorded, joints: tuple[str, ...]) -> Recorded:
+    if isinstance(item, RecordingStream):
+        return replace(item, joints=joints)
+    if isinstance(item, Recording) and set(joints) <= set(item.joint_names):
+        return item.reordered(joints)
+    return item
 
 
 def _listed(items: Any) -> list[Any]:

@@ -36,6 +36,12 @@ def _spread(value: object) -> object:
     return [f"{prefix}{k}" if prefix else k for k in range(first, last + 1)]
 
 
+def _without_values(value: object) -> object:
+    """Give each joint of a list no position."""
+    return dict.fromkeys(value) if isinstance(value, list) else value
+
+
+FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 ColumnList = Annotated[list[ColumnName], BeforeValidator(_spread)]
 
 
@@ -105,7 +111,8 @@ class RecordingSheet(_Part):
     """Describe a log: every field is optional and overrides what the column names give.
 
     `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
-    `gains` turn them into N m (amperes times N m/A); both are one number or one per joint.
+    `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `lock`
+    names joints that are not identified, with their positions [rad or m] if these are known.
 
     Examples
     --------
@@ -125,6 +132,9 @@ class RecordingSheet(_Part):
     units: SheetUnits = SheetUnits()
     windows: list[SheetWindow] = Field(default_factory=list)
     files: SheetFiles = SheetFiles()
+    lock: Annotated[dict[str, FiniteNumber | None], BeforeValidator(_without_values)] = Field(
+        default_factory=dict
+    )
     topic: str | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:

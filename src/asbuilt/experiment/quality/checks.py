@@ -10,6 +10,7 @@ from itertools import groupby
 
 import numpy as np
 
+from asbuilt.description.locking import lock_findings
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.long_recordings import RecordingStream
@@ -212,6 +213,7 @@ def check_recording(model: RobotModel, recording: Recording | RecordingStream) -
     findings = list(clock_findings(known))
     if not any(f.severity == "error" and f.code.startswith("clock_") for f in findings):
         findings += _findings_in_time(model, chunks, known)
+    findings += lock_findings(model.locked_joints)
     findings += (Finding("note", "info", note.removesuffix(".")) for note in known.notes)
     return RecordingCheck(
         robot=model.name,

@@ -28,6 +28,9 @@ class VelocityThresholds:
     """Relative deviation of the gain from that of a unit."""
     gain: tuple[float, float] = (0.7, 1.4)
     """Range of the gain of a usable velocity, the lower also that of its correlation."""
+    same: tuple[float, float, float] = (0.15, 0.05, 0.95)
+    """Of a wrong rate: least deviation of the common gain from 1, largest of the gains from it,
+    and least correlation of each joint."""
     lag: float = 0.3
     """Lag from which it is reported [sampling periods]."""
     end: float = 0.4
@@ -37,6 +40,8 @@ class VelocityThresholds:
 
 
 THRESHOLDS = VelocityThresholds()
+_OTHER_UNITS = (60.0 / (2.0 * np.pi), 1.0 / (2.0 * np.pi), 1e3, 1e-3)
+"""Revolutions per minute and per second, and thousandths."""
 
 
 def velocity_findings(
@@ -89,6 +94,21 @@ def velocity_findings(
             Cure('write the unit in a recording sheet: units = { velocity = "deg/s" }'),
         )
         return
+    rate = _right_rate(recording, np.diag(correlation), gain)
+    if rate is not None:
+        yield Finding(
+            "rate_wrong",
+            "error",
+            f"the logged velocities of all {moving.size} joints that move are {middle:.4g} times"
+            f" the derivative of the positions: the rate is {rate:.4g} Hz, not"
+            f" {recording.rate:.4g} Hz",
+            Cure(
+                "give that rate, or correct the time stamps; leave the velocity columns out if the"
+                " velocities are wrong instead",
+                settings={"rate": rate},
+            ),
+        )
+        return
     low, high = THRESHOLDS.gain
     for k, factor in zip(moving, gain, strict=True):
         match = float(np.corrcoef(logged[:, k], slope[:, k])[0, 1])
@@ -107,6 +127,21 @@ def velocity_findings(
         yield Finding("velocity_mismatch", "warning", message, LEAVE_OUT, joint=names[k])
     yield from _lag(recording, motion, logged, moving.tolist())
     yield from _ends(recording, motion, logged, moving.tolist())
+
+
+def _right_rate(recording: FirstPass, correlation: Array, gain: Array) -> float | None:
+    """Return the rate [Hz] that makes the velocities those of the positions, if one factor does.
+
+    Units of velocity other than those of the positions are no reason to doubt the rate.
+    """
+    off, apart, least = THRESHOLDS.same
+    common = float(np.median(gain))
+    alike = gain.size > 1 and np.all(np.abs(gain / common - 1.0) < apart)
+    if not alike or np.any(correlation < least) or not abs(common - 1.0) > off or common <= 0.0:
+        return None
+    if any(abs(common / unit - 1.0) < apart for unit in _OTHER_UNITS):
+        return None
+    return float(f"{common * recording.rate:.3g}")
 
 
 def _lag(

@@ -39,6 +39,8 @@ FINDING_LINES = 3
 SPARE = 20
 """Characters that breaking the lines of a finding at spaces may cost."""
 MOST_PARAMETERS = 10
+UNEXPLAINED = 0.3
+"""Relative training error from which the model does not describe the robot."""
 DROPPED = "dropped"
 """Text for the error of a parameter that the estimator set to zero."""
 
@@ -61,6 +63,8 @@ class Summary:
         All parameters beside their CAD values, and the torque errors of all joints.
     notes
         Assumptions: the standard errors, what is determined, then the estimator's decisions.
+    verdict
+        What forbids to use the result, in capitals; empty if nothing does.
     """
 
     title: str
@@ -69,6 +73,7 @@ class Summary:
     parameters: Table
     joints: Table
     notes: tuple[str, ...]
+    verdict: str = ""
 
     def __str__(self) -> str:
         return self.as_text()
@@ -87,7 +92,8 @@ class Summary:
             Function that writes a cure, for an interface that adds the names of its options.
         """
         rule = "-" * WIDTH
-        parts = [wrapped(self.title), *_heading_lines(self.heading)]
+        parts = [wrapped(self.verdict)] if self.verdict else []
+        parts += [wrapped(self.title), *_heading_lines(self.heading)]
         if self.findings:
             parts += [rule, *finding_lines(self.findings, full, cure_text)]
         parts += [rule, self.joints.as_text(full).rstrip("\n")]
@@ -105,8 +111,9 @@ class Summary:
             "".join(f"<li>{html.escape(text)}</li>" for text in texts)
             for texts in ((each.text for each in self.findings), self.notes)
         )
+        verdict = f'<p class="verdict"><strong>{html.escape(self.verdict)}</strong></p>\n'
         return (
-            f'<section class="summary"><h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n'
+            f'<section class="summary">{verdict if self.verdict else ""}<h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n'
             f'<ul class="findings">{findings}</ul>\n{self.joints.as_html("joints")}\n'
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )
@@ -155,6 +162,17 @@ def summarise(
             determination(result, motions=False).in_short,
             *result.notes,
         ),
+        verdict=_verdict(result),
+    )
+
+
+def _verdict(result: IdentificationResult) -> str:
+    error = result.train.relative_error
+    if not error > UNEXPLAINED:
+        return ""
+    return (
+        f"THE MODEL DOES NOT EXPLAIN THE TORQUES: TRAINING ERROR {share(error).upper()}. CHECK"
+        " ROBOT, GRAVITY, COLUMNS, UNITS AND RATE"
     )
 
 

@@ -32,6 +32,7 @@ def robot_toml(model: RobotModel) -> str:
         f"gravity = {_numbers(model.gravity)}",
         f"root_link = {_text(model.root_link)}",
         f"lengths = {_table(model.lengths)}" if model.lengths else "",
+        "" if model.drives_by_design else "drives_by_design = false",
     ]
     blocks = ["\n".join(line for line in head if line)]
     blocks += [
@@ -102,6 +103,11 @@ def _link_table(model: RobotModel, joint: Joint, link: Link) -> str:
         fields.append(f"terms = {{{', '.join(terms)}}}")
     if fields:
         lines.append(f"drive = {{{', '.join(fields)}}}")
+    if joint.mimic is not None:
+        follows = [f"joint = {_text(joint.mimic.joint)}"] + [
+            f"{name} = {_float(getattr(joint.mimic, name))}" for name in ("multiplier", "offset")
+        ]
+        lines.append(f"mimic = {{{', '.join(follows)}}}")
     if by_parts:
         for name, inertia in link.parts:
             lines += ["", "[[links.parts]]", f"name = {_text(name)}", *_inertia_fields(inertia)]

@@ -134,6 +134,11 @@ def _joint(
             "limit",
             bounds | {"effort": _bound(limits.torque), "velocity": _bound(limits.velocity)},
         )
+    if joint.mimic is not None:
+        follows = {"joint": joint.mimic.joint}
+        for name in ("multiplier", "offset"):
+            follows[name] = _numbers([getattr(joint.mimic, name)])
+        SubElement(element, "mimic", follows)
     known = {"damping": drive.viscous, "friction": drive.coulomb}
     given = {name: _numbers([value]) for name, value in known.items() if value is not None}
     if given:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -74,7 +75,7 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
     refuse_inconsistent(model)
     plain = in_plain_friction(model)
     content, source = described_text(original)
-    described = read_urdf(original)
+    described = _locked_alike(read_urdf(original), model)
     _check_same_robot(described, model, source)
     file = XmlFile.of(content, source)
     links = {span.attributes["name"].strip(): span for span in file.root.all("link")}
@@ -114,9 +115,15 @@ def edited_urdf(original: str | Path | bytes, model: RobotModel) -> EditedUrdf:
             changed_joints.append(joint.name)
     edited = file.edited(edits)
     reread, literal = (
-        _difference(model, read_urdf(edited, straighten=exact)) for exact in (True, False)
+        _difference(model, _locked_alike(read_urdf(edited, straighten=exact), model))
+        for exact in (True, False)
     )
-    notes = (*_rounding_note(model, literal), *_emptied_note(emptied), *urdf_notes(model))
+    notes = (
+        *_rounding_note(model, literal),
+        *_locked_note(model, joints),
+        *_emptied_note(emptied),
+        *urdf_notes(model),
+    )
     return EditedUrdf(
         edited, tuple(changed_links), tuple(changed_joints), tuple(emptied), reread, literal, notes
     )
@@ -254,6 +261,27 @@ def _rounding_note(model: RobotModel, literal: Array) -> tuple[str, ...]:
             f" {'N m' if model.joints[worst].is_revolute else 'N'} (joint"
             f" {model.joint_names[worst]})"
         ),
+    )
+
+
+def _locked_alike(described: RobotModel, model: RobotModel) -> RobotModel:
+    """Return a described robot with the joints locked that are locked in the model."""
+    held = {
+        name: value for name, value in model.locked_joints.items() if name in described.joint_names
+    }
+    return described.locked(held)
+
+
+def _locked_note(model: RobotModel, joints: Mapping[str, object]) -> tuple[str, ...]:
+    held = [
+        f"{name} at {value:.4g}" for name, value in model.locked_joints.items() if name in joints
+    ]
+    if not held:
+        return ()
+    return (
+        f"the joints {', '.join(held)} were locked when the robot was identified: they stay in the"
+        " file, and what was identified is the inertia of their carriers with them in place, exact"
+        " where they are locked",
     )
 
 

@@ -31,7 +31,11 @@ class Card:
 
 def verdict(study: Study) -> tuple[Card, ...]:
     """Return the cards of a study."""
+    said = study.summary.verdict
+    error = share(study.result.train.relative_error)
+    refused = (Card("bad", error, "training error", said),) if said else ()
     return (
+        *refused,
         prediction_card(study.result, study.comparison),
         consistency_card(study.result),
         determination_card(study.determination),

@@ -11,6 +11,7 @@ from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.experiment.quality.first_pass import FirstPass
 from asbuilt.experiment.quality.smoothed_motion import SmoothedMotion
+from asbuilt.experiment.quality.torque.gravity_direction import gravity_finding
 from asbuilt.experiment.quality.torque.torque_fit import TorqueFit, best_assignment
 from asbuilt.experiment.quality.torque.torque_order import swapped_torques
 from asbuilt.findings import Cure, Finding, Severity, joined
@@ -37,6 +38,11 @@ class TorqueThresholds:
     """Gain that masses unlike CAD explain; beyond, the unit of the torque differs."""
     odd: tuple[float, float] = (0.2, 5.0)
     """Gain of one joint, relative to the others, beyond which its unit or gain differs."""
+    doubtful: tuple[float, float] = (0.6, 1.7)
+    """Gain of one joint that the masses of CAD seldom explain, in a scale that is plausible."""
+    gravity: float = 0.8
+    """Least share of gravity in the torque of a joint whose scale is doubted: an armature that CAD
+    lacks changes other torques."""
     braking: float = 0.5
     """Correlation against the direction of motion from which a torque is not friction's."""
 
@@ -71,6 +77,12 @@ def torque_findings(
             Cure("log the measured joint torques or motor currents"),
         )
         return
+    mounted = gravity_finding(fit)
+    if mounted is not None:
+        yield mounted[0]
+        model = model.with_gravity(mounted[1])
+        fit = TorqueFit.of(model, motion, position_scale)
+        ratio = float(np.sqrt(np.sum(fit.measured**2) / np.sum(fit.predicted**2)))
     low, high = THRESHOLDS.plausible
     if not low < ratio < high:
         fit = TorqueFit.of(model, motion, position_scale, 1.0 / ratio)
@@ -185,6 +197,22 @@ def _sign_and_scale(
                 f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's; those of the"
                 f" other joints are about {scale:.3g} times theirs",
                 Cure("correct its gain or unit, as by gains = [...] in a recording sheet"),
+                joint=names[k],
+            )
+    few, many = THRESHOLDS.doubtful
+    weight = fit.gravity > THRESHOLDS.gravity * predicted
+    for k in clear:
+        if usual[k] and weight[k] and not few < abs(gain[k]) < many:
+            yield Finding(
+                "torque_scale",
+                "warning",
+                f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's, mostly"
+                f" gravity's, with a correlation of {abs(correlation[k]):.3f}: its scale or the masses of CAD are"
+                " wrong by that",
+                Cure(
+                    "find the torque per logged unit from a payload of known mass",
+                    call="find_gains",
+                ),
                 joint=names[k],
             )
 

@@ -79,19 +79,31 @@ class TorqueFit:
         pick = list(self.motion_of)
         qd = self.qd[:, pick]
         x = inverse_dynamics(self.model, self.q[:, pick], qd, self.qdd[:, pick], threads=1)
-        y = self.tau[:, list(self.torque_of)].copy()
-        for k in range(x.shape[1]):
+        return self.without_friction(x), self.without_friction(self.tau[:, list(self.torque_of)])
+
+    def without_friction(self, torque: Array) -> Array:
+        """Return torques (N, n) without what offset and friction of each joint explain."""
+        qd, rest = self.qd[:, list(self.motion_of)], np.array(torque)
+        for k in range(rest.shape[1]):
             basis, _ = np.linalg.qr(
                 np.column_stack([np.ones(len(qd)), qd[:, k], np.tanh(qd[:, k] / BREAKAWAY)])
             )
-            x[:, k] -= basis @ (basis.T @ x[:, k])
-            y[:, k] -= basis @ (basis.T @ y[:, k])
-        return x, y
+            rest[:, k] -= basis @ (basis.T @ rest[:, k])
+        return rest
 
     @property
     def predicted(self) -> Array:
         """Standard deviation of the predicted torque of each joint [N m], shape (n,)."""
         deviation: Array = np.std(self._residuals[0], axis=0)
+        return deviation
+
+    @property
+    def gravity(self) -> Array:
+        """Standard deviation of the torque of gravity of each joint [N m], shape (n,)."""
+        q = self.q[:, list(self.motion_of)]
+        still = np.zeros_like(q)
+        torque = inverse_dynamics(self.model, q, still, still, threads=1)
+        deviation: Array = np.std(self.without_friction(torque), axis=0)
         return deviation
 
     @property

@@ -1,0 +1,191 @@
+"""Parts of a robot: joints with their limits and drives, links, frames and kinematic arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from asbuilt.arrays import Array
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.rotation import checked_placement
+from asbuilt.errors import DescriptionError
+
+JointKind = Literal["revolute", "continuous", "prismatic"]
+Symbols = tuple[tuple[tuple[float, str], ...], ...]
+"""A translation with symbols for lengths: for x, y and z a sum of (factor, symbol), e.g.
+
+`(((1.0, "a2"),), (), ((1.0, "b2"),))`.
+"""
+
+USUAL_GRAVITY = (0.0, 0.0, -9.81)
+"""Acceleration of free fall [m/s^2] where a description does not say.
+
+What other programs take, z pointing up.
+"""
+PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
+"""Drive terms that a description states by themselves; all others are further terms."""
+ROOT = -1
+"""Parent index of a joint that hangs on the root link."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """Limits of one joint: rad or m for position and its derivatives, N m or N for torque.
+
+    Infinite where unknown.
+
+    Raises `DescriptionError` where they leave no position, or a limit is negative or not a number.
+    """
+
+    lower: float = -np.inf
+    upper: float = np.inf
+    velocity: float = np.inf
+    acceleration: float = np.inf
+    jerk: float = np.inf
+    torque: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not self.lower <= self.upper or self.lower == np.inf or self.upper == -np.inf:
+            raise DescriptionError(
+                f"position limits from {self.lower} to {self.upper} leave no position; give the"
+                " lower one first"
+            )
+        for name in ("velocity", "acceleration", "jerk", "torque"):
+            if not getattr(self, name) >= 0.0:
+                raise DescriptionError(
+                    f"the {name} limit of a joint is {getattr(self, name)}; it must not be"
+                    " negative, and infinite where unknown"
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class DriveValues:
+    """What the description says of one drive.
+
+    Armature [kg m^2], viscous [N m s/rad], Coulomb [N m], offset [N m]; None where silent.
+
+    All are on the joint's side; `gear_ratio` is how many turns of the motor make one of the joint
+    (rad per m where it slides), and takes them to the motor's. `terms` are further terms of the
+    drive by key, each with its parameters by symbol and its nonlinear parameters by name:
+    `{"stribeck": {"Fs": 0.3, "velocity": 0.05, "power": 2.0}}`.
+    """
+
+    armature: float | None = None
+    viscous: float | None = None
+    coulomb: float | None = None
+    offset: float | None = None
+    gear_ratio: float | None = None
+    terms: Mapping[str, Mapping[str, float]] = field(default_factory=dict, hash=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """Say that a joint follows another: its position is `multiplier * position + offset`."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """Connect a parent link to the link of the same index.
+
+    The pose of the link in its parent link is `before @ motion(q) @ after`, 4 x 4 matrices [m]; the
+    motion is a rotation about z or a translation along z. `mimic` names a joint that this one
+    follows, None if it has a drive of its own. Raises `DescriptionError` for another kind, and for
+    matrices that are no placements.
+    """
+
+    name: str
+    kind: JointKind
+    parent: int
+    before: Array
+    after: Array
+    limits: JointLimits = JointLimits()
+    drive: DriveValues = DriveValues()
+    before_symbols: Symbols | None = None
+    after_symbols: Symbols | None = None
+    mimic: Mimic | None = None
+
+    def __post_init__(self) -> None:
+        kinds = get_args(JointKind)
+        if self.kind not in kinds:
+            raise DescriptionError(
+                f"joint {self.name!r} is {self.kind!r}; known kinds: {', '.join(kinds)}"
+            )
+        object.__setattr__(
+            self,
+            "before",
+            checked_placement(self.before, f"the placement before joint {self.name!r}"),
+        )
+        object.__setattr__(
+            self, "after", checked_placement(self.after, f"the placement after joint {self.name!r}")
+        )
+
+    def __repr__(self) -> str:
+        return f"Joint({self.name!r}, {self.kind!r}, parent={self.parent})"
+
+    @property
+    def is_revolute(self) -> bool:
+        """Whether the joint turns (also without end) rather than slides."""
+        return self.kind != "prismatic"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """One moving rigid body.
+
+    `inertia` is the sum of its `parts`, which remember bodies merged over fixed joints.
+
+    `inertia_known` is False where the description gave none and zeros stand in.
+    """
+
+    name: str
+    inertia: LinkInertia
+    inertia_known: bool = True
+    parts: tuple[tuple[str, LinkInertia], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Name a frame fixed to a link, such as a flange or a merged link.
+
+    `link` is its index, ROOT for the root link; `placement` is 4 x 4 [m].
+    """
+
+    name: str
+    link: int
+    placement: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self,
+            "placement",
+            checked_placement(self.placement, f"the placement of frame {self.name!r}"),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """The kinematic arrays that the batched kernels take; n joints.
+
+    `parent` (n,) int64, -1 for the root; `revolute` (n,) bool; `before_rotation`, `after_rotation`
+    (n, 3, 3); `before_translation`, `after_translation` (n, 3); `gravity` (3,) m/s^2 in the root
+    frame.
+    """
+
+    parent: NDArray[np.int64]
+    revolute: NDArray[np.bool_]
+    before_rotation: Array
+    before_translation: Array
+    after_rotation: Array
+    after_translation: Array
+    gravity: Array
+
+    def __repr__(self) -> str:
+        return f"Geometry({self.parent.size} joints)"

@@ -1,0 +1,177 @@
+"""Conversion of a robot description from one format into another."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.load import load_robot
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.newton_euler import inverse_dynamics
+from asbuilt.errors import InertiaError, UsageError
+from asbuilt.findings import Cure, joined
+from asbuilt.writers.files import file_lines
+from asbuilt.writers.models.mjcf import write_mjcf
+from asbuilt.writers.models.robot_toml import write_robot_toml
+from asbuilt.writers.models.sample_states import sample_states
+from asbuilt.writers.models.urdf import write_urdf
+
+SAME_TORQUE = 1e-10
+"""Largest torque difference of a file read back, relative to the torque, without a note."""
+CHECKED_STATES = 100
+"""Random states at which torques are compared."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conversion:
+    """Hold the file written and what it cannot hold.
+
+    Parameters
+    ----------
+    robot
+        The robot that was written.
+    path
+        The file.
+    notes
+        What the file cannot hold.
+    torque_difference
+        Largest rigid-body torque difference (n,) [N m or N] of the file read back.
+    """
+
+    robot: RobotModel
+    path: Path
+    notes: tuple[str, ...]
+    torque_difference: Array
+
+    def as_document(self) -> dict[str, Any]:
+        """Return the conversion as plain texts and numbers."""
+        return {
+            "robot": self.robot.name,
+            "joints": list(self.robot.joint_names),
+            "locked_joints": dict(self.robot.locked_joints),
+            "gravity": self.robot.gravity.tolist(),
+            "files": {"robot": str(self.path)},
+            "notes": list(self.notes),
+            "torque_difference": self.torque_difference.tolist(),
+        }
+
+    def as_text(self) -> str:
+        """Return the file and the notes, one a line."""
+        head = f"{self.robot.name}: {self.robot.n_joints} joints"
+        return "\n".join([head, *file_lines({"robot": self.path}, {"robot": self.notes}, 9)])
+
+
+def convert_robot(
+    robot: RobotModel | str | os.PathLike[str], path: str | os.PathLike[str]
+) -> Conversion:
+    """Write a robot in the format of a file name, and read it back to compare the torques.
+
+    Parameters
+    ----------
+    robot
+        A robot, the name of a bundled one, or the path of a description.
+    path
+        File to write: `.toml` (robot file, which holds everything but shapes), `.urdf`, or `.xml`
+        or `.mjcf` (MJCF, for MuJoCo).
+
+    Returns
+    -------
+    Conversion
+        The file, and notes on what it cannot hold.
+
+    Raises
+    ------
+    UsageError
+        If the suffix is that of no format.
+    InertiaError
+        If a URDF or an MJCF file is asked for and the inertia of a link is physically inconsistent.
+    """
+    model = robot if isinstance(robot, RobotModel) else load_robot(robot)
+    suffix = Path(path).suffix.lower()
+    if suffix not in _WRITERS:
+        raise UsageError(
+            f"{path} names no format to write; its suffix must be one of {', '.join(_WRITERS)}",
+            value=str(path),
+        )
+    held_still = [f"{name} at {value!r}" for name, value in model.locked_joints.items()]
+    if held_still:
+        said = f"locked when converted: {', '.join(held_still)}"
+        model = replace(model, notes=(*model.notes, said))
+    try:
+        written, notes = _WRITERS[suffix](path, model)
+    except InertiaError as problem:
+        problem.cure = Cure("write a robot file (.toml), which takes any inertia, or correct it")
+        raise
+    apart, differs = _read_back(written, model)
+    return Conversion(model, written, (*notes, *differs), apart)
+
+
+def _as_toml(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
+    return write_robot_toml(path, model), ()
+
+
+def _as_urdf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
+    written, notes = write_urdf(path, model)
+    return written, (*notes, *_left_out(model, "URDF", ("acceleration", "jerk")))
+
+
+def _as_mjcf(path: str | os.PathLike[str], model: RobotModel) -> tuple[Path, tuple[str, ...]]:
+    written, notes = write_mjcf(path, model)
+    return written, (*notes, *_left_out(model, "MJCF", ("velocity", "acceleration", "jerk")))
+
+
+_WRITERS: dict[
+    str, Callable[[str | os.PathLike[str], RobotModel], tuple[Path, tuple[str, ...]]]
+] = {".toml": _as_toml, ".urdf": _as_urdf, ".xml": _as_mjcf, ".mjcf": _as_mjcf}
+
+
+def _left_out(model: RobotModel, title: str, limits: tuple[str, ...]) -> tuple[str, ...]:
+    """Return a note on what a format other than the robot file has no place for."""
+    lost = [
+        f"{name} limits"
+        for name in limits
+        if any(np.isfinite(getattr(joint.limits, name)) for joint in model.joints)
+    ]
+    if model.motor_coupling is not None:
+        lost.append("the coupling of the motors")
+    if any(joint.drive.gear_ratio is not None for joint in model.joints):
+        lost.append("gear ratios")
+    if any(link.parts for link in model.links):
+        lost.append("the parts of merged links")
+    if model.lengths:
+        lost.append("names of lengths")
+    if any(not link.inertia_known for link in model.links):
+        lost.append("which inertias are unknown")
+    if not lost:
+        return ()
+    return (f"{title} has no place for {joined(lost)}; the robot file (.toml) has",)
+
+
+def _read_back(path: Path, model: RobotModel) -> tuple[Array, tuple[str, ...]]:
+    """Return the torque difference (n,) of the file read back, and a note if there is one."""
+    try:
+        read = load_robot(path)
+    except ImportError:
+        return np.full(model.n_joints, np.nan), ("not read back: MuJoCo is not installed",)
+    order = [read.joint_names.index(name) for name in model.joint_names]
+    states = sample_states(model, CHECKED_STATES)
+    expected = inverse_dynamics(model, *states)
+    there = [np.empty_like(part) for part in states]
+    for given, part in zip(there, states, strict=True):
+        given[:, order] = part
+    torque = inverse_dynamics(replace(read, gravity=model.gravity), *there)[:, order]
+    apart = np.abs(torque - expected).max(axis=0)
+    size = float(np.abs(expected).max(initial=0.0))
+    if apart.max(initial=0.0) <= SAME_TORQUE * max(size, 1.0):
+        return apart, ()
+    worst = int(np.argmax(apart))
+    return apart, (
+        f"read back, the torque of {model.joint_names[worst]} differs by up to"
+        f" {apart[worst]:.2g} N m",
+    )

@@ -1,0 +1,151 @@
+"""Recordings that lack joints of the robot, and joints that are not to be identified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.description.formats.urdf import read_urdf
+from asbuilt.description.inertia import LinkInertia
+from asbuilt.description.model import Joint, JointLimits, Link, RobotModel
+from asbuilt.errors import RecordingError, UsageError
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.logs.joint_matching import joints_without_label
+from asbuilt.experiment.logs.options import ReadingOptions
+from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.study import identify
+from asbuilt.writers.recording_files import write_recording
+
+SHARED = Path(__file__).parents[3] / ".." / "shared"
+
+
+def with_fingers(model: RobotModel) -> RobotModel:
+    """Return a robot with two prismatic fingers on its last link."""
+    last = model.n_joints - 1
+    place = np.eye(4)
+    place[2, 3] = 0.1
+    body = LinkInertia.from_com(0.2, (0.0, 0.01, 0.02), 1e-4 * np.eye(3))
+    fingers = tuple(
+        Joint(name, "prismatic", last, place, np.eye(4), JointLimits(0.01, 0.05))
+        for name in ("finger_left", "finger_right")
+    )
+    links = tuple(Link(name, body) for name in ("left", "right"))
+    return replace(model, joints=(*model.joints, *fingers), links=(*model.links, *links))
+
+
+@pytest.fixture(scope="module")
+def hand() -> RobotModel:
+    return with_fingers(bundled_robot("ur10e"))
+
+
+@pytest.fixture(scope="module")
+def log(hand: RobotModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the log of the arm while both fingers stand at 0.03 m."""
+    arm = hand.locked(["finger_left", "finger_right"])
+    motion = random_fourier(arm, rng=2, duration=8.0)
+    recording = simulate_recording(arm, motion, rate=100.0, rng=3)
+    return write_recording(tmp_path_factory.mktemp("log") / "log.csv", recording)
+
+
+def test_a_log_without_fingers_locks_them(hand: RobotModel, log: Path) -> None:
+    model, ((recording,),) = fitted_recordings(hand, [[log]])
+    assert model.locked_joints == pytest.approx({"finger_left": 0.03, "finger_right": 0.03})
+    assert recording.joint_names == model.joint_names == bundled_robot("ur10e").joint_names
+    check = check_recording(model, recording)
+    assert check.ok
+    assert "joints_locked" in check.codes
+    other, _ = fitted_recordings(hand, [[log]], ReadingOptions(lock="finger_left=0.02"))
+    assert other.locked_joints == pytest.approx({"finger_left": 0.02, "finger_right": 0.03})
+
+
+def test_identification_locks_them_too(hand: RobotModel, log: Path) -> None:
+    study = identify(hand, log, options=StudyOptions(method="wls"))
+    arm = hand.locked(["finger_left", "finger_right"])
+    assert study.result.model.joint_names == arm.joint_names
+    assert "joints_locked" in [finding.code for finding in study.findings]
+    assert study.result.train.relative_error < 0.02
+    stored = type(study).from_json(study.to_json())
+    assert stored.result.model.locked_joints == arm.locked_joints
+
+
+def test_a_sheet_locks_joints(hand: RobotModel, log: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "log.csv"
+    copy.write_bytes(log.read_bytes())
+    (tmp_path / "log.csv.toml").write_text("[lock]\nfinger_left = 0.015\n")
+    model, _ = fitted_recordings(hand, [[copy]])
+    assert model.locked_joints == pytest.approx({"finger_left": 0.015, "finger_right": 0.03})
+    (tmp_path / "log.csv.toml").write_text('lock = ["finger_left"]\n')
+    assert fitted_recordings(hand, [[copy]])[0].locked_joints["finger_left"] == pytest.approx(0.03)
+
+
+def test_a_joint_that_is_logged_is_locked_where_it_stands() -> None:
+    model = bundled_robot("two-link")
+    t = np.arange(0.0, 2.0, 0.01)
+    q = np.column_stack([np.sin(t), np.full_like(t, 0.4)])
+    columns = {"t": t, "q": q, "tau": np.ones_like(q)}
+    locked, ((recording,),) = fitted_recordings(model, [[columns]], ReadingOptions(lock="joint_2"))
+    assert locked.locked_joints == {"joint_2": 0.4}
+    np.testing.assert_array_equal(recording.q, q[:, :1])
+
+
+def test_unnamed_columns_leave_out_a_gripper_and_nothing_else(hand: RobotModel) -> None:
+    t = np.arange(0.0, 2.0, 0.01)
+    six = {"t": t, "q": np.ones((t.size, 6)), "tau": np.ones((t.size, 6))}
+    assert fitted_recordings(hand, [[six]])[0].n_joints == 6
+    with pytest.raises(RecordingError, match=r"6 position columns.*kuka-iiwa7-r800 has 7 joints"):
+        fitted_recordings(bundled_robot("kuka-iiwa7-r800"), [[six]])
+
+
+def test_labels_name_some_of_the_joints() -> None:
+    joints = ["left_joint1", "left_joint2", "right_joint1", "right_joint2"]
+    assert joints_without_label(["left_joint1", "left_joint2"], joints) == tuple(joints[2:])
+    assert joints_without_label(["q1", "q2"], joints) is None
+    assert joints_without_label(["a", "b", "c", "left_joint1"], joints) is None
+
+
+def test_gravity_of_the_options_replaces_that_of_the_robot(hand: RobotModel, log: Path) -> None:
+    model, _ = fitted_recordings(hand, [[log]], ReadingOptions(gravity="-y"))
+    assert model.gravity.tolist() == [0.0, -9.81, 0.0]
+    assert ReadingOptions(gravity="1, 2,-3").gravity == (1.0, 2.0, -3.0)
+    for wrong in ("w", "1,2", "+xy", "nan,0,0"):
+        with pytest.raises(UsageError, match="three numbers"):
+            ReadingOptions(gravity=wrong)
+
+
+def test_the_airbot_with_its_gripper_is_the_airbot_without() -> None:
+    data = SHARED / "data" / "airbot"
+    if not data.is_dir():
+        pytest.skip("the shared recordings are absent")
+    robot = read_urdf(SHARED / "models" / "airbot" / "airbot_play_gripper.urdf")
+    options = ReadingOptions(sheet=data / "sheet.toml")
+    model, ((recording,),) = fitted_recordings(robot, [[data / "vali_opt.csv"]], options)
+    assert model.locked_joints == {"endleft": 0.0, "endright": 0.0}
+    assert check_recording(model, recording).ok
+
+
+def test_an_arm_with_one_more_joint_is_identified_without_it(tmp_path: Path) -> None:
+    file = SHARED / "models" / "xarm7.urdf"
+    if not file.is_file():
+        pytest.skip("the shared descriptions are absent")
+    text = file.read_text()
+    last = read_urdf(text).link_names[-1]
+    more = (
+        '<link name="jaw"><inertial><mass value="0.3"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4"'
+        ' ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="drive_joint" type="revolute">'
+        f'<parent link="{last}"/><child link="jaw"/><origin xyz="0 0.03 0.06"/>'
+        '<axis xyz="1 0 0"/><limit lower="0" upper="0.85" effort="50" velocity="2"/></joint>'
+    )
+    robot = read_urdf(text.replace("</robot>", f"{more}</robot>"))
+    arm = robot.locked(["drive_joint"])
+    recording = simulate_recording(arm, random_fourier(arm, rng=1, duration=4.0), rate=100.0)
+    path = write_recording(tmp_path / "log.csv", recording)
+    model, ((read,),) = fitted_recordings(robot, [[path]])
+    assert model.locked_joints == {"drive_joint": 0.0}
+    assert read.joint_names == arm.joint_names

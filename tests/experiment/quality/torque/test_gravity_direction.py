@@ -1,0 +1,59 @@
+"""Robots recorded on a wall or a ceiling with the description of one on the floor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from asbuilt.description.catalogue import bundled_robot
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.quality.checks import check_recording
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.virtual.simulation import simulate_recording
+
+ROBOTS = ("ur10e", "kuka-iiwa7-r800", "franka-panda")
+
+
+def recorded(name: str, gravity: tuple[float, ...]) -> Recording:
+    """Return a recording of a robot with this gravity."""
+    mounted = bundled_robot(name).with_gravity(gravity)
+    return simulate_recording(mounted, random_fourier(mounted, rng=5), rate=100.0, rng=6)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    ("gravity", "said"),
+    [((9.81, 0.0, 0.0), "+x"), ((0.0, -9.81, 0.0), "-y"), ((0.0, 0.0, 9.81), "+z")],
+)
+def test_the_direction_is_named(name: str, gravity: tuple[float, ...], said: str) -> None:
+    check = check_recording(bundled_robot(name), recorded(name, gravity))
+    found = {finding.code: finding for finding in check.findings}
+    if said == "+z" and "gravity_direction" not in found:
+        assert "torque_flipped" in found
+        return
+    cure = found["gravity_direction"].cure
+    assert cure is not None
+    assert cure.settings == {"gravity": said}
+    assert not check.ok
+    assert "joints_swapped" not in found
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_the_right_direction_and_a_small_tilt_are_not_doubted(name: str) -> None:
+    tilt = np.radians(5.0)
+    for gravity in ((0.0, 0.0, -9.81), (9.81 * np.sin(tilt), 0.0, -9.81 * np.cos(tilt))):
+        recording = recorded(name, gravity)
+        check = check_recording(bundled_robot(name), recording)
+        assert "gravity_direction" not in check.codes
+    flipped = check_recording(bundled_robot(name), recording.flipped())
+    assert "gravity_direction" not in flipped.codes
+    assert "torque_flipped" in flipped.codes
+
+
+def test_a_direction_that_is_no_axis_is_estimated() -> None:
+    along = np.array([0.6, -0.64, 0.48]) * 9.81
+    check = check_recording(bundled_robot("ur10e"), recorded("ur10e", tuple(along)))
+    (finding,) = [each for each in check.findings if each.code == "gravity_direction"]
+    assert finding.cure is not None
+    said = np.array([float(part) for part in finding.cure.settings["gravity"].split(",")])
+    assert said @ along / 9.81**2 > np.cos(np.radians(5.0))
