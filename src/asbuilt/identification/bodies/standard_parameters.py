@@ -15,13 +15,13 @@ from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.body_bounds import BodyBounds, non_negative_drives
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.bodies.conic_fit import SMALLEST_PART, fit_consistent_bodies, near_one
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
+from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.information.triangular import triangular_factor
 
 EXACT_PART = 1e-6
@@ -29,13 +29,6 @@ EXACT_PART = 1e-6
 FINE_BARRIER = 1e-12
 LEAST_SHARE = 1e-5
 """Least armature that shares a base parameter with a link, in units of its scale."""
-RANDOM_STATES = 500
-RANDOM_RATE = 2.0
-"""Largest velocity and acceleration of random motion [rad or m, per s and s^2].
-
-Joints without limits turn through the whole circle or slide by a metre.
-"""
-RANDOM_SEED = 2015
 RELATIVE_RESOLUTION = 1e-3
 """Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
 
@@ -269,32 +262,6 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
     return triangular_factor(
         np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))])
     )
-
-
-def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
-    """Return the observation matrix (N n, p) of random motion within limits, always the same."""
-    rng = np.random.default_rng(RANDOM_SEED)
-    limits = [joint.limits for joint in model.joints]
-    reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
-    low = np.array(
-        [
-            limit.lower if np.isfinite(limit.lower) else -far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
-    high = np.array(
-        [
-            limit.upper if np.isfinite(limit.upper) else far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
-    shape = (RANDOM_STATES, model.n_joints)
-    q = rng.uniform(low, high, shape)
-    qd, qdd = (
-        rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape),
-        rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape),
-    )
-    return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
 
 
 def _joint_rms(torque: Array, n_joints: int) -> Array:

@@ -13,7 +13,8 @@ from asbuilt.description.formats.xml import described_text, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.standard_parameters import StandardParameters, random_motion_rows
+from asbuilt.identification.bodies.standard_parameters import StandardParameters
+from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
