@@ -125,9 +125,7 @@ def _row(name: str, model: Any, logs: list[Any], train: tuple[int, ...], tilt: b
     for cutoff, methods in ((None, METHODS), (PLAIN_CUTOFF, ("plain", "auto"))):
         chain = SignalChain() if cutoff is None else SignalChain(cutoff=cutoff)
         chain = resolve_chain(chain, *(logs[k] for k in train))
-        used, held = (
-            [prepare_samples(logs[k], chain) for k in which] for which in (train, others)
-        )
+        used, held = ([prepare_samples(logs[k], chain) for k in which] for which in (train, others))
         drive = usual_drive(model, logs[0].torque_source)
         own = find_mounting(model, used, drive=drive).model if tilt else model
         for method in methods:
