@@ -59,7 +59,7 @@ def result_of(model: RobotModel, truth: RobotModel, drive: str = ALL) -> Identif
     metrics = torque_metrics(np.ones((5, n)), np.ones((5, n)), "log.csv", model.joint_names)
     return IdentificationResult(
         model=model, base=base, method="wls", sources=("log.csv",), n_samples=5, rate=100.0, duration=1.0, parameters=parameters,
-        covariance=1e-4 * np.eye(p), textbook_covariance=1e-4 * np.eye(p), sigma=np.ones(n), effective_samples=5.0, rank=p, singular_values=np.ones(p),
+        covariance=1e-20 * np.eye(p), textbook_covariance=1e-20 * np.eye(p), sigma=np.ones(n), effective_samples=5.0, rank=p, singular_values=np.ones(p),
         condition_number=1.0, scaled_condition_number=1.0, undetermined=(), train=metrics, validation=(), cad=metrics, physically_consistent=True,
         consistency_margin=0.1, findings=(), provenance=(),
     )  # fmt: skip

@@ -29,6 +29,10 @@ EXACT_PART = 1e-6
 """Least part of CAD at which base parameters are kept exactly; below, rounding decides."""
 SHARPEST = 1e7
 """Torque in standard errors of beta beyond which beta is kept exactly (simulations)."""
+LIMIT = 1.0
+"""Largest chi-square of the parameters closest to CAD: no torque, and no other combination of base
+parameters, then moves by more than one standard error of its own (Scheffe's bound).
+"""
 FINE_BARRIER = 1e-12
 LEAST_SHARE = 1e-5
 """Least armature that shares a base parameter with a link, in units of its scale."""
@@ -162,7 +166,7 @@ def standard_parameters(
         data used, or of random motion by default.
     uncertainty_root
         R (r, p) with `R^T R` the inverse covariance of beta; the limit of the chi-square
-        `|R (K chi - beta)|^2` is r, its mean over repeated recordings.
+        `|R (K chi - beta)|^2` is `LIMIT`.
 
     Raises
     ------
@@ -221,7 +225,7 @@ def standard_parameters(
         nearest_in="random motion" if information is None else "the data used",
         notes=cad.notes,
         chi_square=0.0 if plausible is None else plausible[1],
-        limit=0.0 if plausible is None or uncertainty_root is None else len(uncertainty_root),
+        limit=0.0 if plausible is None or uncertainty_root is None else LIMIT,
     )
 
 
@@ -231,7 +235,7 @@ def _within(
     """Return parameters within the uncertainty, or None if that is as good as none."""
     if not len(root) or np.linalg.norm(root @ beta) > SHARPEST:
         return None
-    return plausible_parameters(cad, base, beta, root, float(len(root)))
+    return plausible_parameters(cad, base, beta, root, LIMIT)
 
 
 def deepest_inside(
