@@ -25,6 +25,7 @@ from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
+from asbuilt.identification.result.as_built_parameters import mass_findings
 from asbuilt.identification.result.determination import Determination, determination
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult, stored_document
@@ -265,6 +266,7 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *mass_findings(result),
     )
     report("compare", 1.0)
     return Study(

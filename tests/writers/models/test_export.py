@@ -31,7 +31,9 @@ from command_line import call
 ALL = "armature,viscous,coulomb,offset"
 
 
-def result_of(model: RobotModel, truth: RobotModel, drive: str = ALL) -> IdentificationResult:
+def result_of(
+    model: RobotModel, truth: RobotModel, drive: str = ALL, *, variance: float = 1e-4
+) -> IdentificationResult:
     """Return the result of an identification that found exactly the torques of `truth`."""
     base = find_base_parameters(model, DriveSet.parse(drive))
     p, n = base.n_base, model.n_joints
@@ -59,8 +61,8 @@ def result_of(model: RobotModel, truth: RobotModel, drive: str = ALL) -> Identif
     metrics = torque_metrics(np.ones((5, n)), np.ones((5, n)), "log.csv", model.joint_names)
     return IdentificationResult(
         model=model, base=base, method="wls", sources=("log.csv",), n_samples=5, rate=100.0,
-        duration=1.0, parameters=parameters, covariance=1e-4 * np.eye(p),
-        textbook_covariance=1e-4 * np.eye(p), sigma=np.ones(n), effective_samples=5.0, rank=p,
+        duration=1.0, parameters=parameters, covariance=variance * np.eye(p),
+        textbook_covariance=variance * np.eye(p), sigma=np.ones(n), effective_samples=5.0, rank=p,
         singular_values=np.ones(p), condition_number=1.0, scaled_condition_number=1.0,
         undetermined=(), train=metrics, validation=(), cad=metrics, physically_consistent=True,
         consistency_margin=0.1, findings=(), provenance=(),
@@ -75,7 +77,7 @@ def test_every_export_gives_the_identified_torques(
 ) -> None:
     robot = request.getfixturevalue("shared") / "models" / name if name.endswith(".urdf") else name
     model = load_robot(str(robot))
-    result = result_of(model, as_if_identified(model, 2))
+    result = result_of(model, as_if_identified(model, 2), variance=1e-20)
     places = {kind: tmp_path / f"robot.{kind}" for kind in ("urdf", "mjcf", "toml", "c")}
     exported = export_result(result, **places)
     assert set(exported.files) == {*places, "header"}

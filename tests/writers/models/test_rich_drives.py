@@ -58,7 +58,7 @@ def rich_result(name: str) -> IdentificationResult:
     """Return a result with random positive drive parameters of its rich set."""
     model = coupled(bundled_robot(name)) if name == "ur10e" else bundled_robot(name)
     bodies = as_if_identified(model, 2, drives=False)
-    result = result_of(model, bodies, drive=RICH[name])
+    result = result_of(model, bodies, drive=RICH[name], variance=1e-20)
     rng = np.random.default_rng(3)
     chi = np.concatenate(
         [bodies.parameters, rng.uniform(0.1, 1.0, result.base.n_standard - 10 * model.n_joints)]
@@ -175,6 +175,7 @@ def test_mujoco_has_what_it_can(tmp_path: Path) -> None:
         model,
         as_if_identified(model, 2, drives=False),
         drive="armature,motor_armature,viscous,motor_viscous,asymmetric_coulomb,motor_coulomb,spring,offset",
+        variance=1e-20,
     )
     rng = np.random.default_rng(1)
     chi = np.concatenate(
@@ -229,7 +230,9 @@ def test_load_that_counts_an_armature_is_said(tmp_path: Path) -> None:
     load; the exported robot has it apart.
     """
     model = bundled_robot("kuka-iiwa7-r800")
-    result = result_of(model, as_if_identified(model, 2), drive="armature,load_friction")
+    result = result_of(
+        model, as_if_identified(model, 2), drive="armature,load_friction", variance=1e-20
+    )
     load = tuple(
         replace(p, estimate=0.1) if p.name.startswith("Fl") else p for p in result.parameters
     )
@@ -343,6 +346,7 @@ def test_friction_of_the_description_is_not_counted_beside_what_was_identified_i
         model,
         as_if_identified(model, 2, drives=False),
         drive="asymmetric_coulomb,viscous:joints=2,power:exponent=0.7:joints=1",
+        variance=1e-20,
     )
     names = parameter_names(model, result.base.drive)
     rng = np.random.default_rng(4)

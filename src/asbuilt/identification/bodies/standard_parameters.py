@@ -15,27 +15,27 @@ from asbuilt.description.inertia import pseudo_inertias
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.kernels.blas import one_blas_thread
-from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.errors import IdentifiabilityError
 from asbuilt.identification.bodies.body_bounds import BodyBounds, non_negative_drives
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.cone_program import solve_cone_program
 from asbuilt.identification.bodies.conic_fit import SMALLEST_PART, fit_consistent_bodies, near_one
 from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicProblem
+from asbuilt.identification.bodies.plausible import plausible_parameters
+from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.information.triangular import triangular_factor
 
 EXACT_PART = 1e-6
 """Least part of CAD at which base parameters are kept exactly; below, rounding decides."""
+SHARPEST = 1e7
+"""Torque in standard errors of beta beyond which beta is kept exactly (simulations)."""
+LIMIT = 1.0
+"""Largest chi-square of the parameters closest to CAD: no torque, and no other combination of base
+parameters, then moves by more than one standard error of its own (Scheffe's bound).
+"""
 FINE_BARRIER = 1e-12
 LEAST_SHARE = 1e-5
 """Least armature that shares a base parameter with a link, in units of its scale."""
-RANDOM_STATES = 500
-RANDOM_RATE = 2.0
-"""Largest velocity and acceleration of random motion [rad or m, per s and s^2].
-
-Joints without limits turn through the whole circle or slide by a metre.
-"""
-RANDOM_SEED = 2015
 RELATIVE_RESOLUTION = 1e-3
 """Noise of the nearest consistent fit in torque RMS, so small that CAD has no influence."""
 
@@ -68,6 +68,9 @@ class StandardParameters:
         Motion in which the nearest beta is nearest.
     notes
         What was corrected or guessed in CAD.
+    chi_square, limit
+        Chi-square of `beta` from the requested one, and its limit, if the parameters are those
+        closest to CAD within the uncertainty; else 0.
     """
 
     parameters: Array
@@ -81,6 +84,13 @@ class StandardParameters:
     torque_rms_of_motion: Array
     nearest_in: Literal["random motion", "the data used"]
     notes: tuple[str, ...]
+    chi_square: float = 0.0
+    limit: float = 0.0
+
+    @property
+    def substituted(self) -> bool:
+        """Whether the nearest consistent base parameters replace inconsistent ones."""
+        return not self.exact and not self.limit
 
     @property
     def verdict(self) -> str:
@@ -98,6 +108,17 @@ class StandardParameters:
             return (
                 "exact identified torques, physically consistent standard parameters closest to"
                 f" CAD; {margin}"
+            )
+        if self.limit:
+            moved, whole = (
+                float(np.sqrt(np.mean(torque**2)))
+                for torque in (self.torque_rms, self.torque_rms_of_motion)
+            )
+            return (
+                "physically consistent standard parameters closest to CAD within the standard"
+                f" errors (chi-square {self.chi_square:.3g}, limit {self.limit:.3g}), torque"
+                f" {moved:.2g} N m RMS from the identified one in random motion (of {whole:.3g}"
+                f" N m); {margin}"
             )
         away = "in the torque of the data used"
         if self.nearest_in == "random motion":
@@ -117,8 +138,13 @@ def standard_parameters(
     *,
     nearest: bool = False,
     information: ArrayLike | None = None,
+    uncertainty_root: Array | None = None,
 ) -> StandardParameters:
     """Return the standard parameters with `K chi = beta` of least divergence from CAD.
+
+    With `uncertainty_root` and a consistent beta, they are those of least divergence from CAD
+    whose base parameters are within the uncertainty of beta: what torques do not determine stays
+    near CAD.
 
     If beta is inconsistent, either it is kept with the inconsistent links closest to CAD in the
     metric there, or (`nearest`) the nearest consistent beta with passive drives takes its place.
@@ -138,6 +164,9 @@ def standard_parameters(
     information
         Matrix A (p, p) of the distance `(K chi - beta)^T A (K chi - beta)`: the information of the
         data used, or of random motion by default.
+    uncertainty_root
+        R (r, p) with `R^T R` the inverse covariance of beta; the limit of the chi-square
+        `|R (K chi - beta)|^2` is `LIMIT`.
 
     Raises
     ------
@@ -170,8 +199,13 @@ def standard_parameters(
             least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)
+        plausible = None
+        if exact and uncertainty_root is not None and not np.any(alone < 0.0):
+            plausible = _within(cad, base, asked, uncertainty_root)
         chi = (
-            _closest_above(cad, coordinates, chi, part, shared)
+            plausible[0]
+            if plausible is not None
+            else _closest_above(cad, coordinates, chi, part, shared)
             if consistent
             else _closest_in_metric(cad, coordinates, asked)
         )
@@ -179,7 +213,7 @@ def standard_parameters(
     return StandardParameters(
         parameters=chi,
         beta=kept,
-        exact=exact or not nearest,
+        exact=plausible is None and (exact or not nearest),
         consistent=consistent,
         part=float(cad.relative_eigenvalues(chi).min()),
         smallest_eigenvalue=float(
@@ -190,7 +224,18 @@ def standard_parameters(
         torque_rms_of_motion=of_motion,
         nearest_in="random motion" if information is None else "the data used",
         notes=cad.notes,
+        chi_square=0.0 if plausible is None else plausible[1],
+        limit=0.0 if plausible is None or uncertainty_root is None else LIMIT,
     )
+
+
+def _within(
+    cad: CadPrior, base: BaseParameters, beta: Array, root: Array
+) -> tuple[Array, float] | None:
+    """Return parameters within the uncertainty, or None if that is as good as none."""
+    if not len(root) or np.linalg.norm(root @ beta) > SHARPEST:
+        return None
+    return plausible_parameters(cad, base, beta, root, LIMIT)
 
 
 def deepest_inside(
@@ -269,32 +314,6 @@ def _distance_factor(beta: Array, motion: Array, information: ArrayLike | None) 
     return triangular_factor(
         np.vstack([np.column_stack([root, root @ beta]), np.zeros((1, p + 1))])
     )
-
-
-def random_motion_rows(model: RobotModel, base: BaseParameters) -> Array:
-    """Return the observation matrix (N n, p) of random motion within limits, always the same."""
-    rng = np.random.default_rng(RANDOM_SEED)
-    limits = [joint.limits for joint in model.joints]
-    reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
-    low = np.array(
-        [
-            limit.lower if np.isfinite(limit.lower) else -far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
-    high = np.array(
-        [
-            limit.upper if np.isfinite(limit.upper) else far
-            for limit, far in zip(limits, reach, strict=True)
-        ]
-    )
-    shape = (RANDOM_STATES, model.n_joints)
-    q = rng.uniform(low, high, shape)
-    qd, qdd = (
-        rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape),
-        rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape),
-    )
-    return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
 
 
 def _joint_rms(torque: Array, n_joints: int) -> Array:

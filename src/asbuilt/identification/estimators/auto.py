@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,26 +12,39 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.body_bounds import non_negative_drives
+from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
     margin_is_consistent,
     non_passive_drives,
 )
+from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE, Coordinates
+from asbuilt.identification.bodies.entropic_path import EntropicPath
+from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS, block_uncertainty
 from asbuilt.identification.estimators.consistent_fit import (
-    estimate_consistent,
-    estimate_entropic,
+    STRONGEST_BELIEF,
+    WEAKEST_BELIEF,
+    ConsistentEstimate,
     fit_consistent,
     fit_toward_cad,
     quietest_noise,
 )
-from asbuilt.identification.estimators.least_squares import LARGE_CONDITION, estimate_wls
+from asbuilt.identification.estimators.least_squares import estimate_wls, fit_least_squares
 from asbuilt.identification.estimators.methods import estimator
-from asbuilt.identification.estimators.ridge import estimate_ridge
 from asbuilt.identification.estimators.robust import estimate_huber, outlying_share
+from asbuilt.identification.information.candidate_choice import (
+    Candidate,
+    MotionChoice,
+    choose_candidate,
+)
 from asbuilt.identification.information.estimate import Estimate
 from asbuilt.identification.information.estimation_data import EstimationData
-from asbuilt.identification.information.held_out import held_out_errors
+from asbuilt.identification.information.held_out import different_motions, folds
+from asbuilt.identification.information.random_motion import (
+    random_motion_rows,
+    recorded_rates,
+)
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 
@@ -44,10 +58,14 @@ class SelectionRules:
     """Residual variance of a joint in robust variances; unmodelled friction alone reaches 12."""
     screened: int = 20_000
     """Samples of a long recording, in evenly spread time blocks, that are searched for outliers."""
-    condition_number: float = LARGE_CONDITION
-    """Scaled condition number above which the estimate is regularised toward CAD."""
     fewest_folds: int = 3
     """Groups of time blocks below which held-out errors have no usable standard error."""
+    beliefs: tuple[float, ...] = (STRONGEST_BELIEF, 10.0, 10**0.5, 1.0)
+    """Weights of CAD tried, times the design effect, so that samples count as often as they are
+    independent. At 1 links lie within a factor of about e of CAD."""
+    design_effect: float = 10.0
+    """Samples per independent sample where the blocks are too few to estimate it: the median of
+    14 recordings of four robots."""
     costly: float = 0.05
     """Rise of the torque error by a consistent fit beyond that of its lost degrees of freedom."""
 
@@ -63,24 +81,24 @@ CURE = Cure(
 @estimator(
     "auto",
     "chosen automatically",
-    "wls, huber, ridge, consistent or entropic, by rules that the summary states",
+    "the estimate closest to CAD that predicts other motions as well as the best",
     needs="samples",
     held_fixed=(),
 )
 def estimate_auto(data: EstimationData) -> Estimate:
-    """Estimate by the method that rules choose, each rule on the outcome of the one before.
+    """Estimate by the method closest to CAD that predicts other motions as well as the best.
 
     1. Weighted least squares; `huber` if more than 7 % of the torques lie beyond 4 robust standard
        deviations, or the residual variance of a joint exceeds 30 robust variances.
-    2. `ridge` if directions are not excited or the scaled condition number exceeds 200.
-    3. If the values so far are physically inconsistent: `consistent`, or `entropic` if that
-       predicts better (after `ridge` the other way round), provided that it predicts as well as
-       the inconsistent values; otherwise these stay, with a finding.
+    2. Candidates are `entropic` with weights of CAD of 25 to 1 times the design effect,
+       `consistent`, and the values of step 1, in this order. The first is chosen whose error on
+       other motions is within one standard error of the least; physically inconsistent values
+       only if they are better than every consistent candidate by two.
 
-    Predictions are compared on time blocks held out in turn: "as well" is within one standard
-    error of the paired difference, "better" is beyond it (the rule that also chooses the weight of
-    CAD). Consistency is certain, so it only must not do harm; nearness to CAD is not, so it must
-    do good. Steps 2 and 3 are left out if undetermined directions are refused.
+    The error on other motions is that on groups of time blocks of different motion, held out in
+    turn, and an expected error of random motion beyond them (`choose_candidate`). Candidates that
+    do not converge are left out. Without CAD masses the candidates are `consistent` and the values
+    of step 1. Step 2 is left out if undetermined directions are refused.
     """
     estimate = estimate_wls(data)
     reasons = []
@@ -94,131 +112,254 @@ def estimate_auto(data: EstimationData) -> Estimate:
                 f"huber: {100 * share:.2g} % of the torques are outliers, and the residual variance"
                 f" of one joint is {ratio:.3g} times the robust variance"
             )
-    seen = replace(data, information=estimate.information or data.information, samples=None)
-    condition = estimate.solution.scaled_condition_number
-    if data.undetermined != "refuse":
-        if estimate.undetermined or condition > RULES.condition_number:
-            why = (
-                "directions are not excited"
-                if estimate.undetermined
-                else f"the scaled condition number is {condition:.3g}"
-            )
-            ridge = estimate_ridge(seen)
-            reasons.append(f"{ridge.method}: {why}")
-            estimate = _joined(ridge, estimate)
-        if not _is_consistent(data, estimate):
-            estimate, why = _consistent(seen, estimate)
-            reasons.append(why)
-    if not reasons:
-        reasons.append("wls: few outliers, well conditioned, physically consistent")
-    return replace(
-        estimate, notes=(f"Chosen automatically: {'; '.join(reasons)}.", *estimate.notes)
+    if data.undetermined == "refuse":
+        reasons.append(f"{estimate.method}: undetermined directions are refused, not set from CAD")
+        notes: tuple[str, ...] = ()
+    else:
+        estimate, why, notes = _closest_to_cad(data, estimate)
+        reasons.append(why)
+    said = (f"Chosen automatically: {'; '.join(reasons)}.", *notes)
+    return replace(estimate, notes=(*said, *estimate.notes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidates:
+    """Hold candidates, the fit of each to all blocks, and the names of those that failed."""
+
+    known: list[Candidate] = field(default_factory=list)
+    fits: list[Callable[[], Estimate]] = field(default_factory=list)
+    failed: list[str] = field(default_factory=list)
+
+    def add(
+        self,
+        name: str,
+        weight: float,
+        held_out: Callable[[], Array],
+        fit: Callable[[], Estimate],
+        certain: bool = True,
+    ) -> None:
+        """Add a candidate, or its name to those that failed."""
+        try:
+            self.known.append(Candidate(name, weight, held_out(), certain))
+        except AsbuiltError:
+            self.failed.append(name)
+        else:
+            self.fits.append(fit)
+
+
+def _closest_to_cad(data: EstimationData, free: Estimate) -> tuple[Estimate, str, tuple[str, ...]]:
+    """Return the chosen candidate, why it was chosen, and notes."""
+    information, prior = (
+        free.information or data.information,
+        cad_prior(data.model, data.base.drive),
     )
+    with one_blas_thread():
+        try:
+            consistent = fit_consistent(information, prior)
+        except AsbuiltError as problem:
+            return free, f"{free.method}: the consistent fit failed ({problem})", ()
+        effect = _design_effect(information, consistent)
+        masses = any(link.inertia_known and link.inertia.mass > 0.0 for link in data.model.links)
+        weights = [effect * each for each in RULES.beliefs] if masses else []
+        parts = list(folds(information, different_motions(information, consistent.weights)))
+        if len(parts) < RULES.fewest_folds:
+            return _unvalidated(information, prior, free, consistent, masses)
+        candidates = _candidates(information, prior, free, consistent, weights, parts)
+        rates = None if data.samples is None else recorded_rates(data.samples)
+        motion = random_motion_rows(data.loading or data.model, data.base, rates)
+        motion *= np.resize(consistent.weights, len(motion))[:, None]
+        free_energy = float(consistent.weights**2 @ information.residual_energy(free.beta))
+        return _chosen(
+            information,
+            free,
+            candidates,
+            lambda: choose_candidate(
+                candidates.known,
+                parts,
+                information,
+                consistent.weights,
+                _prior_information(information, prior),
+                motion,
+                effect * free_energy / (information.n_samples * information.n_joints),
+            ),
+        )
 
 
-def _joined(later: Estimate, earlier: Estimate) -> Estimate:
-    """Return the later estimate on the information of the earlier one, with the notes of both."""
-    return replace(
-        later,
-        information=earlier.information,
-        sigma=np.maximum(later.sigma, earlier.sigma),
-        notes=(*earlier.notes, *later.notes),
-        findings=(*earlier.findings, *later.findings),
+def _design_effect(information: SquareRootInformation, estimate: Estimate) -> float:
+    """Return samples per independent sample of the residuals."""
+    if information.n_blocks < FEWEST_BLOCKS:
+        return RULES.design_effect
+    effective = block_uncertainty(information, estimate).effective_samples
+    return max(1.0, information.n_samples / max(effective, 1.0))
+
+
+def _prior_information(information: SquareRootInformation, prior: CadPrior) -> Array:
+    """Return the information (p, p) of CAD on base parameters: `(K M^-1 K^T)^-1`, M its metric."""
+    regrouping, inertial = information.base.regrouping, 10 * prior.n_links
+    links = regrouping[:, :inertial].reshape(-1, prior.n_links, 10)
+    covariance = np.einsum("pia,iab,qib->pq", links, np.linalg.inv(prior.metric), links)
+    drives = regrouping[:, inertial:] * prior.drive_scale
+    covariance += drives @ drives.T / DRIVE_RIDGE
+    size = np.sqrt(np.diag(covariance))
+    return np.asarray(np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size))
+
+
+def _candidates(
+    information: SquareRootInformation,
+    prior: CadPrior,
+    free: Estimate,
+    consistent: ConsistentEstimate,
+    weights: list[float],
+    parts: list[tuple[SquareRootInformation, SquareRootInformation]],
+) -> _Candidates:
+    """Return the candidates, the closest to CAD first, fitted without each part in turn."""
+    candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
+    rough: dict[float, Array] = {}
+    if weights:
+        path = EntropicPath.of(prior, Coordinates.of(information.base), non_negative_drives(prior))
+        factors = np.array([training.stacked(of_joints) for training, _ in parts])
+        rough = path.descending(factors, weights)
+    for weight in weights:
+        name = f"entropic (weight {weight:.3g})"
+        if weight not in rough:
+            candidates.failed.append(name)
+            continue
+        candidates.add(
+            name,
+            weight,
+            partial(np.matmul, rough[weight], K.T),
+            partial(fit_toward_cad, information, prior, weight=weight, weights=of_joints),
+        )
+    candidates.add(
+        "consistent",
+        WEAKEST_BELIEF,
+        lambda: np.array(
+            [fit_consistent(training, prior, weights=of_joints).beta for training, _ in parts]
+        ),
+        lambda: consistent,
     )
+    candidates.add(
+        free.method,
+        0.0,
+        lambda: np.array(
+            [
+                fit_least_squares(training, weights=of_joints, prior=K @ prior.parameters).beta
+                for training, _ in parts
+            ]
+        ),
+        lambda: free,
+        certain=not free.undetermined and _is_consistent(information, free),
+    )
+    return candidates
 
 
-def _is_consistent(data: EstimationData, estimate: Estimate) -> bool:
-    """Return whether an estimate is physically consistent; True if that cannot be decided."""
-    if non_passive_drives(data.base, estimate.beta):
-        return False
-    try:
-        return margin_is_consistent(consistency_margin(data.base, estimate.beta), estimate.beta)
-    except AsbuiltError:
-        return True
+def _chosen(
+    information: SquareRootInformation,
+    free: Estimate,
+    candidates: _Candidates,
+    choose: Callable[[], MotionChoice],
+) -> tuple[Estimate, str, tuple[str, ...]]:
+    """Return the first chosen candidate whose fit to all blocks converges, why, and notes."""
+    while True:
+        if not candidates.known:
+            return free, f"{free.method}: no other fit converged", _failures(candidates)
+        choice = choose()
+        try:
+            fit = candidates.fits[choice.chosen]()
+            break
+        except AsbuiltError:
+            candidates.failed.append(candidates.known.pop(choice.chosen).name)
+            candidates.fits.pop(choice.chosen)
+    n_folds = choice.errors.shape[1]
+    error = choice.sentence(choice.chosen)
+    why = f"{choice.candidates[choice.chosen].name} predicts other motions best"
+    if choice.chosen != choice.best:
+        why = (
+            f"{choice.candidates[choice.chosen].name} is closest to CAD of those that predict other"
+            " motions as well as the best within one standard error"
+        )
+        error += f", of the best, {choice.sentence(choice.best)}"
+    if fit is not free:
+        error += f", of {choice.sentence(len(choice.candidates) - 1)}"
+    why += (
+        f" (squared error in noise variances on {n_folds} groups of held-out time blocks + expected"
+        f" beyond them: of {error})"
+    )
+    notes = (choice.motion_note, *_failures(candidates))
+    if fit is not free:
+        return _joined(information, fit, free), why, notes
+    if _is_consistent(information, free):
+        return free, why, notes
+    finding = Finding(
+        "consistent_fit_rejected",
+        "warning",
+        f"The values of {free.method} are physically inconsistent, and were kept because consistent"
+        f" fits predict other motions worse on {n_folds} groups of held-out time blocks",
+        CURE,
+    )
+    return replace(free, findings=(*free.findings, finding)), why, notes
 
 
-def _consistent(seen: EstimationData, free: Estimate) -> tuple[Estimate, str]:
-    """Return a consistent fit, or the free one if that predicts held-out blocks better, and why."""
-    information, prior = seen.information, cad_prior(seen.model, seen.base.drive)
-    non_passive = non_passive_drives(seen.base, free.beta)
-    values = f"the values of {free.method} are " + (
-        f"non-passive ({', '.join(non_passive)})" if non_passive else "physically inconsistent"
+def _unvalidated(
+    information: SquareRootInformation,
+    prior: CadPrior,
+    free: Estimate,
+    consistent: ConsistentEstimate,
+    masses: bool,
+) -> tuple[Estimate, str, tuple[str, ...]]:
+    """Return the entropic fit of the usual weight; the time blocks are too few to hold any out."""
+    why = "the time blocks are too few to hold any out"
+    if masses:
+        weight = RULES.design_effect
+        try:
+            fit = fit_toward_cad(information, prior, weight=weight, weights=consistent.weights)
+        except AsbuiltError:
+            why += f", and entropic (weight {weight:g}) did not converge"
+        else:
+            return _joined(information, fit, free), f"entropic (weight {weight:g}): {why}", ()
+    return _joined(information, consistent, free), f"consistent: {why}", ()
+
+
+def _failures(candidates: _Candidates) -> tuple[str, ...]:
+    """Return a note that names the candidates that did not converge."""
+    if not candidates.failed:
+        return ()
+    return (f"Left out, since the fit did not converge: {', '.join(candidates.failed)}",)
+
+
+def _joined(information: SquareRootInformation, fit: Estimate, free: Estimate) -> Estimate:
+    """Return a fit with notes and findings of the free one, and a finding if it fits far worse."""
+    fit = replace(
+        fit,
+        information=free.information,
+        sigma=np.maximum(fit.sigma, free.sigma),
+        notes=(*free.notes, *fit.notes),
+        findings=(*free.findings, *fit.findings),
     )
     energy, n = information.residual_energy(free.beta), information.n_samples
     sigma = np.maximum(
         np.sqrt(energy / max(n - free.rank / information.n_joints, 1.0)),
         quietest_noise(information),
     )
-    consistent, entropic = estimate_consistent(seen), estimate_entropic(seen)
-    weight, weights = entropic.prior_weight, entropic.weights
-    as_before = estimate_ridge if free.method == "ridge" else estimate_wls
-
-    def errors(again: Callable[[SquareRootInformation], Estimate]) -> Array:
-        with one_blas_thread():
-            squared, _ = held_out_errors(information, lambda part: again(part).beta)
-        return np.array([float(np.mean(each / sigma**2)) for each in squared])
-
-    before = errors(lambda part: as_before(replace(seen, information=part)))
-    if len(before) < RULES.fewest_folds:
-        why = f"consistent: {values}, and the time blocks are too few to hold any out"
-        return _costed(information, _joined(consistent, free), free, sigma), why
-    candidates = [
-        (consistent, errors(lambda part: fit_consistent(part, prior, weights=consistent.weights))),
-        (
-            entropic,
-            errors(lambda part: fit_toward_cad(part, prior, weight=weight, weights=weights)),
-        ),
-    ]
-    if free.method == "ridge":
-        candidates.reverse()
-    if _better(candidates[1][1], candidates[0][1]):
-        candidates.reverse()
-    on = f"on {len(before)} groups of held-out time blocks"
-    compared = [_compared(fit.method, own, free.method, before) for fit, own in candidates]
-    for (fit, own), sentence in zip(candidates, compared, strict=True):
-        if not _better(before, own):
-            how = "better" if _better(own, before) else "as well within one standard error"
-            why = f"{fit.method}: {values}, and it predicts {how} {on} ({sentence})"
-            return _costed(information, _joined(fit, free), free, sigma), why
-    worse = f"consistent fits predict worse {on} ({'; '.join(compared)})"
-    finding = Finding(
-        "consistent_fit_rejected",
-        "warning",
-        f"{values[0].upper()}{values[1:]}, and were kept because {worse}",
-        CURE,
-    )
-    kept = replace(free, findings=(*free.findings, finding))
-    return kept, f"{free.method} kept: {values}, but {worse}"
-
-
-def _better(errors: Array, others: Array) -> bool:
-    """Return whether errors (n_folds,) are smaller by over one standard error of the difference."""
-    excess = errors - others
-    return bool(excess.mean() < -excess.std(ddof=1) / np.sqrt(len(excess)))
-
-
-def _compared(method: str, errors: Array, other: str, others: Array) -> str:
-    excess = errors - others
-    return (
-        f"squared error of {method} {errors.mean():.3g} noise variances, of {other}"
-        f" {others.mean():.3g}, difference {excess.mean():+.2g} +-"
-        f" {excess.std(ddof=1) / np.sqrt(len(excess)):.2g}"
-    )
-
-
-def _costed(
-    information: SquareRootInformation, fit: Estimate, free: Estimate, sigma: Array
-) -> Estimate:
-    """Return the consistent fit, with a finding if its torque error is far above the free one's."""
-    relative = information.residual_energy(fit.beta) / information.n_samples / sigma**2
-    rise = float(np.sqrt(np.mean(relative))) - 1.0
+    rise = float(np.sqrt(np.mean(information.residual_energy(fit.beta) / n / sigma**2))) - 1.0
     if rise <= RULES.costly:
         return fit
     finding = Finding(
         "consistent_fit_costly",
         "warning",
         f"The physically consistent fit has {100 * rise:.0f} % more torque error on the data used"
-        f" than the inconsistent values of {free.method}",
+        f" than the values of {free.method}, which predict other motions no better",
         CURE,
     )
     return replace(fit, findings=(*fit.findings, finding))
+
+
+def _is_consistent(information: SquareRootInformation, estimate: Estimate) -> bool:
+    """Return whether an estimate is physically consistent; True if that cannot be decided."""
+    base = information.base
+    if non_passive_drives(base, estimate.beta):
+        return False
+    try:
+        return margin_is_consistent(consistency_margin(base, estimate.beta), estimate.beta)
+    except AsbuiltError:
+        return True

@@ -18,16 +18,12 @@ from asbuilt.identification.bodies.body_bounds import (
     non_negative_drives,
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
-from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem, fit_consistent_bodies
-from asbuilt.identification.bodies.entropic_fit import (
-    DRIVE_RIDGE,
-    Coordinates,
-    EntropicFits,
-    EntropicProblem,
-)
+from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
+from asbuilt.identification.bodies.entropic_fit import DRIVE_RIDGE, Coordinates
+from asbuilt.identification.bodies.entropic_path import EntropicPath
 from asbuilt.identification.estimators.least_squares import fit_least_squares
 from asbuilt.identification.estimators.methods import JOINT_WEIGHTS, REGULARISATION, estimator
-from asbuilt.identification.estimators.prior_weight import WEIGHTS, choose_weight
+from asbuilt.identification.estimators.prior_weight import choose_weight
 from asbuilt.identification.information.estimate import (
     Estimate,
     Refit,
@@ -45,12 +41,6 @@ Metric = Literal["entropic", "euclidean"]
 QUIETEST = 1e-5
 """Least noise of a joint in torque RMS; simulations have none, and programs round."""
 REWEIGHTINGS = 2
-ROUGH = 1e-3
-"""Squared distance from the minimum, in squared standard errors, at which a fit that only serves
-to choose the weight of CAD ends.
-"""
-START_SLACK = 0.1
-"""Start of bounded drive parameters, in units of their scale."""
 WEAKEST_BELIEF = 1.0
 """Weight of CAD in the standard errors of an estimate that is not regularised toward CAD: links
 lie within a factor of about e of CAD.
@@ -185,9 +175,7 @@ def fit_toward_cad(
     with one_blas_thread():
         conic = ConicProblem.of(prior, base.regrouping, limits)
         w, rounds = _joint_weights(information, conic, weights)
-        path = _EntropicPath(
-            EntropicProblem(prior, Coordinates.of(base), limits), _inside(prior, limits)
-        )
+        path = EntropicPath.of(prior, Coordinates.of(base), limits)
 
         def roughly(factors: Array, weight: float) -> Array:
             return (
@@ -219,49 +207,6 @@ def fit_toward_cad(
             (reason,),
             exactly,
         )
-
-
-class _EntropicPath:
-    """Fits from the strongest weight to weaker ones, each from the one before."""
-
-    def __init__(self, problem: EntropicProblem, start: Array) -> None:
-        self._problem, self._start = problem, start
-        self._reached: dict[float, EntropicFits] = {}
-
-    def roughly(self, factors: Array, weight: float) -> Array:
-        """Return the fits of many factors, to a small part of a standard error, for one weight."""
-        stronger = [self._reached[other] for other in self._reached if other > weight]
-        start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
-        self._reached[weight] = self._problem.fit(factors, weight, start, close=ROUGH)
-        return self._reached[weight].chi
-
-    def exactly(self, factor: Array, weight: float) -> Array:
-        """Return the fit of one factor, from the last rough one or through stronger weights."""
-        if weight not in self._reached:
-            self._reached.clear()
-            for each in (*(stronger for stronger in WEIGHTS if stronger > weight), weight):
-                self.roughly(factor[None], each)
-        return np.asarray(
-            self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0]
-        )
-
-
-def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
-    """Return parameters strictly inside the bounds: CAD if possible, else the nearest."""
-    chi = prior.parameters.copy()
-    lifted = prior.non_negative
-    chi[lifted] = np.maximum(
-        chi[lifted], START_SLACK * prior.drive_scale[lifted - 10 * prior.n_links]
-    )
-    if np.all(bounds.slack(chi) > 0):
-        return chi
-    margin = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
-    tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
-    p = len(prior.parameters)
-    nothing = np.zeros((p + 1, p + 1))
-    return fit_consistent_bodies(
-        prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2
-    ).chi
 
 
 def quietest_noise(information: SquareRootInformation) -> Array:

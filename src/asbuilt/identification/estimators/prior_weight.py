@@ -9,13 +9,14 @@ from itertools import accumulate
 import numpy as np
 
 from asbuilt.arrays import Array
+from asbuilt.identification.bodies.entropic_path import DESCENT
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.information.triangular import triangular_factor
 
 Fits = Callable[[Array, float], Array]
 """Fits `(factors (m, p + 1, p + 1), weight) -> chi (m, n_standard)`, by descending weight."""
 
-WEIGHTS: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
+WEIGHTS = DESCENT
 """Costs of a divergence of 1 from CAD, in squared weighted residuals, largest first."""
 MOST_GROUPS = 8
 """Groups of neighbouring blocks that are held out."""

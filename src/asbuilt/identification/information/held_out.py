@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
 
 from asbuilt.arrays import Array, Indices
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 
 MOST_FOLDS = 8
+DIFFERENT_MOTIONS = 6
+"""Groups of different motion that are held out; each is then about a sixth of a recording."""
 
 
 def neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
@@ -17,6 +20,27 @@ def neighbours(n_blocks: int, n_groups: int = MOST_FOLDS) -> list[Indices]:
     count = min(n_groups, n_blocks)
     number = np.arange(n_blocks) * count // max(n_blocks, 1)
     return [np.flatnonzero(number == group) for group in range(count)]
+
+
+def different_motions(
+    information: SquareRootInformation, weights: Array, most: int = DIFFERENT_MOTIONS
+) -> list[Indices]:
+    """Return the blocks in groups of like motion, so that no twin of a held-out block is left.
+
+    Blocks are alike if their information per sample is, in parameters scaled to equal torque
+    (Ward's linkage; Ward, J. American Statistical Association 58, 1963).
+    """
+    if information.n_blocks <= 2:
+        return neighbours(information.n_blocks)
+    length = np.linalg.norm(information.stacked(weights)[:, :-1], axis=0)
+    scale = np.where(length > 0.0, length, 1.0) / np.sqrt(information.n_samples)
+    upper = np.triu_indices(len(scale))
+    features = np.empty((information.n_blocks, len(upper[0])))
+    for b, block in enumerate(information.blocks):
+        root = information.block_stacked(b, weights)[:, :-1] / scale
+        features[b] = (root.T @ root)[upper] / block.n_samples
+    group = fcluster(linkage(features, "ward"), most, "maxclust")
+    return [np.flatnonzero(group == each) for each in np.unique(group)]
 
 
 def folds(

@@ -113,7 +113,8 @@ class Summary:
         )
         verdict = f'<p class="verdict"><strong>{html.escape(self.verdict)}</strong></p>\n'
         return (
-            f'<section class="summary">{verdict if self.verdict else ""}<h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n'
+            f'<section class="summary">{verdict if self.verdict else ""}'
+            f"<h2>{html.escape(self.title)}</h2>\n<dl>{pairs}</dl>\n"
             f'<ul class="findings">{findings}</ul>\n{self.joints.as_html("joints")}\n'
             f'{self.parameters.as_html("parameters")}\n<ol class="notes">{notes}</ol></section>\n'
         )

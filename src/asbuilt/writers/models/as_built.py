@@ -13,17 +13,11 @@ from asbuilt.dynamics.drives.torque import drive_torque
 from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.identification.bodies.cad_prior import non_negative_columns
 from asbuilt.identification.bodies.consistency import ROUNDING_OF_DRIVES
-from asbuilt.identification.bodies.standard_parameters import (
-    StandardParameters,
-    standard_parameters,
-)
+from asbuilt.identification.bodies.standard_parameters import StandardParameters
+from asbuilt.identification.result.as_built_parameters import as_built_parameters
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.writers.models.sample_states import sample_states
 
-QUIETEST = 1e-6
-"""Least noise of a joint relative to the largest; its weight grows no further (simulations)."""
-INFORMATION_TOLERANCE = 1e-13
-"""Least scaled variance relative to the largest; directions below it are undetermined."""
 CHECKED_STATES = 100
 """Random states at which torques are compared."""
 SAME_TORQUE = 1e-9
@@ -42,19 +36,13 @@ class AsBuilt:
 
 
 def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
-    """Return the robot with the identified torques whose links are closest to CAD.
+    """Return the robot closest to CAD within the standard errors of the identified parameters.
 
     If no physically consistent links have these torques, the links are inconsistent, or, with
     `nearest`, the consistent ones with the least torque difference on the data used, joints
     weighted by their noise.
     """
-    found = standard_parameters(
-        result.model,
-        result.base,
-        result.estimates,
-        nearest=nearest,
-        information=_torque_information(result),
-    )
+    found = as_built_parameters(result, nearest)
     robot = with_standard_parameters(result.model, result.base.drive, found.parameters)
     sources = ", ".join(result.sources)
     note = f"identified ({result.method}) from {sources}; {found.verdict}"
@@ -65,34 +53,8 @@ def as_built(result: IdentificationResult, *, nearest: bool = False) -> AsBuilt:
 
 
 def as_built_model(result: IdentificationResult, *, nearest: bool = False) -> RobotModel:
-    """Return the robot of `as_built`; without `nearest` its torques are those of the result."""
+    """Return the robot of `as_built`."""
     return as_built(result, nearest=nearest).model
-
-
-def _torque_information(result: IdentificationResult) -> Array:
-    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used.
-
-    From the cause data, or else the inverse of the textbook covariance.
-    """
-    if result.cause_data is not None:
-        places = result.cause_data.places(result.base.names)
-        quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
-        rows = [
-            factor[:, places] / max(float(sigma), quietest)
-            for factor, sigma in zip(
-                result.cause_data.whole(result.cause_data.fitted), result.sigma, strict=True
-            )
-        ]
-        return np.asarray(sum(R.T @ R for R in rows))
-    covariance = np.array(result.textbook_covariance)
-    size = np.sqrt(np.diag(covariance))
-    size[size == 0.0] = 1.0
-    return np.asarray(
-        np.linalg.pinv(
-            covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True
-        )
-        / np.outer(size, size)
-    )
 
 
 def with_standard_parameters(model: RobotModel, drive: DriveSet, parameters: Array) -> RobotModel:

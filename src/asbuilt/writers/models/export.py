@@ -13,7 +13,8 @@ from asbuilt.description.formats.xml import described_text, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Cure
-from asbuilt.identification.bodies.standard_parameters import StandardParameters, random_motion_rows
+from asbuilt.identification.bodies.standard_parameters import StandardParameters
+from asbuilt.identification.information.random_motion import random_motion_rows
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.tables import significant
 from asbuilt.validation.nearest_consistent import NearestModel, nearest_model
@@ -91,7 +92,7 @@ def export_result(
 ) -> Export:
     """Write the identified robot into the files named.
 
-    The links have the identified torques exactly and are closest to CAD.
+    The links are closest to CAD within the standard errors of the identified parameters.
 
     Parameters
     ----------
@@ -139,8 +140,8 @@ def export_result(
     built = as_built(result, nearest=nearest)
     found, model = built.parameters, built.model
     refuse_inconsistent_result(result, model)
-    cost = None if found.exact else nearest_model(result, found.beta)
-    if not (found.exact or force):
+    cost = nearest_model(result, found.beta) if found.substituted else None
+    if found.substituted and not force:
         refuse_poor_nearest_model(result, found.beta, cost)
     files: dict[str, Path] = {}
     notes: dict[str, tuple[str, ...]] = {}
@@ -170,7 +171,7 @@ def export_result(
         files,
         said_of,
         cost,
-        "" if found.exact else _beyond(result, found),
+        _beyond(result, found) if found.substituted else "",
     )
 
 

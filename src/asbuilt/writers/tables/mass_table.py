@@ -85,7 +85,7 @@ def mass_table(masses: ExportedMasses) -> Table:
         for name, cad, built in entries
     )
     note = (
-        "As built: links of the exported robot, the closest to CAD with the identified torques."
+        "As built: links of the exported robot, the closest to CAD within the standard errors."
         " Torques determine combinations of masses, not each mass."
     )
     return Table(columns, rows, title="Masses of the links", notes=(note,))

@@ -207,8 +207,8 @@ def _sign_and_scale(
                 "torque_scale",
                 "warning",
                 f"the torque of {names[k]} is {abs(gain[k]):.3g} times the model's, mostly"
-                f" gravity's, with a correlation of {abs(correlation[k]):.3f}: its scale or the masses of CAD are"
-                " wrong by that",
+                f" gravity's, with a correlation of {abs(correlation[k]):.3f}: its scale or the"
+                " masses of CAD are wrong by that",
                 Cure(
                     "find the torque per logged unit from a payload of known mass",
                     call="find_gains",

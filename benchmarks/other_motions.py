@@ -1,0 +1,193 @@
+"""Relative torque error on other motions of the same robot, by estimator, beside CAD.
+
+Each recording is identified with the default signal chain and drive terms, and the others of the
+same robot are predicted; `plain` is weighted least squares with a 5 Hz cutoff. The mass is that of
+the exported robot in masses of CAD, with the ratio of the link furthest from CAD.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.logs.readers import read_recordings
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.calibration.mounting import find_mounting
+from asbuilt.identification.identify import identify_samples
+from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.validation.prediction import validate_samples
+from asbuilt.writers.tables.mass_table import exported_masses
+from drive_terms import SHARED, UR10E_SHEET
+
+METHODS = ("auto", "wls", "consistent")
+PLAIN_CUTOFF = 5.0
+
+
+class Robot(NamedTuple):
+    """Recordings of one robot: sets to identify from, and whether its mounting is estimated too."""
+
+    description: str
+    folder: str
+    recordings: tuple[str, ...]
+    sets: tuple[tuple[int, ...], ...] = ()
+    tilt: bool = False
+    options: Mapping[str, Any] = MappingProxyType({})
+
+
+ROBOTS = {
+    "LWR4+": Robot(
+        "kuka_lwr4.urdf",
+        "kuka_lwr4",
+        ("measurements_1.npz", "measurements_2.npz", "measurements_3.npz"),
+        sets=((0, 1),),
+        tilt=True,
+    ),
+    "LBR Med 7": Robot(
+        "lbrstack_med7.urdf",
+        "lbr_med7",
+        ("measurements_with_ext_tau_1_dgr.csv", "measurements.csv"),
+        tilt=True,
+        options={"rate": 100.0, "flip_torque": True},
+    ),
+    "UR10e": Robot(
+        "ur10e.urdf",
+        "ur10e",
+        (
+            "ur-20_02_10-30sec_12harm.csv",
+            "ur-20_02_12-40sec_12harm.csv",
+            "ur-20_01_17-ptp_10_points.csv",
+            "ur-20_02_19_14harm50sec.csv",
+            "ur-20_01_31-unload.csv",
+        ),
+        options={"gain": [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]},
+    ),
+    "AIRBOT": Robot(
+        "airbot/airbot_play.urdf",
+        "airbot",
+        (
+            "vali_ga_N12T25.csv",
+            "vali_opt.csv",
+            "vali_ptrnSrch_N7T25QR-5.csv",
+            "vali_ptrnSrch_N8T25QR-8.csv",
+        ),
+        options={"sheet": "sheet.toml"},
+    ),
+}
+
+
+class Row(NamedTuple):
+    """Errors [%] on the other recordings, by method, of one set of recordings."""
+
+    robot: str
+    train: str
+    errors: dict[str, tuple[float, ...]]
+    masses: dict[str, str]
+    took: str
+    seconds: float
+
+
+def rows(data: Path, scratch: Path, names: tuple[str, ...] = ()) -> Iterator[Row]:
+    """Yield the errors of every set of recordings of every robot."""
+    for name, robot in ROBOTS.items():
+        if names and name not in names:
+            continue
+        model = load_robot(str(data / "models" / robot.description))
+        options = dict(robot.options)
+        folder = data / "data" / robot.folder
+        if "gain" in options:
+            options["sheet"] = scratch / "ur10e_sheet.toml"
+            options["sheet"].write_text(UR10E_SHEET)
+        elif "sheet" in options:
+            options["sheet"] = folder / options["sheet"]
+        logs = [
+            read_recordings([folder / each], model=model, **options)[0] for each in robot.recordings
+        ]
+        for train in (*((k,) for k in range(len(logs))), *robot.sets):
+            for tilt in (False, True) if robot.tilt else (False,):
+                yield _row(name, model, logs, train, tilt)
+
+
+def _row(name: str, model: Any, logs: list[Any], train: tuple[int, ...], tilt: bool) -> Row:
+    others = [k for k in range(len(logs)) if k not in train]
+    errors: dict[str, tuple[float, ...]] = {}
+    masses: dict[str, str] = {}
+    took, seconds = "", 0.0
+    for cutoff, methods in ((None, METHODS), (PLAIN_CUTOFF, ("plain", "auto"))):
+        chain = SignalChain() if cutoff is None else SignalChain(cutoff=cutoff)
+        chain = resolve_chain(chain, *(logs[k] for k in train))
+        used, held = ([prepare_samples(logs[k], chain) for k in which] for which in (train, others))
+        drive = usual_drive(model, logs[0].torque_source)
+        own = find_mounting(model, used, drive=drive).model if tilt else model
+        for method in methods:
+            label = method if cutoff is None or method == "plain" else f"{method} {cutoff:g} Hz"
+            start = time.perf_counter()
+            try:
+                result = identify_samples(
+                    own, used, drive=drive, method="wls" if method == "plain" else method
+                )
+            except AsbuiltError as problem:
+                errors[label] = (np.nan,) * len(held)
+                took += f" {label}: {problem}"
+                continue
+            if label == "auto":
+                seconds = time.perf_counter() - start
+                took = result.notes[0].removeprefix("Chosen automatically: ").split(" predicts")[0]
+            found = [validate_samples(result, each) for each in held]
+            errors[label] = tuple(100 * each.metrics_as_built.relative_error for each in found)
+            masses[label] = mass_text(result)
+            if label == "auto":
+                errors["CAD"] = tuple(100 * each.metrics_cad.relative_error for each in found)
+    label = "+".join(logs[k].source.rpartition("/")[2] for k in train)
+    return Row(name, label + (", tilt" if tilt else ""), errors, masses, took, seconds)
+
+
+def mass_text(result: IdentificationResult) -> str:
+    """Return total mass in that of CAD, and the ratio of the link furthest from CAD."""
+    masses = exported_masses(result)
+    if masses is None or masses.total_cad is None:
+        return "none"
+    ratios = np.array(masses.as_built) / np.array(masses.cad, dtype=np.float64)
+    worst = float(np.max(np.maximum(ratios, 1.0 / ratios))) if ratios.min() > 0.0 else np.inf
+    return f"{masses.total_as_built / masses.total_cad:.2f} ({worst:.1f})"
+
+
+def measure(data: Path = SHARED) -> dict[str, float | str]:
+    """Return the mean relative error [%] of each method on other motions, by robot."""
+    if not (data / "data").is_dir():
+        return {"skipped": "no recordings beside the repository"}
+    return report(data, ())
+
+
+def report(data: Path, names: tuple[str, ...]) -> dict[str, float | str]:
+    """Print the table, and return the means."""
+    scratch = Path("out")
+    scratch.mkdir(exist_ok=True)
+    found: dict[tuple[str, str], list[float]] = {}
+    for row in rows(data, scratch, names):
+        print(f"{row.robot} from {row.train}: {row.took} ({row.seconds:.1f} s)")
+        for method, errors in row.errors.items():
+            found.setdefault((row.robot, method), []).extend(errors)
+            listed = " ".join(f"{error:7.2f}" for error in errors)
+            print(f"    {method:<12}{listed}   mass {row.masses.get(method, '')}", flush=True)
+    return {
+        f"{robot}_{method}_percent": float(np.mean(errors))
+        for (robot, method), errors in found.items()
+    }
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", type=Path, default=SHARED)
+    parser.add_argument("robots", nargs="*", help="robots (default: all)")
+    arguments = parser.parse_args()
+    report(arguments.data, tuple(arguments.robots))

@@ -1,0 +1,85 @@
+"""Entropic fits along descending weights of CAD, each from the one before."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import IdentifiabilityError
+from asbuilt.identification.bodies.body_bounds import BodyBounds
+from asbuilt.identification.bodies.cad_prior import CadPrior
+from asbuilt.identification.bodies.conic_fit import fit_consistent_bodies
+from asbuilt.identification.bodies.entropic_fit import Coordinates, EntropicFits, EntropicProblem
+
+DESCENT: tuple[float, ...] = tuple(10.0**exponent for exponent in range(6, -2, -1))
+"""Weights on the way from CAD to weaker ones: costs of a divergence of 1 from CAD."""
+ROUGH = 1e-3
+"""Squared distance from the minimum, in squared standard errors, at which a rough fit ends."""
+START_SLACK = 0.1
+"""Start of bounded drive parameters, in units of their scale."""
+
+
+class EntropicPath:
+    """Fits from the strongest weight to weaker ones, each from the one before."""
+
+    def __init__(self, problem: EntropicProblem, start: Array) -> None:
+        self._problem, self._start = problem, start
+        self._reached: dict[float, EntropicFits] = {}
+
+    @classmethod
+    def of(cls, prior: CadPrior, coordinates: Coordinates, bounds: BodyBounds) -> EntropicPath:
+        """Return the path of a robot, which begins at CAD or next to it within the bounds."""
+        return cls(EntropicProblem(prior, coordinates, bounds), _inside(prior, bounds))
+
+    def descending(self, factors: Array, weights: Iterable[float]) -> dict[float, Array]:
+        """Return rough fits (m, n_standard) by weight; those that do not converge are left out."""
+        wanted = set(weights)
+        fits = {}
+        for weight in sorted(wanted | set(DESCENT), reverse=True):
+            if weight < min(wanted):
+                break
+            try:
+                fits[weight] = self.roughly(factors, weight)
+            except IdentifiabilityError:
+                continue
+        return {weight: fit for weight, fit in fits.items() if weight in wanted}
+
+    def roughly(self, factors: Array, weight: float) -> Array:
+        """Return the fits of many factors, to a small part of a standard error, for one weight."""
+        stronger = [self._reached[other] for other in self._reached if other > weight]
+        start = stronger[-1] if stronger else np.tile(self._start, (len(factors), 1))
+        self._reached[weight] = self._problem.fit(factors, weight, start, close=ROUGH)
+        return self._reached[weight].chi
+
+    def exactly(self, factor: Array, weight: float) -> Array:
+        """Return the fit of one factor, from the last rough one or through stronger weights."""
+        if weight not in self._reached:
+            self._reached.clear()
+            for each in (stronger for stronger in DESCENT if stronger > weight):
+                with suppress(IdentifiabilityError):
+                    self.roughly(factor[None], each)
+            self.roughly(factor[None], weight)
+        return np.asarray(
+            self._problem.fit(factor[None], weight, self._reached[weight].alone(-1)).chi[0]
+        )
+
+
+def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
+    """Return parameters strictly inside the bounds: CAD if possible, else the nearest."""
+    chi = prior.parameters.copy()
+    lifted = prior.non_negative
+    chi[lifted] = np.maximum(
+        chi[lifted], START_SLACK * prior.drive_scale[lifted - 10 * prior.n_links]
+    )
+    if np.all(bounds.slack(chi) > 0):
+        return chi
+    margin = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
+    tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
+    p = len(prior.parameters)
+    nothing = np.zeros((p + 1, p + 1))
+    return fit_consistent_bodies(
+        prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2
+    ).chi

@@ -1,0 +1,69 @@
+"""Rows of random motion within the joint limits, the motion that a robot may be asked for next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import BaseParameters
+from asbuilt.dynamics.regressor import observation_matrix
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+RANDOM_STATES = 500
+RANDOM_RATE = 2.0
+"""Largest velocity and acceleration of random motion [rad or m, per s and s^2].
+
+Joints without limits turn through the whole circle or slide by a metre.
+"""
+RANDOM_SEED = 2015
+
+
+def random_motion_rows(
+    model: RobotModel, base: BaseParameters, rates: tuple[Array, Array] | None = None
+) -> Array:
+    """Return the observation matrix (N n, p) of random motion within limits, always the same.
+
+    Velocities and accelerations are uniform up to `RANDOM_RATE`, or normal with the standard
+    deviations `rates`, each (n,).
+    """
+    rng = np.random.default_rng(RANDOM_SEED)
+    limits = [joint.limits for joint in model.joints]
+    reach = [np.pi if joint.is_revolute else 1.0 for joint in model.joints]
+    low = np.array(
+        [
+            limit.lower if np.isfinite(limit.lower) else -far
+            for limit, far in zip(limits, reach, strict=True)
+        ]
+    )
+    high = np.array(
+        [
+            limit.upper if np.isfinite(limit.upper) else far
+            for limit, far in zip(limits, reach, strict=True)
+        ]
+    )
+    shape = (RANDOM_STATES, model.n_joints)
+    q = rng.uniform(low, high, shape)
+    qd, qdd = (
+        (rng.uniform(-RANDOM_RATE, RANDOM_RATE, shape) for _ in range(2))
+        if rates is None
+        else (deviation * rng.normal(size=shape) for deviation in rates)
+    )
+    return observation_matrix(model, q, qd, qdd, drive=base.drive, columns=base.columns)
+
+
+def recorded_rates(samples: Iterable[Samples]) -> tuple[Array, Array]:
+    """Return the standard deviations of velocities and accelerations of samples, each (n,)."""
+    count, sums = 0, np.zeros(0)
+    for batch in samples:
+        rates = np.hstack([batch.qd, batch.qdd])
+        found = np.vstack([rates.sum(axis=0), (rates**2).sum(axis=0)])
+        count, sums = count + len(rates), found if not count else sums + found
+    mean, square = sums / max(count, 1)
+    velocity, acceleration = np.split(np.sqrt(np.maximum(square - mean**2, 0.0)), 2)
+    return velocity, acceleration

@@ -1,0 +1,105 @@
+"""Standard parameters of the robot as built, by a result, and masses unlike CAD."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.errors import DescriptionError, IdentifiabilityError
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.bodies.standard_parameters import (
+    StandardParameters,
+    standard_parameters,
+)
+from asbuilt.identification.information.known_information import determined_directions
+from asbuilt.identification.result.result import IdentificationResult
+
+QUIETEST = 1e-6
+"""Least noise of a joint relative to the largest; its weight grows no further (simulations)."""
+INFORMATION_TOLERANCE = 1e-13
+"""Least scaled variance relative to the largest; directions below it are undetermined."""
+FAR_FROM_CAD = 1.5
+"""Ratio of a link's mass to that of CAD, or its inverse, that no tolerance of CAD explains."""
+
+
+@lru_cache(maxsize=8)
+def as_built_parameters(result: IdentificationResult, nearest: bool = False) -> StandardParameters:
+    """Return the standard parameters closest to CAD within the standard errors of a result.
+
+    If no physically consistent links have its torques, they are inconsistent, or, with `nearest`,
+    the consistent ones with the least torque difference on the data used, joints weighted by
+    their noise.
+    """
+    root = None
+    if not any(parameter.dropped for parameter in result.parameters):
+        scale, variances, directions = determined_directions(result)
+        root = (directions / np.sqrt(variances)).T * scale
+    return standard_parameters(
+        result.model,
+        result.base,
+        result.estimates,
+        nearest=nearest,
+        information=_torque_information(result),
+        uncertainty_root=root,
+    )
+
+
+def mass_findings(result: IdentificationResult) -> tuple[Finding, ...]:
+    """Return a finding that names the links of the robot as built whose mass is unlike CAD."""
+    try:
+        found = as_built_parameters(result)
+    except (IdentifiabilityError, DescriptionError):
+        return ()
+    if not found.consistent:
+        return ()
+    masses = found.parameters[9 : 10 * result.model.n_joints : 10]
+    far = [
+        f"{link.name} {mass:.3g} kg (CAD {link.inertia.mass:.3g} kg)"
+        for link, mass in zip(result.model.links, masses, strict=True)
+        if link.inertia_known
+        and link.inertia.mass > 0.0
+        and not 1.0 / FAR_FROM_CAD <= mass / link.inertia.mass <= FAR_FROM_CAD
+    ]
+    if not far:
+        return ()
+    return (
+        Finding(
+            "link_mass_differs",
+            "warning",
+            f"Links beyond {FAR_FROM_CAD:g} times their CAD mass, or below 1/{FAR_FROM_CAD:g}, even"
+            f" closest to CAD within the standard errors: {', '.join(far)}",
+            Cure(
+                "check gains and description, and look for an effect that the description lacks:"
+                " base tilt, a tool on the flange",
+                settings={"mounting": "estimate"},
+            ),
+        ),
+    )
+
+
+def _torque_information(result: IdentificationResult) -> Array:
+    """Return A (p, p) with `d^T A d = sum_k |W_k d|^2 / sigma_k^2` on the data used.
+
+    From the cause data, or else the inverse of the textbook covariance.
+    """
+    if result.cause_data is not None:
+        places = result.cause_data.places(result.base.names)
+        quietest = np.finfo(np.float64).tiny + QUIETEST * float(result.sigma.max(initial=0.0))
+        rows = [
+            factor[:, places] / max(float(sigma), quietest)
+            for factor, sigma in zip(
+                result.cause_data.whole(result.cause_data.fitted), result.sigma, strict=True
+            )
+        ]
+        return np.asarray(sum(R.T @ R for R in rows))
+    covariance = np.array(result.textbook_covariance)
+    size = np.sqrt(np.diag(covariance))
+    size[size == 0.0] = 1.0
+    return np.asarray(
+        np.linalg.pinv(
+            covariance / np.outer(size, size), rcond=INFORMATION_TOLERANCE, hermitian=True
+        )
+        / np.outer(size, size)
+    )

@@ -1,0 +1,102 @@
+"""Groups of different motion, leverage by dense matrices, and the one-standard-error rule."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import ttest_rel
+from three_links import DRIVE, recording
+
+from asbuilt.dynamics.regressor import observation_matrix
+from asbuilt.identification.information.candidate_choice import (
+    Candidate,
+    _exceeds,
+    choose_candidate,
+)
+from asbuilt.identification.information.held_out import different_motions, folds
+from asbuilt.identification.information.random_motion import random_motion_rows, recorded_rates
+from asbuilt.identification.information.square_root_information import accumulate_stream
+
+
+def test_blocks_of_two_motions_are_told_apart(robot):
+    model, base, beta = robot
+    parts = [
+        recording(
+            model, base, beta, seconds=40.0, seed=seed, still=still, source=source, parallel=False
+        )
+        for seed, still, source in ((1, (0,), "a"), (2, (2,), "b"), (1, (0,), "c"))
+    ]
+    information = accumulate_stream(model, base, parts, block_seconds=5.0)
+    groups = different_motions(information, np.ones(3), most=2)
+    sources = [{information.blocks[b].source for b in group} for group in groups]
+    assert sorted(map(sorted, sources)) == [["a", "c"], ["b"]]
+
+
+def choice_of(robot, betas, variance=0.0, weights=(10.0, 0.0), certain=(True, True)):
+    model, base, beta = robot
+    samples = recording(model, base, beta, noise=0.2, seconds=60.0, seed=3, parallel=False)
+    information = accumulate_stream(model, base, [samples], block_seconds=5.0)
+    parts = list(folds(information, different_motions(information, np.ones(3))))
+    motion = random_motion_rows(model, base, recorded_rates([samples]))
+    prior = np.diag(np.linspace(1.0, 2.0, base.n_base))
+    candidates = [
+        Candidate(f"c{k}", weight, np.tile(values, (len(parts), 1)), sure)
+        for k, (values, weight, sure) in enumerate(zip(betas, weights, certain, strict=True))
+    ]
+    found = choose_candidate(candidates, parts, information, np.ones(3), prior, motion, variance)
+    return found, samples, motion, prior, parts
+
+
+def test_errors_and_leverage_are_those_of_dense_matrices(robot):
+    model, base, beta = robot
+    found, samples, motion, prior, parts = choice_of(robot, [beta, 0.9 * beta], variance=2.0)
+    W = observation_matrix(
+        model, samples.q, samples.qd, samples.qdd, drive=DRIVE, columns=base.columns
+    ).reshape(-1, 3, base.n_base)
+    places = {round(float(t), 6): k for k, t in enumerate(samples.t)}
+    beyond = []
+    for weight in (10.0, 0.0):
+        held_leverage = []
+        for fold, (_, held) in enumerate(parts):
+            inside = np.zeros(len(W), bool)
+            for block in held.blocks:
+                first = places[round(block.start, 6)]
+                inside[first : first + block.n_samples] = True
+            rows, rest = W[inside].reshape(-1, base.n_base), W[~inside].reshape(-1, base.n_base)
+            if weight:
+                error = samples.tau[inside].ravel() - rows @ beta
+                np.testing.assert_allclose(found.errors[0, fold], np.mean(error**2), rtol=1e-8)
+            C = np.linalg.inv(rest.T @ rest + weight * prior)
+            held_leverage.append(np.mean(np.einsum("ij,jk,ik->i", rows, C, rows)))
+        whole = W.reshape(-1, base.n_base)
+        C = np.linalg.inv(whole.T @ whole + weight * prior)
+        at_random = np.mean(np.einsum("ij,jk,ik->i", motion, C, motion))
+        beyond.append(2.0 * max(at_random - np.mean(held_leverage), 0.0))
+    np.testing.assert_allclose(found.extrapolation, beyond, rtol=1e-6, atol=1e-9)
+
+
+def test_ties_go_to_the_candidate_closest_to_cad(robot):
+    beta = robot[2]
+    assert choice_of(robot, [1.0001 * beta, beta])[0].chosen == 0
+    assert choice_of(robot, [1.5 * beta, beta])[0].chosen == 1
+
+
+def test_inconsistent_values_need_two_standard_errors(robot):
+    beta = robot[2]
+    sure = choice_of(robot, [1.5 * beta, beta], certain=(True, False))[0]
+    assert sure.chosen == 1
+    assert choice_of(robot, [beta, beta], certain=(True, False))[0].chosen == 0
+
+
+def test_extrapolation_decides_where_folds_cannot(robot):
+    beta = robot[2]
+    assert choice_of(robot, [1.5 * beta, beta], variance=1e9)[0].chosen == 0
+
+
+def test_beyond_a_standard_error_of_paired_differences():
+    rng = np.random.default_rng(0)
+    verdicts = []
+    for _ in range(200):
+        errors, others = rng.normal(0.3, size=8), rng.normal(size=8)
+        verdicts.append(_exceeds(errors - others, 1.0))
+        assert verdicts[-1] == (ttest_rel(errors, others).statistic > 1.0)
+    assert 0.1 < np.mean(verdicts) < 0.9

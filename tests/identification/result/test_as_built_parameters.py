@@ -1,0 +1,73 @@
+"""The robot closest to CAD within the standard errors, checked against a dense inverse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from three_links import DRIVE, recording
+
+from asbuilt.description.inertia import pseudo_inertias
+from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.bodies.entropic_fit import Coordinates
+from asbuilt.identification.bodies.standard_parameters import LIMIT, standard_parameters
+from asbuilt.identification.identify import identify_samples
+from asbuilt.identification.result.as_built_parameters import as_built_parameters, mass_findings
+from asbuilt.validation.prediction import predict_both
+
+
+@pytest.fixture(scope="module")
+def result(robot):
+    model, base, beta = robot
+    samples = recording(model, base, beta, noise=0.3, seconds=60.0, seed=2)
+    return identify_samples(model, samples, drive=DRIVE, base=base, method="consistent")
+
+
+def test_closest_to_cad_within_the_standard_errors(result):
+    found = as_built_parameters(result)
+    cad = cad_prior(result.model, DRIVE)
+    exact = standard_parameters(result.model, result.base, result.estimates)
+    moved = result.base.values(found.parameters) - result.estimates
+    chi_square = moved @ np.linalg.solve(result.covariance, moved)
+    assert chi_square == pytest.approx(found.chi_square, rel=1e-6)
+    assert 0.95 * LIMIT < chi_square <= LIMIT
+    assert np.all(np.abs(moved) <= np.sqrt(np.diag(result.covariance)))
+    assert cad.divergence(found.parameters).sum() < cad.divergence(exact.parameters).sum()
+    assert np.linalg.eigvalsh(pseudo_inertias(found.parameters[:30].reshape(-1, 10))).min() > 0.0
+    assert "within the standard errors" in found.verdict
+    assert not found.substituted
+
+
+def test_no_parameters_with_these_torques_or_nearer_ones_are_closer(result):
+    found = as_built_parameters(result)
+    cad = cad_prior(result.model, DRIVE)
+    exact = standard_parameters(result.model, result.base, result.estimates).parameters
+    same_torque = Coordinates.of(result.base).dependent
+    rng = np.random.default_rng(0)
+    least = cad.divergence(found.parameters).sum()
+    for size in (1e-3, 1e-2, 1e-1):
+        for _ in range(40):
+            step = same_torque @ rng.normal(size=same_torque.shape[1])
+            step *= size * np.linalg.norm(found.parameters) / np.linalg.norm(step)
+            inward = rng.uniform(0.0, 0.1) * (exact - found.parameters)
+            assert cad.divergence(found.parameters + step + inward).sum() >= least * (1.0 - 1e-3)
+
+
+def test_links_far_from_cad_are_named(result):
+    assert not mass_findings(result)
+    light = result.model.with_parameters(result.model.parameters / 3.0)
+    (finding,) = mass_findings(replace(result, model=light))
+    assert finding.code == "link_mass_differs"
+    assert light.links[1].name in finding.message
+
+
+def test_exported_torques_stay_within_their_standard_errors(robot, result):
+    model, base, beta = robot
+    other = recording(model, base, beta, seconds=20.0, seed=9)
+    found = as_built_parameters(result)
+    one, two = (
+        predict_both(model, base, values, values, other).predicted
+        for values in (result.estimates, found.beta)
+    )
+    assert np.sqrt(np.mean((one - two) ** 2)) < 0.1 * np.sqrt(np.mean(one**2))
