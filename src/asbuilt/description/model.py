@@ -29,6 +29,8 @@ What other programs take, z pointing up.
 """
 PLAIN_TERMS = ("armature", "viscous", "coulomb", "offset")
 """Drive terms that a description states by themselves; all others are further terms."""
+MOST_JOINTS = 100
+"""Joints of the largest robot; a humanoid with hands has about 60."""
 ROOT = -1
 """Parent index of a joint that hangs on the root link."""
 
@@ -222,6 +224,10 @@ class RobotModel:
             raise DescriptionError(
                 f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic"
                 " joint"
+            )
+        if len(self.joints) > MOST_JOINTS:
+            raise DescriptionError(
+                f"{self.name} has {len(self.joints)} moving joints; at most {MOST_JOINTS} are read"
             )
         if len(self.joints) != len(self.links):
             raise DescriptionError(
