@@ -37,7 +37,9 @@ def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float)
     try:
         state = path.stat()
     except FileNotFoundError:
-        raise kind(f"{what} {_shown(path)} does not exist", file=str(path)) from None
+        raise kind(
+            f"{what} {_shown(path)} cannot be read: it does not exist", file=str(path)
+        ) from None
     except (OSError, ValueError) as problem:
         raise kind(
             f"{what} {_shown(path)} cannot be read: {reason(problem)}", file=str(path)

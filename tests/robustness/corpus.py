@@ -301,7 +301,10 @@ OPTIONS = (
     *(("simulate", "two-link", "--duration", text) for text in ("1e9", "nan", "-1", "0", "inf")),
     *(("simulate", "two-link", "--rate", text) for text in ("1e12", "nan", "0", "-5", "inf")),
     *(("simulate", "two-link", "--free", "--duration", text) for text in ("1e9", "nan", "-1")),
-    *(("show", name) for name in ("", ".", "/", "/dev/zero", "/dev/full", "no", "a\0b", "x" * 9000)),
+    *(
+        ("show", name)
+        for name in ("", ".", "/", "/dev/zero", "/dev/full", "no", "a\0b", "x" * 9000)
+    ),
     *(("base", name) for name in ("/dev/zero", "/tmp", "nothing.urdf")),
     *(("check", "two-link", name) for name in ("/dev/zero", "/tmp/none.csv", "/dev/full", "")),
     *(("identify", "two-link", name) for name in ("/dev/zero", "/tmp/none.csv", "/proc/self/mem")),

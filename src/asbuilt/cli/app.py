@@ -28,6 +28,8 @@ from asbuilt.findings import Cure
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
 
+FULL_DISK = "asbuilt: the output cannot be written: No space left on device; free some space"
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
@@ -157,7 +159,7 @@ def _flushed(status: int) -> int:
     except OSError as problem:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(problem, BrokenPipeError):
-            _say(f"asbuilt: the output cannot be written: {problem.strerror}; free some space")
+            _say(FULL_DISK)
         return status or 1
     return status
 
@@ -189,6 +191,7 @@ def _status(given: list[str]) -> int:
         )  # fmt: skip
     except Exception as problem:
         if isinstance(problem, OSError) and problem.errno == errno.ENOSPC:
+            _say(FULL_DISK)
             return 1
         if os.environ.get("ASBUILT_TRACEBACK"):
             traceback.print_exc()

@@ -98,8 +98,8 @@ def _refuse_depth(root: Element, source: str) -> None:
         if not layer:
             return
     raise DescriptionError(
-        f"{source}: elements are nested deeper than {DEEPEST_ELEMENT} levels; check that it is a"
-        " robot description"
+        f"{source}: elements are nested too deeply, beyond {DEEPEST_ELEMENT} levels; check that it"
+        " is a robot description"
     )
 
 

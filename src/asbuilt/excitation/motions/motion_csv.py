@@ -74,7 +74,7 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
     try:
         table = pl.read_csv(content, infer_schema_length=None)
     except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
-        raise MotionError(f"cannot read the motion {source}: {reason(error)}") from None
+        raise MotionError(f"motion {source} cannot be read: {reason(error)}") from None
     names = tuple(column.removeprefix("q_") for column in table.columns if column.startswith("q_"))
     if "t" not in table.columns or not names:
         raise MotionError(

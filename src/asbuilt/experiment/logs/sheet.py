@@ -183,6 +183,8 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 def sheet_beside(log: Path) -> Path | None:
     """Return the sheet beside a log: `run.csv.toml` or `run.toml`; None if there is none."""
+    if not log.name:
+        return None
     for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
         if candidate == log or not candidate.is_file():
             continue

@@ -115,7 +115,7 @@ def _call(
     program = PROGRAM.format(path=[each for each in sys.path if each], parent=os.getpid())
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "2"}
     process = subprocess.Popen(
-        [sys.executable, "-c", program],
+        [sys.executable, "-S", "-c", program],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -145,7 +145,7 @@ def _received(stream: BinaryIO, most: int) -> tuple[dict[str, Any], list[Any]] |
         if 8 * n * len(answer["table"]["columns"]) > most:
             return None
         values = np.empty(n)
-        view = memoryview(values).cast("B")
+        view = memoryview(values.data).cast("B")
         while view.nbytes:
             got = stream.readinto(view)  # type: ignore[attr-defined]
             if not got:
@@ -192,7 +192,7 @@ def serve(parent: int) -> None:
     answer, columns = _answer(request)
     answers.write(json.dumps(answer).encode() + b"\n")
     for values in columns:
-        answers.write(memoryview(np.ascontiguousarray(values, dtype=np.float64)).cast("B"))
+        answers.write(np.ascontiguousarray(values, dtype=np.float64).data)
     answers.flush()
     os._exit(0)
 
@@ -238,8 +238,8 @@ def _limit(memory: int, seconds: float) -> None:
     except ImportError:
         return
     with contextlib.suppress(OSError, ValueError):
-        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (used + memory,) * 2)
+        used = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_DATA, (used + memory,) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.setitimer(signal.ITIMER_REAL, seconds)
 

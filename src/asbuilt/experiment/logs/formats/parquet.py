@@ -127,7 +127,7 @@ def _declared_by(path: Path, size: int, changed: int) -> tuple[int, tuple[str, .
 def _n_bytes(path: Path) -> float:
     """Return the memory of a whole file; a small file need not be opened for it."""
     if path.stat().st_size < SMALL:
-        return 0.0
+        return float(path.stat().st_size)
     rows, names = _declared(path)
     return float(rows * len(names) * 8)
 
