@@ -19,8 +19,8 @@ from asbuilt.dynamics.parameters import parameter_values
 from asbuilt.dynamics.regressor import observation_matrix
 from asbuilt.experiment.signal.parallel_filter import design_parallel_filter
 from asbuilt.experiment.signal.samples import Samples
-from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.findings import Finding
+from asbuilt.identification.result.metrics import torque_metrics
 from asbuilt.identification.result.result import (
     IdentificationResult,
     IdentifiedParameter,

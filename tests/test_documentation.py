@@ -198,7 +198,9 @@ def test_the_python_interface_is_what_asbuilt_exports() -> None:
 def test_examples_of_the_python_interface_stand_under_a_heading() -> None:
     """Without one the page shows `>>>` as three quotations within each other."""
     for name in re.findall(
-        r"^::: ([\w.]+)$", (HOUSE / "docs" / "reference" / "api.md").read_text(encoding="utf-8"), re.MULTILINE
+        r"^::: ([\w.]+)$",
+        (HOUSE / "docs" / "reference" / "api.md").read_text(encoding="utf-8"),
+        re.MULTILINE,
     ):
         module, _, thing = name.rpartition(".")
         found = getattr(import_module(module), thing)

@@ -37,9 +37,7 @@ def shown(expected: list[str], words: list[str]) -> str:
     place = 0
     for part in re.split(r"\.\.\.$", "\n".join(expected), flags=re.MULTILINE):
         wanted = masked(part)
-        fits = (
-            k for k in range(place, len(words) + 1) if words[k : k + len(wanted)] == wanted
-        )
+        fits = (k for k in range(place, len(words) + 1) if words[k : k + len(wanted)] == wanted)
         start = next(fits, None)
         if start is None:
             return part

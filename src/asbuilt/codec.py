@@ -93,7 +93,7 @@ def decoded(kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()) 
             except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as problem:
                 raise FieldError(_key(item), f"{type(problem).__name__} {problem}"[:200]) from None
         elif item.default is MISSING and item.default_factory is MISSING:
-            raise FieldError(_key(item), "is missing")
+            raise FieldError(_key(item), "it is missing")
     return given
 
 

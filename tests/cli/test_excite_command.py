@@ -97,7 +97,14 @@ def test_text_names_limits_efficiency_and_file(capsys, tmp_path: Path) -> None:
         tmp_path / "m.csv",
     )
     assert status == 0
-    for said in ("D-efficiency", "limits kept", "condition number", "nearest joint", "std err", "m.csv"):
+    for said in (
+        "D-efficiency",
+        "limits kept",
+        "condition number",
+        "nearest joint",
+        "std err",
+        "m.csv",
+    ):
         assert said in out
 
 
@@ -258,8 +265,9 @@ def test_parameters_are_judged_by_what_their_errors_change_of_the_torque(
 
 
 def test_a_motion_that_nobody_kept_from_hitting_itself_says_so(capsys, tmp_path: Path) -> None:
-    file, base = tmp_path / "motion.csv", (
-        *("excite", "ur10e", "--duration", 8, "--time-limit", 1, "--no-report"),
+    file, base = (
+        tmp_path / "motion.csv",
+        (*("excite", "ur10e", "--duration", 8, "--time-limit", 1, "--no-report"),),
     )
     status, out, err = call(capsys, *base, "--out", file, "--json")
     assert status == 0, err

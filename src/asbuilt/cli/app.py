@@ -30,6 +30,9 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 FULL_DISK = "asbuilt: the output cannot be written: No space left on device; free some space"
 
+LONGEST_MESSAGE = 3000
+"""Characters of an error, which may quote names from a file."""
+
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
@@ -209,6 +212,8 @@ def _fail(
     given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
 ) -> int:
     """Report an error: one document on stdout with --json, else a message on stderr."""
+    if len(message) > LONGEST_MESSAGE:
+        message = message[:LONGEST_MESSAGE] + " ..."
     if "--json" in given:
         error = {"kind": kind, "message": message, "hint": hint or None, **values}
         print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))

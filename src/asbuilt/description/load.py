@@ -42,7 +42,8 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
         return bundled_robot(text)
     path = Path(text)
     try:
-        exists, is_folder = path.exists(), path.is_dir() and bool(text)
+        exists = bool(text) and path.exists()
+        is_folder = exists and path.is_dir()
     except (OSError, ValueError) as error:
         shown = text if len(text) < 200 else f"{text[:60]}..."
         raise DescriptionError(f"{shown} cannot be read: {reason(error)}") from None

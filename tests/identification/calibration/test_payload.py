@@ -63,7 +63,11 @@ def weighed(request: pytest.FixtureRequest) -> tuple[IdentificationResult, Paylo
     result = identify_samples(robot.model, [prepared(robot, 1), prepared(robot, 2)], drive=DRIVE)
     frame, _, _ = payload_frame(robot.model)
     loaded = prepared(robot.with_tool(TOOL, at=frame), 3)
-    return result, identify_payload_samples(result, loaded), identify_payload_samples(result, loaded, arm="frozen")
+    return (
+        result,
+        identify_payload_samples(result, loaded),
+        identify_payload_samples(result, loaded, arm="frozen"),
+    )
 
 
 def test_payload_is_found_within_its_errors(
@@ -111,7 +115,9 @@ def test_noise_free_payload_is_exact() -> None:
     np.testing.assert_allclose(
         placement, next(f.placement for f in robot.model.frames if f.name == "flange")
     )
-    payload = identify_payload_samples(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
+    payload = identify_payload_samples(
+        result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen"
+    )
     np.testing.assert_allclose(payload.parameters, TOOL.parameters, atol=1e-8)
     assert not payload.projected
 
@@ -123,7 +129,9 @@ def test_friction_under_load_feels_the_payload() -> None:
     motion = random_fourier(model, rng=4, duration=10.0)
     frame, _, _ = payload_frame(model)
     result = identify_samples(model, exact(robot, motion), drive=drive)
-    payload = identify_payload_samples(result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen")
+    payload = identify_payload_samples(
+        result, exact(robot.with_tool(TOOL, at=frame), motion), arm="frozen"
+    )
     np.testing.assert_allclose(payload.parameters[6:], TOOL.parameters[6:], atol=1e-3)
     assert payload.metrics[0].relative_error < 1e-4
 
@@ -154,7 +162,12 @@ def test_an_arm_whose_wrist_stood_still_weighs_all_the_same(still: tuple[int, ..
     q[:, still], qd[:, still], qdd[:, still] = 0.3, 0.0, 0.0
     noise = 0.05 * np.random.default_rng(0).normal(size=(2, *q.shape))
     stood = replace(
-        bare, q=q, qd=qd, qdd=qdd, tau=robot.exact_torque(q, qd, qdd) + noise[0], tau_raw=np.zeros(0)
+        bare,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        tau=robot.exact_torque(q, qd, qdd) + noise[0],
+        tau_raw=np.zeros(0),
     )
     frame, _, _ = payload_frame(robot.model)
     loaded = exact(

@@ -250,9 +250,7 @@ def test_friction_that_drives_is_not_believed(seed):
         model, [recorded(model, truth, np.tile([0.5, 1.0, -0.05, 0.2], 3), seed=seed)]
     )
     assert "load_friction" not in choice.drive.keys
-    assert any(
-        "are not positive" in (addition.objection or "") for addition in choice.additions
-    )
+    assert any("are not positive" in (addition.objection or "") for addition in choice.additions)
 
 
 @pytest.mark.parametrize("robot", ["kuka-iiwa7-r800", "ur10e"])

@@ -209,7 +209,9 @@ def test_a_block_that_alone_tells_a_direction_is_reported(samples: Samples) -> N
         block_seconds=1.0,
     )
     estimate = fit_least_squares(information, weights="joint", prior=design_values(MODEL, BASE))
-    with pytest.raises(IdentifiabilityError, match="single blocks have information that others lack"):
+    with pytest.raises(
+        IdentifiabilityError, match="single blocks have information that others lack"
+    ):
         redraw(information, estimate)
 
 

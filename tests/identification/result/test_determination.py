@@ -23,7 +23,9 @@ def samples(robot: str, *, duration: float = 20.0, still: tuple[int, ...] = ()) 
     for k in still:
         q[:, k] = 0.3
         qd[:, k] = qdd[:, k] = 0.0
-    tau = machine.exact_torque(q, qd, qdd) + np.random.default_rng(0).normal(scale=0.1, size=q.shape)
+    tau = machine.exact_torque(q, qd, qdd) + np.random.default_rng(0).normal(
+        scale=0.1, size=q.shape
+    )
     return Samples(sampled.t, q, qd, qdd, tau, rate=100.0, joint_names=model.joint_names)
 
 

@@ -70,7 +70,9 @@ def test_too_few_independent_samples_are_said_to_be_too_few() -> None:
     result = identified(ARM, "pf")
     found = attribute(replace(result, effective_samples=0.5))
     assert found.chosen == ()
-    assert all(line.endswith("too few validation samples to attribute it.") for line in found.sentences)
+    assert all(
+        line.endswith("too few validation samples to attribute it.") for line in found.sentences
+    )
     (said,) = found.findings
     assert "validate on a recording of its own" in said
     assert CAUSES["friction"] in said

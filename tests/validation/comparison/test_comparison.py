@@ -38,7 +38,9 @@ def test_truth_as_cad_does_not_differ(example: Any) -> None:
 
 
 def test_text_csv_and_json_hold_the_same_numbers(example: Any) -> None:
-    comparison = compare(example.result, validation=validate_samples(example.result, example.held_out))
+    comparison = compare(
+        example.result, validation=validate_samples(example.result, example.held_out)
+    )
     text = comparison.as_text()
     assert "DIFFERS" in text
     assert "RMS torque error" in text

@@ -163,7 +163,8 @@ def test_a_result_by_weighted_least_squares_is_its_own_free_one() -> None:
     )
     drive = identified(0).base.drive
     plain, real = (
-        identify_samples(ROBOT, train, drive=drive, method=method) for method in ("wls", "consistent")
+        identify_samples(ROBOT, train, drive=drive, method=method)
+        for method in ("wls", "consistent")
     )
     assert plain.free is None
     values = ComparedValues.free(plain)

@@ -64,9 +64,7 @@ def test_a_study_says_which_recording_is_no_other_motion() -> None:
         validation=[recorded(1, 1), recorded(2)],
         options=StudyOptions(method="wls"),
     )
-    said = [
-        warning.text for warning in study.findings if warning.code == "held_out_repeats"
-    ]
+    said = [warning.text for warning in study.findings if warning.code == "held_out_repeats"]
     assert len(said) == 1
     assert "repeats the training motion" in said[0]
 

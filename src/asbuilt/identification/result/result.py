@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.codec import decoded, plain, stored
+from asbuilt.codec import FieldError, decoded, plain, stored
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
@@ -387,7 +387,7 @@ class IdentificationResult:
                 **decoded(cls, whole, but=REBUILT),
             )
         except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as problem:
-            known = isinstance(problem, AsbuiltError)
+            known = isinstance(problem, AsbuiltError | FieldError)
             reason = str(problem) if known else f"{type(problem).__name__} {problem}"
             raise ResultError(f"the stored result is damaged: {reason}", cure=AGAIN) from problem
         result._check_values()
