@@ -22,9 +22,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
-from robustness import corpus
-
 from asbuilt.cli.app import main
+from robustness import corpus
 
 HANG = 60
 """Seconds after which an input counts as hung; a damaged bag may take 10."""

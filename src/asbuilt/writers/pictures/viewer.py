@@ -355,7 +355,7 @@ def _own_origin_only(host: str, port: int) -> Iterator[None]:
     names = {host, "localhost", "127.0.0.1"} if host in LOOPBACK else {host}
     origins = [None, *(f"http://{name}:{port}" for name in sorted(names))]
     serve = server.serve
-    server.serve = partial(serve, origins=origins)  # type: ignore[misc, assignment]
+    server.serve = partial(serve, origins=origins)  # type: ignore[misc, assignment, arg-type]
     try:
         yield
     finally:
