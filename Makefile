@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test quick check bench docs format wheel clean
+.PHONY: demo test test-lowest fuzz quick check bench docs format wheel clean
 
 demo: $(VENV)/.installed
 	$(BIN)/asbuilt demo --out out/demo
@@ -25,6 +25,21 @@ check: $(VENV)/.installed-check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# The lowest versions that pyproject.toml allows, in an environment of their own.
+LOWEST := build/lowest
+test-lowest: $(VENV)/.installed-check
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet uv
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct \
+		--constraints lowest.txt --editable '.[sim,bags,hdf5,cad]' 'pytest>=8.2' 'hypothesis>=6.100'
+	$(LOWEST)/bin/python -m pytest -p no:cacheprovider tests/description tests/experiment/logs \
+		tests/identification/estimators tests/identification/bodies tests/robustness tests/cli/test_help.py
+
+# Random damage of good files for so many seconds.
+SECONDS ?= 60
+fuzz: $(VENV)/.installed-test
+	$(BIN)/python benchmarks/fuzz.py --seconds $(SECONDS) --out out/fuzz
 
 bench: $(VENV)/.installed-test
 	$(BIN)/python benchmarks/run.py --out out/bench.json

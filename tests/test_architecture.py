@@ -32,7 +32,7 @@ STAGES = (
     "workflow",
     "writers",
 )
-LEAVES = ("arrays", "codec", "errors", "findings", "registry", "tables")
+LEAVES = ("arrays", "codec", "errors", "findings", "registry", "tables", "untrusted")
 FULL = 12
 """Modules that one folder may hold, drive terms excepted."""
 HEAVY = (

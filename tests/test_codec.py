@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from asbuilt.codec import json_text, plain, restored, stored
+from asbuilt.codec import FieldError, json_text, plain, restored, stored
 from asbuilt.findings import Cure, Finding
 
 
@@ -93,7 +93,7 @@ def test_paths_and_numbers_of_numpy_are_plain() -> None:
         ({"several": [{"name": 1}]}, "expected str"),
         ({"several": {"name": "a"}}, "expected a list"),
         ({"ratio": "fast"}, "fast"),
-        ({"numbers": ["a"]}, "could not convert"),
+        ({"numbers": ["a"]}, "array of numbers"),
         ({"text": 3}, "expected str"),
         ({"pair": ["x"]}, "argument 2 is shorter"),
     ],
@@ -104,7 +104,7 @@ def test_what_does_not_fit_is_refused(change: dict[str, object], error: str) -> 
     with pytest.raises((KeyError, TypeError, ValueError), match=error):
         restored(Outer, data | change)
     del data["numbers"]
-    with pytest.raises(KeyError, match="numbers"):
+    with pytest.raises(FieldError, match="numbers: it is missing"):
         restored(Outer, data)
     with pytest.raises(TypeError, match="object"):
         restored(Outer, [1])  # type: ignore[arg-type]

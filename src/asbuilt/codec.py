@@ -16,6 +16,14 @@ import numpy as np
 T = TypeVar("T")
 
 
+class FieldError(ValueError):
+    """A field of plain data is missing or damaged; `place` is its dotted name."""
+
+    def __init__(self, place: str, reason: str) -> None:
+        super().__init__(f"{place}: {reason}")
+        self.place, self.reason = place, reason
+
+
 def stored(
     *,
     key: str = "",
@@ -61,8 +69,10 @@ def restored(kind: type[T], data: Mapping[str, Any]) -> T:
 
     Raises
     ------
-    KeyError, TypeError, ValueError
+    FieldError
         If a field without default is missing, or a value is not of the type of its field.
+    TypeError
+        If the data are no object.
     """
     return kind(**decoded(kind, data))
 
@@ -76,9 +86,14 @@ def decoded(kind: type[Any], data: Mapping[str, Any], but: Container[str] = ()) 
         if item.name in but:
             continue
         if _key(item) in data:
-            given[item.name] = _decoded(hints[item.name], data[_key(item)], item.metadata)
+            try:
+                given[item.name] = _decoded(hints[item.name], data[_key(item)], item.metadata)
+            except FieldError as problem:
+                raise FieldError(f"{_key(item)}.{problem.place}", problem.reason) from None
+            except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as problem:
+                raise FieldError(_key(item), f"{type(problem).__name__} {problem}"[:200]) from None
         elif item.default is MISSING and item.default_factory is MISSING:
-            raise KeyError(_key(item))
+            raise FieldError(_key(item), "it is missing")
     return given
 
 
@@ -119,7 +134,7 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
         return value
     if origin is np.ndarray:
         (number,) = get_args(arguments[1])
-        return np.array(value, dtype=number)
+        return _array(value, number)
     if origin is tuple:
         if not isinstance(value, list):
             raise TypeError(f"expected a list, got {type(value).__name__}")
@@ -131,10 +146,35 @@ def _as(hint: Any, value: Any, missing: float = math.nan) -> Any:
     if is_dataclass(hint):
         return restored(hint, value)  # type: ignore[arg-type]
     if hint is float:
-        return missing if value is None else float(value)
+        return missing if value is None else _finite(value)
     if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
         raise TypeError(f"expected {hint.__name__}, got {value!r}")
     return value
+
+
+def _array(value: Any, number: Any) -> Any:
+    """Return an array of finite numbers, NaN where None is stored."""
+    found = np.array(value)
+    if found.dtype.kind not in "biufO" or (found.dtype == object and not _is_numeric(found)):
+        raise TypeError("expected an array of numbers")
+    if found.dtype.kind == "f" and not np.all(np.isfinite(found)):
+        raise ValueError("expected finite numbers")
+    return np.array(value, dtype=number)
+
+
+def _is_numeric(found: Any) -> bool:
+    return all(
+        item is None or (isinstance(item, int | float) and math.isfinite(item))
+        for item in found.flat
+    )
+
+
+def _finite(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"expected a number, got {str(value)[:60]!r}")
+    if not math.isfinite(value):
+        raise ValueError(f"expected a finite number, got {value}")
+    return float(value)
 
 
 def _as_one_of(kinds: tuple[Any, ...], value: Any) -> Any:

@@ -522,7 +522,7 @@ def test_view_saves_pages_and_pictures_and_results_run_forward(
             2,
             "is not one of auto, rendered, skeleton",
         ),
-        (("ur10e", tmp_path / "none.csv"), 1, "cannot read the motion"),
+        (("ur10e", tmp_path / "none.csv"), 1, "cannot be read"),
         (("ur10e", "--port", "0"), 2, "a port is a number"),
     ):
         code, _, err = call(capsys, "view", *wrong)

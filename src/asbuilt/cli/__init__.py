@@ -1,1 +1,14 @@
 """The command line: one file per group of commands, the demonstration and the 2015 paper."""
+
+import signal
+
+
+def run() -> None:
+    """Run the command line; Ctrl-C while its modules are imported ends it without a traceback."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from asbuilt.cli.app import main
+
+    if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    main()

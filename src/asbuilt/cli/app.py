@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import errno
 import inspect
+import io
 import json
 import os
 import sys
@@ -24,6 +27,11 @@ from asbuilt.findings import Cure
 
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of linear algebra libraries, whose threads slow small matrices down."""
+
+FULL_DISK = "asbuilt: the output cannot be written: No space left on device; free some space"
+
+LONGEST_MESSAGE = 3000
+"""Characters of an error, which may quote names from a file."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
@@ -138,8 +146,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit: 0 done, 1 data or robot do not allow it, 2 wrong usage."""
     for setting in BLAS_THREADS:
         os.environ.setdefault(setting, "1")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     given = [*(sys.argv[1:] if arguments is None else arguments)]
-    sys.exit(_status(given))
+    sys.exit(_flushed(_status(given)))
+
+
+def _flushed(status: int) -> int:
+    """Write what is buffered; a full disk or a closed pipe is an error that is said once."""
+    if sys.stdout is None or sys.stderr is None:
+        return status
+    try:
+        sys.stdout.flush()
+    except OSError as problem:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(problem, BrokenPipeError):
+            _say(FULL_DISK)
+        return status or 1
+    return status
 
 
 def _status(given: list[str]) -> int:
@@ -162,7 +187,15 @@ def _status(given: list[str]) -> int:
         return 1
     except (KeyboardInterrupt, EOFError, typer.Abort):
         status = INTERRUPTED
+    except MemoryError:
+        return _fail(
+            given, "MemoryError", "there is not enough memory",
+            "use fewer samples: decimate, or cut the recording", {}, 1,
+        )  # fmt: skip
     except Exception as problem:
+        if isinstance(problem, OSError) and problem.errno == errno.ENOSPC:
+            _say(FULL_DISK)
+            return 1
         if os.environ.get("ASBUILT_TRACEBACK"):
             traceback.print_exc()
         message = f"unexpected {type(problem).__name__}: {problem}"
@@ -179,13 +212,21 @@ def _fail(
     given: Sequence[str], kind: str, message: str, hint: str, values: dict[str, Any], status: int
 ) -> int:
     """Report an error: one document on stdout with --json, else a message on stderr."""
+    if len(message) > LONGEST_MESSAGE:
+        message = message[:LONGEST_MESSAGE] + " ..."
     if "--json" in given:
         error = {"kind": kind, "message": message, "hint": hint or None, **values}
         print(json.dumps({"error": error}, indent=2, default=str, allow_nan=False))
     else:
         text = f"asbuilt: {message}" + (f"; {hint}" if hint else "")
-        print(wrapped(text), file=sys.stderr)
+        _say(wrapped(text))
     return status
+
+
+def _say(text: str) -> None:
+    """Print on stderr, which may be closed."""
+    with contextlib.suppress(OSError, ValueError):
+        print(text, file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

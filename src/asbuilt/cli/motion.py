@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from asbuilt.excitation.design.multistart import SearchProgress
     from asbuilt.excitation.motions.motion import Motion
 
+HIGHEST_RATE = 1e5
+"""Highest rate of a motion file [Hz]; controllers take up to 8 kHz."""
 OF_MOTIONS = (
     *("--parametrisation", "--harmonics", "--criterion", "--focus", "--periods"),
     *("--power", "--perturbed", "--drive"),
@@ -87,6 +89,8 @@ def excite(
 
     if not 0.0 < rate < math.inf:
         raise UsageError(f"--rate takes a positive number of Hz, got {rate:g}")
+    if rate > HIGHEST_RATE:
+        raise UsageError(f"--rate must be at most {HIGHEST_RATE:g} Hz, got {rate:g}")
     asked = given_options(options)
     _refuse_idle(asked, options, static=static is not None, given=given is not None)
     model, base, prior = described_robot(robot), None, None

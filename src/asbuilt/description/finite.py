@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 
 from asbuilt.errors import DescriptionError
+
+LARGEST = 1e18
+"""Largest number of a description in SI units; limits may be as large as `sys.float_info.max`."""
 
 
 def finite_number(text: str, what: str) -> float:
@@ -18,7 +22,9 @@ def finite_number(text: str, what: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise DescriptionError(f"{what} is {text!r}; it must be a number") from None
+        raise DescriptionError(f"{what} is {text[:60]!r}; it must be a number") from None
     if not math.isfinite(value):
-        raise DescriptionError(f"{what} is {text}; it must be finite")
+        raise DescriptionError(f"{what} is {text[:60]}; it must be finite")
+    if abs(value) > LARGEST and abs(value) != sys.float_info.max:
+        raise DescriptionError(f"{what} is {text[:60]}; it must be at most {LARGEST:g}")
     return value

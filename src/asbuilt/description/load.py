@@ -7,9 +7,10 @@ from pathlib import Path
 
 from asbuilt.description.catalogue import bundled_robot, nearest, robot_names
 from asbuilt.description.formats.registry import FORMATS, format_of, known_suffixes
-from asbuilt.description.formats.xml import outermost_tag
+from asbuilt.description.formats.xml import LARGEST_DESCRIPTION, outermost_tag
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import DescriptionError
+from asbuilt.untrusted import read_bytes, reason
 
 
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
@@ -41,11 +42,12 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
         return bundled_robot(text)
     path = Path(text)
     try:
-        exists, is_folder = path.is_file(), path.is_dir() and bool(text)
-    except OSError as error:
+        exists = bool(text) and path.exists()
+        is_folder = exists and path.is_dir()
+    except (OSError, ValueError) as error:
         shown = text if len(text) < 200 else f"{text[:60]}..."
-        raise DescriptionError(f"{shown} cannot be read: {error.strerror}") from None
-    if exists:
+        raise DescriptionError(f"{shown} cannot be read: {reason(error)}") from None
+    if exists and not is_folder:
         return _read(path)
     suffixes, bundled = ", ".join(known_suffixes()), ", ".join(robot_names())
     if is_folder:
@@ -64,10 +66,7 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotModel:
 
 
 def _read(path: Path) -> RobotModel:
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DescriptionError(f"{path} cannot be read: {error.strerror}") from None
+    content = read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION)
     found = format_of(path, content)
     if found is None and outermost_tag(content):
         found = FORMATS["urdf"]

@@ -44,6 +44,9 @@ __all__ = [
     "Symbols",
 ]
 
+MOST_JOINTS = 100
+"""Joints of the largest robot; a humanoid with hands has about 60."""
+
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
@@ -88,6 +91,10 @@ class RobotModel:
             raise DescriptionError(
                 f"{self.name} has no moving joint; a robot needs at least one revolute or prismatic"
                 " joint"
+            )
+        if len(self.joints) > MOST_JOINTS:
+            raise DescriptionError(
+                f"{self.name} has {len(self.joints)} moving joints; at most {MOST_JOINTS} are read"
             )
         if len(self.joints) != len(self.links):
             raise DescriptionError(

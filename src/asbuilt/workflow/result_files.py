@@ -6,9 +6,12 @@ import os
 from pathlib import Path
 
 from asbuilt.errors import ResultError
-from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.untrusted import read_text
 from asbuilt.workflow.study import Study
+
+LARGEST = 30_000_000
+"""Bytes of a stored result; that of seven joints has 0.4 MB."""
 
 
 def read_result(path: str | os.PathLike[str]) -> IdentificationResult:
@@ -35,14 +38,7 @@ def read_study(path: str | os.PathLike[str]) -> Study:
     ResultError
         If the file cannot be read, is not a stored result, or is damaged.
     """
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise ResultError(
-            f"{path} cannot be read as a result ({problem})",
-            cure=Cure("give the result.json that identify wrote"),
-            file=str(path),
-        ) from None
+    text = read_text(Path(path), "result", ResultError, LARGEST)
     try:
         return Study.from_json(text)
     except ResultError as problem:

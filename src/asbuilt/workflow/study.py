@@ -116,7 +116,7 @@ class Study:
             return cls(result, result.findings)
         try:
             found = tuple(restored(Finding, item) for item in whole["study"]["findings"])
-        except (KeyError, TypeError, ValueError) as problem:
+        except (KeyError, TypeError, ValueError, AttributeError) as problem:
             raise ResultError(
                 f"the findings of the stored result are damaged: {type(problem).__name__}"
                 f" {problem}",

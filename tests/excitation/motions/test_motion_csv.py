@@ -66,7 +66,7 @@ def test_positions_alone_are_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "cannot read the motion"),
+        ("", "cannot be read"),
         ("t,q_a\n", "a header but no data"),
         (
             "time,x\n0,1\n1,2\n",
@@ -96,7 +96,7 @@ def test_bad_files_are_refused_with_the_place(tmp_path: Path, text: str, message
 
 
 def test_a_missing_file_and_a_binary_one_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(MotionError, match="cannot read the motion"):
+    with pytest.raises(MotionError, match="cannot be read"):
         read_motion(tmp_path / "none.csv")
     binary = tmp_path / "binary.csv"
     binary.write_bytes(bytes(range(256)) * 20)

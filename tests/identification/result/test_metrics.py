@@ -61,7 +61,7 @@ def test_what_does_not_fit_is_refused():
         torque_metrics(np.zeros((10, 3)), np.zeros((9, 3)), "x")
     with pytest.raises(ResultError, match="no samples"):
         TorqueTally(("a",)).metrics("x")
-    with pytest.raises(KeyError, match="joints"):
+    with pytest.raises(ValueError, match="joints"):
         restored(TorqueMetrics, {"source": "x"})
     whole = torque_metrics(np.eye(2), np.zeros((2, 2)), "x").as_dict()
     with pytest.raises(ResultError, match="one value for each"):

@@ -258,7 +258,7 @@ def test_damaged_results_are_refused(arm):
         ("[1, 2]", "not a stored result"),
         ('{"format": "something else"}', "not a stored result"),
         (damaged(version=99), "format version 99"),
-        (json.dumps({k: v for k, v in whole.items() if k != "rank"}), "KeyError 'rank'"),
+        (json.dumps({k: v for k, v in whole.items() if k != "rank"}), "rank: it is missing"),
         (damaged(covariance=[[1.0]]), "covariance must have shape"),
         (damaged(parameters=whole["parameters"][:-1]), "base parameters"),
         (damaged(parameters=[{"id": 1}]), "damaged"),

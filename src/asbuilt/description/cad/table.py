@@ -17,6 +17,7 @@ from asbuilt.description.finite import finite_number
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link
 from asbuilt.errors import DescriptionError
+from asbuilt.untrusted import read_text
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     "link": ("link", "body"),
@@ -138,13 +139,13 @@ def _cells(path: Path) -> tuple[list[tuple[int, list[str]]], str]:
 
     A decimal point, unless commas separate the cells.
     """
+    text = read_text(path, "table", DescriptionError)
     try:
-        text = path.read_text(encoding="utf-8-sig")
         header = text.partition("\n")[0]
         separator = max(";\t,", key=header.count)
         reader = csv.reader(text.splitlines(), delimiter=separator, skipinitialspace=True)
         lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
     if len(lines) < 2:
         raise DescriptionError(

@@ -17,6 +17,7 @@ from asbuilt.description.formats.registry import FORMATS, DescriptionFormat
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import JointKind, RobotModel
 from asbuilt.errors import DescriptionError
+from asbuilt.untrusted import read_text
 
 GEOMETRY_COLUMNS = ("b", "a", "alpha_deg")
 MASS_COLUMNS = ("m", "rx", "ry", "rz", "Ixx", "Iyy", "Izz", "Ixy", "Iyz", "Izx")
@@ -40,11 +41,11 @@ def read_dh_table(path: str | Path) -> RobotModel:
     `DescriptionError` with line and column.
     """
     path = Path(path)
+    text = read_text(path, "table", DescriptionError)
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream, skipinitialspace=True)
-            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.reader(text.splitlines(), skipinitialspace=True)
+        lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except csv.Error as error:
         raise DescriptionError(f"{path}: the table cannot be read as CSV text: {error}") from None
     if len(lines) < 2:
         raise DescriptionError(

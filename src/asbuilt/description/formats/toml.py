@@ -6,7 +6,6 @@ Denavit-Hartenberg rows or link placements, mass properties, limits, drives, cit
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -43,6 +42,7 @@ from asbuilt.description.rotation import (
     straightened,
 )
 from asbuilt.errors import AsbuiltError, DescriptionError
+from asbuilt.untrusted import parsed_toml, read_text, reason
 
 
 def read_robot_toml(path: str | Path) -> RobotModel:
@@ -51,10 +51,7 @@ def read_robot_toml(path: str | Path) -> RobotModel:
     Raises one `DescriptionError` that names file, table, field, value and cure.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DescriptionError(f"{path}: the file cannot be read as text: {error}") from None
+    text = read_text(path, "description", DescriptionError)
     return robot_from_toml(text, source=str(path))
 
 
@@ -64,9 +61,9 @@ def robot_from_toml(text: str, *, source: str = "TOML text") -> RobotModel:
     Raises `DescriptionError` as `read_robot_toml`.
     """
     try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise DescriptionError(f"{source}: this is not valid TOML: {error}") from None
+        content = parsed_toml(text)
+    except ValueError as error:
+        raise DescriptionError(f"{source}: this is not valid TOML: {reason(error)}") from None
     file = checked_file(content, source)
     try:
         return _model(file, source)

@@ -17,12 +17,13 @@ from pydantic import (
 )
 
 from asbuilt.arrays import Array
+from asbuilt.description.finite import LARGEST
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import USUAL_GRAVITY, DriveValues, JointKind
 from asbuilt.description.rotation import rotation_fault
 from asbuilt.errors import DescriptionError
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(gt=0.0)]
 Vector = tuple[Finite, Finite, Finite]
 Length = Annotated[

@@ -16,9 +16,13 @@ from defusedxml.ElementTree import fromstring
 
 from asbuilt.description.finite import finite_number
 from asbuilt.errors import DescriptionError
+from asbuilt.untrusted import read_bytes
 
-LARGEST_DESCRIPTION = 50_000_000
-"""Bytes; a description of a robot without its meshes is thousands of times smaller."""
+LARGEST_DESCRIPTION = 20_000_000
+"""Bytes; a description of a robot without its meshes is hundreds of times smaller."""
+DEEPEST_ELEMENT = 250
+"""Levels of nesting; a chain of 100 bodies in MJCF has about 100."""
+_TAG_OR_COMMENT = re.compile(rb"<(?:!--|(?:\w+:)?([A-Za-z_][\w.-]*))")
 
 
 def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
@@ -33,16 +37,7 @@ def described_text(path_or_text: str | Path | bytes) -> tuple[bytes, str]:
     if isinstance(path_or_text, str) and "<" in path_or_text:
         return path_or_text.encode(), "the description"
     path = Path(path_or_text)
-    try:
-        size = path.stat().st_size
-        if size > LARGEST_DESCRIPTION:
-            raise DescriptionError(
-                f"{path} has {size / 1e6:.0f} MB; a robot description has at most"
-                f" {LARGEST_DESCRIPTION / 1e6:.0f} MB"
-            )
-        return path.read_bytes(), str(path)
-    except (OSError, ValueError) as error:
-        raise DescriptionError(f"{path} cannot be read: {error}") from None
+    return read_bytes(path, "description", DescriptionError, LARGEST_DESCRIPTION), str(path)
 
 
 def outermost_tag(content: bytes) -> str:
@@ -52,9 +47,10 @@ def outermost_tag(content: bytes) -> str:
     """
     if content.startswith((b"\xff\xfe", b"\xfe\xff")):
         content = content.decode("utf-16", "replace").encode()
-    match = re.search(
-        rb"<(?:\w+:)?([A-Za-z_][\w.-]*)", re.sub(rb"<!--.*?-->", b"", content, flags=re.DOTALL)
-    )
+    match = _TAG_OR_COMMENT.search(content)
+    while match and match[1] is None:
+        end = content.find(b"-->", match.end())
+        match = _TAG_OR_COMMENT.search(content, end + 3) if end >= 0 else None
     return match[1].decode() if match else ""
 
 
@@ -75,6 +71,7 @@ def parsed_xml(content: bytes, source: str) -> Element:
         raise DescriptionError(f"{source}: this is not well-formed XML: {error}") from None
     except (ValueError, LookupError) as error:
         raise DescriptionError(f"{source}: the XML cannot be decoded: {error}") from None
+    _refuse_depth(root, source)
     for element in root.iter():
         if not isinstance(element.tag, str):
             continue
@@ -92,6 +89,18 @@ def parsed_xml(content: bytes, source: str) -> Element:
                 )
         element.tag = tag
     return root
+
+
+def _refuse_depth(root: Element, source: str) -> None:
+    layer = [root]
+    for _ in range(DEEPEST_ELEMENT):
+        layer = [child for element in layer for child in element]
+        if not layer:
+            return
+    raise DescriptionError(
+        f"{source}: elements are nested too deeply, beyond {DEEPEST_ELEMENT} levels; check that it"
+        " is a robot description"
+    )
 
 
 def required(element: Element, attribute: str, place: str) -> str:

@@ -28,13 +28,18 @@ def compiled_with_lock(function: Callable[..., Any]) -> Any:
     return _compiled(function, nogil=False)
 
 
-def _compiled(function: Callable[..., Any], *, nogil: bool) -> Any:
+def compiled_with_reordered_sums(function: Callable[..., Any]) -> Any:
+    """Compile as `compiled` does; sums may be taken in another order, several terms at once."""
+    return _compiled(function, nogil=True, fastmath=True)
+
+
+def _compiled(function: Callable[..., Any], *, nogil: bool, fastmath: bool = False) -> Any:
     try:
-        made: Any = njit(cache=True, nogil=nogil, error_model="numpy")(function)
+        made: Any = njit(cache=True, nogil=nogil, fastmath=fastmath, error_model="numpy")(function)
         index = made._cache._cache_file
         index._source_stamp = (index._source_stamp, source_digest(Path(__file__).parent))
     except (RuntimeError, AttributeError):
-        made = njit(nogil=nogil, error_model="numpy")(function)
+        made = njit(nogil=nogil, fastmath=fastmath, error_model="numpy")(function)
     return made
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from asbuilt.description.model import ROOT, RobotModel
 from asbuilt.description.rotation import placement, rotation_from_rpy
 from asbuilt.errors import DescriptionError, MissingExtraError
 from asbuilt.excitation.motions.motion import read_only
+from asbuilt.untrusted import parsed_toml, read_text, reason
 
 CLEARANCE = 0.02
 """Default distance between bodies [m]."""
@@ -142,17 +142,17 @@ def surroundings(model: RobotModel, source: str | Path) -> Surroundings:
     if path.suffix.lower() in (".urdf", ".xml"):
         return Surroundings(urdf_capsules(model, path))
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = parsed_toml(read_text(path, "collision file", DescriptionError))
         file = _SurroundingsFile.model_validate(content)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as problem:
-        raise DescriptionError(
-            f"{path} cannot be read: {problem}; give skeleton, skeleton:RADIUS, a .urdf or a .toml"
-            " file"
-        ) from None
     except ValidationError as problem:
         first = problem.errors()[0]
         raise DescriptionError(
             f"{path}: {'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
+        ) from None
+    except (ValueError, DescriptionError) as problem:
+        raise DescriptionError(
+            f"{path} cannot be read: {reason(problem)}; give skeleton, skeleton:RADIUS, a .urdf or"
+            " a .toml file"
         ) from None
     return _from_file(model, file, path)
 

@@ -44,6 +44,10 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name for name in text.split(",") if name.strip())
 
 
+LONGEST = 3600.0
+"""Longest motion that is designed [s]."""
+
+
 @dataclass(frozen=True)
 class DesignOptions:
     """Configure the design of a motion.
@@ -162,6 +166,12 @@ class DesignOptions:
             count = getattr(self, name)
             if count is not None and count < least:
                 raise UsageError(f"{name} must be at least {least}, got {count}")
+        if self.duration != "auto" and self.seconds > LONGEST:
+            raise UsageError(f"duration must be at most {LONGEST:g} s, got {self.duration}")
+        for name, most in (("size", 200), ("starts", 10_000), ("periods", 1_000)):
+            count = getattr(self, name)
+            if count is not None and count > most:
+                raise UsageError(f"{name} must be at most {most}, got {count}")
         if self.size is not None and self.size < 2:
             raise UsageError(
                 "a design needs at least 2 harmonics or poses, 3 way points or control points;"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -17,6 +19,8 @@ Result = TypeVar("Result")
 
 MOST = 7
 """Most processes beside this one; each needs about 250 MB."""
+ORPHAN_CHECK = 0.5
+"""Seconds between looks at the parent process."""
 
 
 class ProcessPool(Generic[Task, Result]):
@@ -38,7 +42,7 @@ class ProcessPool(Generic[Task, Result]):
                     self._size,
                     timeout=None,
                     initializer=_begin,
-                    initargs=(work,),
+                    initargs=(work, os.getpid()),
                     env={"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"},
                 )
                 self._ready = self._executor.submit(_is_ready)
@@ -79,8 +83,16 @@ _work: list[Callable[[object], object]] = []
 """The work of this process, if it belongs to a pool."""
 
 
-def _begin(work: Callable[[object], object]) -> None:
+def _begin(work: Callable[[object], object], parent: int) -> None:
     _work[:] = [work]
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this process soon after its parent, which may be killed without a chance to say so."""
+    while os.getppid() == parent:
+        time.sleep(ORPHAN_CHECK)
+    os._exit(1)
 
 
 def _is_ready() -> bool:

@@ -29,6 +29,9 @@ from asbuilt.excitation.state_bounds import limited_model
 from asbuilt.excitation.state_constraint import StateConstraint, smallest_distance
 from asbuilt.excitation.torque_limit import STANDING, TorqueLimit, WeightLimit
 
+MOST_POSES = 1_000
+"""Most static poses; each is held for seconds."""
+
 
 @dataclass(frozen=True)
 class StaticSearch:
@@ -169,6 +172,8 @@ def design_static_poses(
             " no parameter"
         )
     least = -(-p // model.n_joints)
+    if count > MOST_POSES:
+        raise UsageError(f"at most {MOST_POSES} static poses are designed, got {count}")
     if count < max(2, least):
         raise UsageError(
             f"got {count} poses; gravity determines {p} parameters of {model.name}, which takes at"

@@ -17,6 +17,8 @@ QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 JUMPING = ("point-to-point",)
 """Parametrisations whose acceleration jumps."""
 
+MOST_SAMPLES = 10_000_000
+"""Samples of the longest motion that is sampled; three hours at 1 kHz."""
 TIME_TOLERANCE = 1e-9
 """Times may leave the interval of a motion by this fraction of its duration (rounding).
 
@@ -146,6 +148,11 @@ class Motion(ABC):
         if not (np.isfinite(rate) and rate > 0):
             raise MotionError(
                 f"the rate must be a positive number of samples per second, got {rate}"
+            )
+        if self.duration * rate > MOST_SAMPLES:
+            raise MotionError(
+                f"{self.duration:g} s at {rate:g} Hz are {self.duration * rate:.3g} samples; at"
+                f" most {MOST_SAMPLES:.0e} are written"
             )
         return (
             np.arange(

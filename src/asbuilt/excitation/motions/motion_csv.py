@@ -19,6 +19,7 @@ from asbuilt.errors import MotionError
 from asbuilt.excitation.motions.motion import Motion
 from asbuilt.excitation.motions.quintic import QuinticMotion
 from asbuilt.excitation.motions.spline import SplineMotion
+from asbuilt.untrusted import TABLE_LIMIT, read_bytes, reason
 
 PREFIXES = ("q_", "qd_", "qdd_")
 """Column names are a prefix and a joint name."""
@@ -69,12 +70,11 @@ def read_motion(path: str | os.PathLike[str], model: RobotModel | None = None) -
         that do not rise, joints that the robot does not have.
     """
     source = Path(path)
-    if not source.is_file():
-        raise MotionError(f"cannot read the motion {source}: there is no such file")
+    content = read_bytes(source, "motion", MotionError, TABLE_LIMIT)
     try:
-        table = pl.read_csv(source, infer_schema_length=None)
-    except (OSError, pl.exceptions.PolarsError) as error:
-        raise MotionError(f"cannot read the motion {source}: {error}") from error
+        table = pl.read_csv(content, infer_schema_length=None)
+    except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
+        raise MotionError(f"motion {source} cannot be read: {reason(error)}") from None
     names = tuple(column.removeprefix("q_") for column in table.columns if column.startswith("q_"))
     if "t" not in table.columns or not names:
         raise MotionError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,8 +13,11 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.roles import unit_scale
+from asbuilt.untrusted import parsed_toml, read_text, reason
 
 ColumnName = int | str
+LONGEST_NUMBER = 4
+"""Digits of the number of a column; a log has at most 10 000 of them."""
 ROBOT_FIELDS = {"links", "dh", "robot", "gravity"}
 """Fields of a robot description, which a recording sheet does not have."""
 
@@ -32,6 +34,8 @@ def _spread(value: object) -> object:
     numbers = re.fullmatch(r"\s*(\D*?)(\d+)\s*(?:-|:|\.\.)\s*(\D*?)(\d+)\s*", value)
     if numbers is None or numbers.group(1) != numbers.group(3):
         return [value]
+    if max(len(numbers.group(2)), len(numbers.group(4))) > LONGEST_NUMBER:
+        raise ValueError(f"the range {value[:60]!r} is too long")
     prefix, first, last = numbers.group(1), int(numbers.group(2)), int(numbers.group(4))
     return [f"{prefix}{k}" if prefix else k for k in range(first, last + 1)]
 
@@ -174,18 +178,13 @@ def read_sheet(path: str | Path) -> RecordingSheet:
         If the file is no TOML, or has an unknown field or an invalid value.
     """
     path = Path(path)
+    text = read_text(path, "recording sheet", RecordingError)
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError as error:
-        raise RecordingError(f"recording sheet {path} does not exist", file=str(path)) from error
-    except (OSError, UnicodeDecodeError) as error:
+        content = parsed_toml(text)
+    except ValueError as error:
         raise RecordingError(
-            f"recording sheet {path} cannot be read: {error}", file=str(path)
-        ) from error
-    except tomllib.TOMLDecodeError as error:
-        raise RecordingError(
-            f"recording sheet {path} is not TOML: {error}", file=str(path)
-        ) from error
+            f"recording sheet {path} is not TOML: {reason(error)}", file=str(path)
+        ) from None
     try:
         return RecordingSheet.model_validate(content)
     except ValidationError as error:
@@ -194,12 +193,14 @@ def read_sheet(path: str | Path) -> RecordingSheet:
 
 def sheet_beside(log: Path) -> Path | None:
     """Return the sheet beside a log: `run.csv.toml` or `run.toml`; None if there is none."""
+    if not log.name:
+        return None
     for candidate in (log.with_name(log.name + ".toml"), log.with_suffix(".toml")):
         if candidate == log or not candidate.is_file():
             continue
         try:
-            fields = set(tomllib.loads(candidate.read_text(encoding="utf-8-sig")))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+            fields = set(parsed_toml(read_text(candidate, "recording sheet", RecordingError)))
+        except ValueError:
             return candidate
         if fields & ROBOT_FIELDS:
             continue

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import numba
 import numpy as np
 from scipy import optimize, signal
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.kernels.compilation import compiled_with_reordered_sums
 from asbuilt.errors import UsageError
 from asbuilt.findings import Cure
 
@@ -143,7 +143,7 @@ def design_parallel_filter(cutoff: float, rate: float, decimation: int = 1) -> P
     return ParallelFilter(taps(corner), decimation, cutoff, rate)
 
 
-@numba.njit(cache=True, fastmath=True, nogil=True)
+@compiled_with_reordered_sums
 def _filter_rows(x: Array, taps: Array, decimation: int, out: Array) -> None:
     n = taps.size
     for i in range(x.shape[0]):

@@ -25,6 +25,8 @@ STEP_CONTROLLER = PositionController(bandwidth=3.0, feedforward="gravity")
 """The controller of a step: gravity and a pole pair at 3 Hz, according to the model itself."""
 SPEED = 0.3
 """Speed at which a free motion starts, as a fraction of each joint's velocity limit."""
+LONGEST = 3600.0
+"""Longest free motion [s]."""
 TIMESTEP = 5e-4
 """Step of the integrator [s]."""
 LOGGED = 2
@@ -137,6 +139,8 @@ def run_free(
     rates = SPEED * MotionBounds.assumed(model).velocity if release == "free" else np.zeros(n)
     rates = rates if speed is None else _state(speed, n, "speed")
     physics = Physics(model, armature=armature, viscous=viscous, coulomb=coulomb, timestep=TIMESTEP)
+    if duration > LONGEST:
+        raise UsageError(f"the duration must be at most {LONGEST:g} s, got {duration:g}")
     samples = round(duration / (TIMESTEP * LOGGED)) + 1
     t: Array = np.arange(samples, dtype=np.float64) * TIMESTEP * LOGGED
     q, qd, tau = np.empty((3, samples, n))

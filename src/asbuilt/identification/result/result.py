@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
-from asbuilt.codec import decoded, plain, stored
+from asbuilt.codec import FieldError, decoded, plain, stored
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters, find_base_parameters
@@ -32,6 +32,7 @@ from asbuilt.identification.result.torque_prediction import (
     predict_torque,
 )
 from asbuilt.tables import Column, Shown, Table, rounded
+from asbuilt.untrusted import DEEPEST, depth, reason
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
@@ -385,10 +386,11 @@ class IdentificationResult:
                 base=base,
                 **decoded(cls, whole, but=REBUILT),
             )
-        except (KeyError, TypeError, AttributeError, ValueError) as problem:
-            known = isinstance(problem, AsbuiltError)
+        except (KeyError, TypeError, AttributeError, ValueError, OverflowError) as problem:
+            known = isinstance(problem, AsbuiltError | FieldError)
             reason = str(problem) if known else f"{type(problem).__name__} {problem}"
             raise ResultError(f"the stored result is damaged: {reason}", cure=AGAIN) from problem
+        result._check_values()
         ids = [parameter.id for parameter in result.parameters]
         if ids != base.ids.tolist():
             odd = sorted(set(ids) ^ set(base.ids.tolist())) or ids
@@ -398,6 +400,31 @@ class IdentificationResult:
                 cure=AGAIN,
             )
         return result
+
+    def _check_values(self) -> None:
+        """Raise `ResultError` that names a value that no identification gives."""
+        variances = np.diag(self.covariance)
+        errors = [each.std_error for each in self.parameters if not each.dropped]
+        estimates = [each.estimate for each in self.parameters]
+        for name, sound, expected in (
+            ("n_samples", self.n_samples > 0, "positive"),
+            ("rate", self.rate > 0, "positive"),
+            ("duration", self.duration > 0, "positive"),
+            ("rank", 0 <= self.rank <= self.base.n_base, f"from 0 to {self.base.n_base}"),
+            ("sigma", _all_finite(self.sigma) and np.all(self.sigma > 0), "positive and finite"),
+            ("estimate", _all_finite(estimates), "finite"),
+            ("std_error", not np.any(np.array(errors) < 0), "at least 0"),
+            ("covariance", _all_finite(self.covariance), "finite"),
+            ("covariance", not np.any(variances < 0), "positive semidefinite"),
+        ):
+            if not sound:
+                raise ResultError(
+                    f"the stored result is damaged: {name} must be {expected}", cure=AGAIN
+                )
+
+
+def _all_finite(values: ArrayLike) -> bool:
+    return bool(np.all(np.isfinite(np.asarray(values, dtype=np.float64))))
 
 
 def stored_document(text: str) -> Mapping[str, Any]:
@@ -410,11 +437,21 @@ def stored_document(text: str) -> Mapping[str, Any]:
     """
     expected = Cure("give the result.json that identify wrote")
     try:
-        whole = json.loads(text)
+        whole = json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ResultError(
+            f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
+            cure=expected,
+        ) from None
     except ValueError as problem:
         raise ResultError(
-            f"this is not a stored result, not even JSON ({problem})", cure=expected
-        ) from problem
+            f"this is not a stored result, not even JSON ({reason(problem)})", cure=expected
+        ) from None
+    if depth(whole) > DEEPEST:
+        raise ResultError(
+            f"this is not a stored result: its JSON is nested deeper than {DEEPEST} levels",
+            cure=expected,
+        )
     if not isinstance(whole, Mapping) or whole.get("format") != FORMAT:
         raise ResultError(
             f"this JSON is not a stored result: its format is not {FORMAT!r}", cure=expected
@@ -426,3 +463,7 @@ def stored_document(text: str) -> Mapping[str, Any]:
             cure=AGAIN,
         )
     return whole
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number")

@@ -6,8 +6,9 @@ import contextlib
 import io
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -26,6 +27,7 @@ from asbuilt.findings import Cure
 from asbuilt.writers.pictures.motion_view import MotionView
 from asbuilt.writers.pictures.round_mesh import round_mesh
 
+LOOPBACK = ("127.0.0.1", "localhost")
 ROD, HOUSING, STAND, PATH, COM, INERTIA = (
     (205, 208, 213),
     (226, 122, 32),
@@ -74,7 +76,7 @@ class Viewer:
         self.motion = motion
         self.view = MotionView.of_motion(model, motion, most=SAVED_FRAMES, rate=FRAME_RATE)
         self.port = _free_port(host, port)
-        with contextlib.redirect_stdout(io.StringIO()):
+        with contextlib.redirect_stdout(io.StringIO()), _own_origin_only(host, self.port):
             self.server: Any = viser.ViserServer(
                 host=host, port=self.port, label=f"asbuilt: {model.name}", verbose=False
             )
@@ -339,6 +341,25 @@ def _viser() -> ModuleType:
         return import_module("viser")
     except ImportError:
         raise MissingExtraError("viser", "view", "the 3-D view") from None
+
+
+@contextlib.contextmanager
+def _own_origin_only(host: str, port: int) -> Iterator[None]:
+    """Have the server that is started meanwhile refuse connections from pages of other sites.
+
+    viser has no such setting, so the origins are given to its web socket server. A program without
+    an origin is no page of a browser and may connect.
+    """
+    from websockets.asyncio import server  # noqa: PLC0415 - comes with viser
+
+    names = {host, "localhost", "127.0.0.1"} if host in LOOPBACK else {host}
+    origins = [None, *(f"http://{name}:{port}" for name in sorted(names))]
+    serve = server.serve
+    server.serve = partial(serve, origins=origins)  # type: ignore[misc, assignment, arg-type]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]
 
 
 def _free_port(host: str, port: int) -> int:

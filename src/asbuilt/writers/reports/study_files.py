@@ -18,7 +18,7 @@ from asbuilt.workflow.study import Study
 from asbuilt.writers.figures.cutoff_figure import cutoff_figure
 from asbuilt.writers.figures.figure_style import save_figure
 from asbuilt.writers.figures.torque_figure import torque_figure
-from asbuilt.writers.files import atomic_write
+from asbuilt.writers.files import atomic_write, file_set
 from asbuilt.writers.models.as_built import as_built, keeping_described_drives
 from asbuilt.writers.models.export import load_note, urdf_to_edit
 from asbuilt.writers.models.physical import impossibilities
@@ -34,6 +34,19 @@ from asbuilt.writers.tables.tabular import (
     write_json,
     write_parameters_csv,
 )
+
+MEMBERS = (
+    "result.json",
+    "summary.txt",
+    "parameters.csv",
+    "payload.json",
+    "torque.png",
+    "cutoff.png",
+    "report.html",
+    "robot.toml",
+    "robot.urdf",
+)
+"""Files of a study, which are replaced together."""
 
 
 def study_text(
@@ -113,6 +126,14 @@ def write_study(
     tuple
         Paths by kind, and notes by kind: what a file cannot hold, or why it was not written.
     """
+    result = study.result
+    with file_set(folder, "result.json", MEMBERS, keep=result.model.source):
+        return _write_members(folder, study, payload, command)
+
+
+def _write_members(
+    folder: Path, study: Study, payload: Payload | None, command: Sequence[str]
+) -> tuple[dict[str, Path], dict[str, tuple[str, ...]]]:
     result = study.result
     files = {
         "result": write_result(folder / "result.json", study),

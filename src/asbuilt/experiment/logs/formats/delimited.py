@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import polars as pl
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.frames import numbers
+from asbuilt.experiment.logs.formats.isolated import LIMITS
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -31,6 +33,8 @@ _PACKED = {
     b"PK\x03\x04": ("a ZIP archive or a spreadsheet", "unpack it, or export the sheet as CSV"),
 }
 """First bytes of files that are not text, whatever their suffix."""
+LONGEST_LINE = 1_000_000
+"""Characters of a line; 10 000 columns of full precision have fewer."""
 _MISSING = ["", "NA", "N/A", "null", "None", "-"]
 
 
@@ -109,7 +113,14 @@ def find_dialect(
         else:
             names = [str(k) for k in range(1, len(fields) + 1)]
     names = [name or f"unnamed {k}" for k, name in enumerate(names, start=1)]
-    repeated = [name for name in names if names.count(name) > 1]
+    if len(names) > LIMITS.columns:
+        raise RecordingError(
+            f"{path} has {len(names)} columns; at most {LIMITS.columns} are read",
+            file=str(path),
+            value=len(names),
+            upper=LIMITS.columns,
+        )
+    repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         places = ", ".join(str(k + 1) for k, name in enumerate(names) if name == repeated[0])
         raise RecordingError(
@@ -286,7 +297,13 @@ def _first_lines(path: Path, count: int = 64) -> list[str]:
             file=str(path),
         )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        return list(itertools.islice(file, count))
+        lines = [file.readline(LONGEST_LINE) for _ in range(count)]
+    if any(len(line) == LONGEST_LINE for line in lines):
+        raise RecordingError(
+            f"{path} is not a recording: it has a line of {LONGEST_LINE} characters or more",
+            file=str(path),
+        )
+    return [line for line in lines if line]
 
 
 def _find_separator(lines: list[str]) -> str:

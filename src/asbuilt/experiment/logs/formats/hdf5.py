@@ -9,12 +9,14 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.experiment.logs.formats.isolated import LIMITS, read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
     LogTable,
     table_from_variables,
 )
+from asbuilt.findings import Cure
 
 
 def read_hdf5(path: Path) -> LogTable:
@@ -35,9 +37,21 @@ def read_hdf5(path: Path) -> LogTable:
         raise MissingExtraError("h5py", "hdf5", f"reading {path}") from error
     variables: dict[str, Array] = {}
 
+    def refuse_link(name: str, link: Any) -> None:
+        if isinstance(link, h5py.ExternalLink):
+            raise _foreign(path, name, f"links to the file {link.filename!r}")
+
     def visit(name: str, item: Any) -> None:
         if not isinstance(item, h5py.Dataset) or name.startswith("#"):
             return
+        if item.is_virtual or item.external:
+            raise _foreign(path, name, "takes its values from other files")
+        if item.size and item.size * item.dtype.itemsize > LIMITS.memory_for(path.stat().st_size):
+            raise RecordingError(
+                f"{path}: the dataset {name!r} declares {item.size * item.dtype.itemsize:.3g}"
+                " bytes, too many for a file of its size",
+                file=str(path),
+            )
         if item.dtype.names:
             for field in item.dtype.names:
                 if np.issubdtype(item.dtype[field], np.number):
@@ -47,6 +61,7 @@ def read_hdf5(path: Path) -> LogTable:
 
     try:
         with h5py.File(path, "r") as file:
+            file.visititems_links(refuse_link)
             file.visititems(visit)
     except OSError as error:
         raise RecordingError(
@@ -60,6 +75,15 @@ def read_hdf5(path: Path) -> LogTable:
     return table_from_variables(str(path), named)
 
 
+def _foreign(path: Path, name: str, why: str) -> RecordingError:
+    return RecordingError(
+        f"{path}: {name!r} {why}, which is refused",
+        cure=Cure("copy the values into one file, such as with h5repack"),
+        file=str(path),
+    )
+
+
 FORMATS.register(
-    "hdf5", LogFormat(suffixes=(".h5", ".hdf5"), read=lambda path, sheet: read_hdf5(path))
+    "hdf5",
+    LogFormat(suffixes=(".h5", ".hdf5"), read=lambda path, sheet: read_isolated(read_hdf5, path)),
 )

@@ -12,6 +12,7 @@ from scipy.io.matlab import MatReadError
 from asbuilt.arrays import Array
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.hdf5 import read_hdf5
+from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -60,4 +61,7 @@ def _collect(name: str, value: Any, variables: dict[str, Array]) -> None:
         variables[name] = value
 
 
-FORMATS.register("matlab", LogFormat(suffixes=(".mat",), read=lambda path, sheet: read_mat(path)))
+FORMATS.register(
+    "matlab",
+    LogFormat(suffixes=(".mat",), read=lambda path, sheet: read_isolated(read_mat, path)),
+)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
 from asbuilt.errors import RecordingError
 from asbuilt.experiment.logs.formats.frames import numbers
+from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import (
     FORMATS,
     LogFormat,
@@ -16,6 +19,12 @@ from asbuilt.experiment.logs.formats.log_format import (
     LogTable,
 )
 from asbuilt.findings import Cure
+from asbuilt.untrusted import check_regular, reason
+
+LARGEST = 1e12
+"""Bytes of the largest Parquet file, which is read in chunks."""
+SMALL = 20e6
+"""Bytes below which a file is read whole, whatever it declares; its reader limits the memory."""
 
 
 def scan_parquet(path: Path) -> tuple[pl.LazyFrame, tuple[str, ...], tuple[str, ...]]:
@@ -64,27 +73,72 @@ def read_parquet(path: Path) -> LogTable:
 def _frames(
     path: Path, columns: Sequence[str], chunk_samples: int
 ) -> Iterator[tuple[int, pl.DataFrame]]:
-    scanned = scan_parquet(path)[0]
-    for begin in range(0, _n_rows(scanned), chunk_samples):
-        yield begin, scanned.select(columns).slice(begin, chunk_samples).collect()
+    """Read chunks in this process, whose damage ends in an error too."""
+    rows, names = _declared(path)
+    missing = [name for name in columns if name not in names]
+    if missing:
+        raise RecordingError(f"{path} has no column {missing[0]!r}", file=str(path))
+    for begin in range(0, rows, chunk_samples):
+        try:
+            frame = scan_parquet(path)[0].select(columns).slice(begin, chunk_samples).collect()
+        except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
+            raise RecordingError(
+                f"{path}: rows {begin + 1} to {begin + chunk_samples} cannot be read"
+                f" ({reason(error)})",
+                cure=Cure("record or export it again"),
+                file=str(path),
+            ) from None
+        yield begin, frame
 
 
-def _n_rows(scanned: pl.LazyFrame) -> int:
-    return int(scanned.select(pl.len()).collect().item())
+def parquet_header(path: Path) -> LogTable:
+    """Return the columns of a Parquet file, empty, with the number of rows as a note.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no Parquet file of numbers, or declares more than its size can hold.
+    """
+    scanned, numeric, text = scan_parquet(path)
+    rows = int(scanned.select(pl.len()).collect().item())
+    if rows * len(numeric) * 8 > 1e9 + 1000 * path.stat().st_size:
+        raise RecordingError(
+            f"{path} declares {rows:.3g} rows of {len(numeric)} columns, too many for a file of"
+            " its size",
+            file=str(path),
+        )
+    columns = {name: np.empty(0) for name in numeric}
+    return LogTable(source=str(path), columns=columns, text_columns=text, notes=(str(rows),))
+
+
+def _declared(path: Path) -> tuple[int, tuple[str, ...]]:
+    """Return the number of rows and the numeric columns, read once for each state of a file."""
+    check_regular(path, "recording", RecordingError, LARGEST)
+    state = path.stat()
+    return _declared_by(path, state.st_size, state.st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _declared_by(path: Path, size: int, changed: int) -> tuple[int, tuple[str, ...]]:
+    header = read_isolated(parquet_header, path)
+    return int(header.notes[0]), tuple(header.columns)
 
 
 def _n_bytes(path: Path) -> float:
-    scanned, names, _ = scan_parquet(path)
-    return _n_rows(scanned) * len(names) * 8
+    """Return the memory of a whole file; a small file need not be opened for it."""
+    if path.stat().st_size < SMALL:
+        return float(path.stat().st_size)
+    rows, names = _declared(path)
+    return float(rows * len(names) * 8)
 
 
 FORMATS.register(
     "parquet",
     LogFormat(
         suffixes=(".parquet",),
-        read=lambda path, sheet: read_parquet(path),
+        read=lambda path, sheet: read_isolated(read_parquet, path),
         stream=LogStream(
-            columns=lambda path, sheet: scan_parquet(path)[1],
+            columns=lambda path, sheet: _declared(path)[1],
             frames=lambda path, sheet, columns, size: _frames(path, columns, size),
             n_bytes=_n_bytes,
         ),

@@ -9,6 +9,7 @@ import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.errors import MissingExtraError, RecordingError
+from asbuilt.experiment.logs.formats.isolated import read_isolated
 from asbuilt.experiment.logs.formats.log_format import FORMATS, LogFormat, LogTable
 from asbuilt.findings import Cure
 
@@ -183,7 +184,7 @@ FORMATS.register(
     "rosbag2",
     LogFormat(
         suffixes=(".db3", ".mcap"),
-        read=lambda path, sheet: read_ros_bag(path, topic=sheet.topic),
+        read=lambda path, sheet: read_isolated(read_ros_bag, path, topic=sheet.topic),
         folders=True,
     ),
 )

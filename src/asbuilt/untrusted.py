@@ -1,0 +1,148 @@
+"""Files of unknown origin: the one door through which they are read, with limits."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from asbuilt.errors import AsbuiltError
+from asbuilt.findings import Cure
+
+TEXT_LIMIT = 2_000_000
+"""Bytes of a file that people write; the longest bundled robot has 10 kB."""
+TABLE_LIMIT = 200_000_000
+"""Bytes of a table or stored result that is read into memory."""
+DEEPEST = 64
+"""Levels of nesting; files of robots, sheets and results have fewer than 10."""
+
+
+def check_regular(path: Path, what: str, kind: type[AsbuiltError], limit: float) -> None:
+    """Raise an error unless a file exists, is a regular file, and has at most `limit` bytes.
+
+    Parameters
+    ----------
+    path
+        The file. Devices, pipes and sockets never end, and are refused unopened.
+    what
+        What it should be, such as `"recording sheet"`.
+    kind
+        Class of the error.
+    limit
+        Largest size [bytes].
+    """
+    try:
+        state = path.stat()
+    except FileNotFoundError:
+        raise kind(
+            f"{what} {_shown(path)} cannot be read: it does not exist", file=str(path)
+        ) from None
+    except (OSError, ValueError) as problem:
+        raise kind(
+            f"{what} {_shown(path)} cannot be read: {reason(problem)}", file=str(path)
+        ) from None
+    if not stat.S_ISREG(state.st_mode):
+        raise kind(
+            f"{what} {path} cannot be read: it is not a regular file",
+            cure=Cure("give the path of a regular file"),
+            file=str(path),
+        )
+    if state.st_size > limit:
+        raise kind(
+            f"{what} {path} has {state.st_size / 1e6:.0f} MB; at most {limit / 1e6:.0f} MB are"
+            " read",
+            cure=Cure("check that it is the right file, or split it"),
+            file=str(path),
+            value=state.st_size,
+            upper=limit,
+        )
+
+
+def read_bytes(path: Path, what: str, kind: type[AsbuiltError], limit: float = TEXT_LIMIT) -> bytes:
+    """Return the content of a regular file of at most `limit` bytes.
+
+    Raises
+    ------
+    AsbuiltError
+        Of class `kind`, as `check_regular` does, or if the file cannot be read.
+    """
+    check_regular(path, what, kind, limit)
+    try:
+        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        with os.fdopen(descriptor, "rb") as stream:
+            return stream.read(int(limit))
+    except OSError as problem:
+        raise kind(f"{what} {path} cannot be read: {reason(problem)}", file=str(path)) from None
+
+
+def read_text(path: Path, what: str, kind: type[AsbuiltError], limit: float = TEXT_LIMIT) -> str:
+    """Return the text of a regular file in UTF-8, with or without a byte order mark.
+
+    Raises
+    ------
+    AsbuiltError
+        Of class `kind`, as `read_bytes` does, or if the file is not UTF-8.
+    """
+    content = read_bytes(path, what, kind, limit)
+    try:
+        return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as problem:
+        raise kind(
+            f"{what} {path} cannot be read as text: {reason(problem)}",
+            cure=Cure("save it as UTF-8"),
+            file=str(path),
+        ) from None
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """Return the content of a TOML text.
+
+    Raises
+    ------
+    ValueError
+        With the reason, also if it is nested deeper than `DEEPEST` or holds numbers that are too
+        long.
+    """
+    compact = text.translate({ord(" "): None, ord("\t"): None})
+    for token in re.finditer(r"[^\s#=,{}\[\]]+", compact):
+        if token[0].count(".") > DEEPEST and ".." not in token[0]:
+            raise ValueError(f"a key has more than {DEEPEST} parts")
+    try:
+        content = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(f"it is nested deeper than {DEEPEST} levels") from None
+    if depth(content) > DEEPEST:
+        raise ValueError(f"it is nested deeper than {DEEPEST} levels")
+    return content
+
+
+def depth(content: Any) -> int:
+    """Return the levels of nesting of dictionaries and lists.
+
+    >>> depth({"a": [1, {"b": 2}]})
+    3
+    """
+    level, layer = 0, [content]
+    while layer := [each for each in layer if isinstance(each, dict | list)]:
+        level += 1
+        if level > DEEPEST:
+            return level
+        layer = [
+            item for each in layer for item in (each.values() if isinstance(each, dict) else each)
+        ]
+    return level
+
+
+def reason(problem: BaseException, most: int = 200) -> str:
+    """Return why something failed in one short line, without the path, which the caller gives."""
+    said = getattr(problem, "strerror", None) or str(problem).strip()
+    said = " ".join(str(said).split()) or type(problem).__name__
+    return said if len(said) <= most else f"{said[:most]}..."
+
+
+def _shown(path: Path) -> str:
+    text = str(path)
+    return text if len(text) < 200 else f"{text[:60]}..."
