@@ -1,4 +1,4 @@
-from .cli.demo import run_demo as run_demo
+from .cli.demos.arm import run_demo as run_demo
 from .cli.hayat2015.reproduction import reproduce_paper as reproduce_paper
 from .description.catalogue import robot_names as robot_names
 from .description.inertia import LinkInertia as LinkInertia
@@ -6,6 +6,7 @@ from .description.load import load_robot as load_robot
 from .description.model import RobotModel as RobotModel
 from .dynamics.base.base_parameters import BaseParameters as BaseParameters
 from .dynamics.base.base_parameters import find_base_parameters as find_base_parameters
+from .dynamics.drives.position_servo import PositionServo as PositionServo
 from .dynamics.drives.selection import DriveSet as DriveSet
 from .dynamics.newton_euler import forward_dynamics as forward_dynamics
 from .dynamics.newton_euler import gravity_torque as gravity_torque
@@ -54,7 +55,7 @@ from .workflow.calibration import find_gains as find_gains
 from .workflow.calibration import identify_channels as identify_channels
 from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
-from .workflow.masses import link_masses as link_masses
+from .workflow.masses.link_masses import link_masses as link_masses
 from .workflow.options import ChannelOptions as ChannelOptions
 from .workflow.options import ControllerOptions as ControllerOptions
 from .workflow.options import GainOptions as GainOptions

@@ -12,12 +12,12 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from asbuilt.cli.arguments.spread import option_name
 from asbuilt.cli.commands import COMMANDS
-from asbuilt.cli.spread import option_name
 from asbuilt.findings import Cure
 
 if TYPE_CHECKING:
-    from asbuilt.cli.spread import Common
+    from asbuilt.cli.arguments.spread import Common
     from asbuilt.findings import Finding
 
 COMPILING = "compiling the dynamics: once per installation, about 25 s"

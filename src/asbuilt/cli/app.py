@@ -20,8 +20,8 @@ from typer.core import TyperCommand, TyperGroup
 
 import asbuilt
 from asbuilt.cli.answers import cure_text, screen_of, wrapped
+from asbuilt.cli.arguments.spread import Common, spread
 from asbuilt.cli.commands import COMMANDS, GROUPS
-from asbuilt.cli.spread import Common, spread
 from asbuilt.errors import AsbuiltError, UsageError
 from asbuilt.findings import Cure
 

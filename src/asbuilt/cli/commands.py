@@ -179,13 +179,13 @@ GROUPS: dict[str, dict[str, Entry]] = {
     },
     "Complete runs": {
         "demo": Entry(
-            "story",
+            "demos.story",
             "Design, record, identify, validate and export on a bundled robot.",
             ("", "-o demo"),
             "run_demo",
         ),
         "reproduce": Entry(
-            "story",
+            "demos.story",
             "Reproduce the 2015 paper, table by table and figure by figure.",
             ("", "-o paper"),
             "reproduce_paper",

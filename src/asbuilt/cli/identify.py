@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
-from asbuilt.cli.options import (
+from asbuilt.cli.arguments.options import (
     AsJson,
     Filtering,
     Full,
@@ -27,7 +27,7 @@ from asbuilt.cli.options import (
     refuse_idle,
     robot_and_recordings,
 )
-from asbuilt.cli.spread import given_options
+from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.workflow.options import (

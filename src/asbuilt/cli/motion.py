@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
-from asbuilt.cli.options import (
+from asbuilt.cli.arguments.options import (
     AsJson,
     Full,
     Robot,
@@ -21,7 +21,7 @@ from asbuilt.cli.options import (
     writable_file,
     writable_folder,
 )
-from asbuilt.cli.spread import given_options
+from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 from asbuilt.excitation.design.options import DesignOptions
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from asbuilt.cli.answers import answer, cure_text, listed_files, progress_bar
-from asbuilt.cli.options import (
+from asbuilt.cli.arguments.options import (
     AsJson,
     Carrier,
     Drive,
@@ -29,7 +29,7 @@ from asbuilt.cli.options import (
     robot_as_built,
     writable_file,
 )
-from asbuilt.cli.spread import one_of
+from asbuilt.cli.arguments.spread import one_of
 from asbuilt.errors import UsageError
 from asbuilt.experiment.logs.options import ReadingOptions
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from asbuilt.cli.answers import answer, listed_files, progress_bar
-from asbuilt.cli.options import (
+from asbuilt.cli.arguments.options import (
     AsJson,
     Drive,
     Full,
@@ -21,7 +21,7 @@ from asbuilt.cli.options import (
     robot_as_built,
     writable_file,
 )
-from asbuilt.cli.spread import one_of
+from asbuilt.cli.arguments.spread import one_of
 
 
 def robots(as_json: AsJson = False) -> None:

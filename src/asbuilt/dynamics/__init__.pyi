@@ -4,6 +4,7 @@ from .base.identifiability import StandardParameter as StandardParameter
 from .base.identifiability import parameter_verdicts as parameter_verdicts
 from .base.observation_rank import ObservationRank as ObservationRank
 from .base.observation_rank import observation_rank as observation_rank
+from .drives.position_servo import PositionServo as PositionServo
 from .drives.selection import DriveSet as DriveSet
 from .drives.selection import available_terms as available_terms
 from .drives.term import DriveTerm as DriveTerm

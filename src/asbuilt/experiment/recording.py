@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from asbuilt.arrays import Array
+from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.errors import RecordingError
 from asbuilt.findings import Cure, joined
 
-TorqueSource = Literal["sensor", "motor", "current", "unknown"]
-TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "unknown")
+TorqueSource = Literal["sensor", "motor", "current", "command", "unknown"]
+TORQUE_SOURCES: tuple[TorqueSource, ...] = ("sensor", "motor", "current", "command", "unknown")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -40,13 +41,17 @@ class Recording:
         Name of the recording, such as its file.
     torque_source
         What measured the torque: a joint torque "sensor", the "motor", its "current" (times a
-        gain), or "unknown".
+        gain), the "command" of a position servo, or "unknown".
     notes
         Sentences about what the reader assumed or changed.
     extra
         Other quantities (N,) or (N, m) by name, such as `tau_ext`.
     gains
         Factors by which the logged torques were multiplied, one per joint, without signs.
+    command
+        Commanded positions [rad or m], if logged, shape (N, n).
+    servo
+        The position servo that follows the command, as far as it is known.
 
     Raises
     ------
@@ -74,6 +79,8 @@ class Recording:
     notes: tuple[str, ...] = ()
     extra: Mapping[str, Array] = field(default_factory=dict)
     gains: tuple[float, ...] | None = None
+    command: Array | None = None
+    servo: PositionServo | None = None
 
     def __post_init__(self) -> None:
         t = _read_only(self.t, "t", self.source)
@@ -93,7 +100,7 @@ class Recording:
             )
         object.__setattr__(self, "t", t)
         object.__setattr__(self, "q", q)
-        for name in ("tau", "qd", "qdd"):
+        for name in ("tau", "qd", "qdd", "command"):
             value = getattr(self, name)
             if value is None and name != "tau":
                 continue
@@ -139,6 +146,14 @@ class Recording:
                     file=self.source,
                     value=array.shape,
                 )
+        if self.servo is not None and len(self.servo.kp) != q.shape[1]:
+            raise RecordingError(
+                f"{self.source}: the servo has gains of {len(self.servo.kp)} joints, the log has"
+                f" {q.shape[1]}",
+                file=self.source,
+                value=len(self.servo.kp),
+                expected=q.shape[1],
+            )
         object.__setattr__(self, "joint_names", names)
         object.__setattr__(self, "notes", tuple(self.notes))
         object.__setattr__(self, "extra", MappingProxyType(extra))
@@ -256,6 +271,8 @@ class Recording:
             joint_names=tuple(names),
             extra=extra,
             gains=None if self.gains is None else tuple(self.gains[k] for k in order),
+            command=None if self.command is None else self.command[:, order],
+            servo=None if self.servo is None else self.servo.reordered(order),
         )
 
     def between(self, start: float, stop: float) -> Recording:
@@ -282,6 +299,7 @@ class Recording:
             qd=None if self.qd is None else self.qd[keep],
             qdd=None if self.qdd is None else self.qdd[keep],
             extra={name: value[keep] for name, value in self.extra.items()},
+            command=None if self.command is None else self.command[keep],
         )
 
 

@@ -5,8 +5,8 @@ from .controller_model import compare_controller as compare_controller
 from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .information_efficiency import recorded_information as recorded_information
-from .masses import LinkMasses as LinkMasses
-from .masses import link_masses as link_masses
+from .masses.link_masses import LinkMasses as LinkMasses
+from .masses.link_masses import link_masses as link_masses
 from .options import ChannelOptions as ChannelOptions
 from .options import ControllerOptions as ControllerOptions
 from .options import GainOptions as GainOptions

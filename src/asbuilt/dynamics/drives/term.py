@@ -17,8 +17,8 @@ from asbuilt.registry import Registry
 NonlinearValue = float | tuple[float, ...] | None
 """One number for all joints, one per joint, or None: fitted, and the default until then."""
 
-ALL_SOURCES = ("sensor", "motor", "current", "unknown")
-MOTOR_SOURCES = ("motor", "current")
+ALL_SOURCES = ("sensor", "motor", "current", "command", "unknown")
+MOTOR_SOURCES = ("motor", "current", "command")
 
 
 @dataclass(frozen=True, slots=True)

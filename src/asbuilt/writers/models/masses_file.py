@@ -7,7 +7,7 @@ from pathlib import Path
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import InertiaError, UsageError
-from asbuilt.workflow.masses import LinkMasses
+from asbuilt.workflow.masses.link_masses import LinkMasses
 from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 

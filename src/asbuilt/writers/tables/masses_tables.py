@@ -8,8 +8,8 @@ import numpy as np
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.tables import Cell, Column, Table
-from asbuilt.workflow.mass_findings import LinkMass
-from asbuilt.workflow.masses import LinkMasses
+from asbuilt.workflow.masses.link_masses import LinkMasses
+from asbuilt.workflow.masses.mass_findings import LinkMass
 
 
 def masses_document(masses: LinkMasses) -> dict[str, Any]:

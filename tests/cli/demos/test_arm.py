@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from asbuilt.cli.demo import Demo, demo_document, demo_text, run_demo
+from asbuilt.cli.demos.arm import Demo, demo_document, demo_text, run_demo
 from asbuilt.description.load import load_robot
 from asbuilt.writers.tables.tabular import json_text
 from command_line import documented_fields

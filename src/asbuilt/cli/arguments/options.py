@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from asbuilt.cli.spread import given_options
+from asbuilt.cli.arguments.spread import given_options
 from asbuilt.errors import UsageError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pytest
 import typer
 
-from asbuilt.cli.spread import Common, option_name, spread
+from asbuilt.cli.arguments.spread import Common, option_name, spread
 from asbuilt.errors import UsageError
 
 

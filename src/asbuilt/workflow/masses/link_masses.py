@@ -19,7 +19,7 @@ from asbuilt.description.inertia import LinkInertia
 from asbuilt.description.model import Link, RobotModel
 from asbuilt.errors import DescriptionError, UsageError
 from asbuilt.findings import Finding, ranked
-from asbuilt.workflow.mass_findings import (
+from asbuilt.workflow.masses.mass_findings import (
     LinkMass,
     Plausibility,
     copy_findings,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from asbuilt.cli.answers import answer, listed_files, progress_bar
-from asbuilt.cli.options import AsJson, Full, Out, writable_folder
+from asbuilt.cli.arguments.options import AsJson, Full, Out, writable_folder
 
 
 def reproduce(out: Out = None, full: Full = False, as_json: AsJson = False) -> None:
@@ -47,7 +47,7 @@ def demo(
 
     Move, record, identify, validate, compare, export, report.
     """
-    from asbuilt.cli.demo import demo_document, demo_text, run_demo
+    from asbuilt.cli.demos.arm import demo_document, demo_text, run_demo
 
     with progress_bar() as report:
         story = run_demo(out, progress=report)

@@ -1,0 +1,1 @@
+"""Arguments of commands, generated from option classes."""

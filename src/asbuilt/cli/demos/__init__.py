@@ -1,0 +1,1 @@
+"""Complete runs: the demonstrations and the reproduction of the 2015 paper."""
