@@ -85,7 +85,7 @@ def test_between_is_half_open() -> None:
         ({"joint_names": ("a", "b", "a")}, "joint name 'a' is used 2 times"),
         (
             {"torque_source": "guess"},
-            "torque_source 'guess' is not one of sensor, motor, current, unknown",
+            "torque_source 'guess' is not one of sensor, motor, current, command, unknown",
         ),
         ({"extra": {"tau_ext": np.zeros((3, 3))}}, "tau_ext has shape"),
         ({"q": [["x"] * 3] * 50}, "q is not an array of numbers"),
