@@ -32,7 +32,9 @@ def read_topic_echo(path: Path) -> LogTable:
     RecordingError
         If a line is no joint state, names other joints than the first, or has no effort.
     """
-    times, rows, joints = [], [], ()
+    times: list[int] = []
+    rows: list[Array] = []
+    joints: tuple[str, ...] = ()
     for number, line in _lines(path):
         parsed = _parsed(line)
         if parsed is None:
