@@ -127,6 +127,7 @@ class RecordingStream:
             parallel=first.parallel,
             origin=first.origin,
             provenance=(*first.provenance, note),
+            delay=first.delay,
         )
 
 
