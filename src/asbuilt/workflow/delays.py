@@ -47,7 +47,9 @@ class Delays:
     def applied(self, samples: Samples, digest: str) -> Samples:
         """Return samples of a recording with the standard errors of their delay."""
         own = self.of(digest)
-        return samples if own is None or not own.errors else replace(samples, delay_errors=own.errors)
+        return (
+            samples if own is None or not own.errors else replace(samples, delay_errors=own.errors)
+        )
 
     def chain_of(self, digest: str) -> SignalChain:
         """Return the signal chain of a recording."""
@@ -99,19 +101,12 @@ def settle_delays(
     return Delays(replace(chain, delay=_mean(recordings)), recordings)
 
 
-def settled_delays(result: IdentificationResult, chain: SignalChain) -> Delays:
-    """Return the delays that a result was identified with."""
-    return Delays(chain, result.delay)
-
-
 def _drive(model: RobotModel, source: str) -> DriveSet:
     usual = usual_drive(model, source)
     return DriveSet((*usual.terms, *FRICTION.without(*usual.keys).terms))
 
 
-def _recording(
-    head: Recording, digest: str, found: DelayEstimate, place: int
-) -> RecordingDelay:
+def _recording(head: Recording, digest: str, found: DelayEstimate, place: int) -> RecordingDelay:
     joints: tuple[JointDelay, ...] = ()
     estimate, error = float(found.estimates[place]), float(found.std_errors[place])
     applied = estimate if found.applied[place] else 0.0
@@ -162,8 +157,9 @@ def delay_findings(
         Finding(
             "torque_delayed",
             "warning" if matters else "info",
-            f"Torques are late against positions by {listed}{joints}; they were shifted back"
-            f"{cost}",
-            Cure("log both at the same instants, or state the delay", settings={"delay": "SECONDS"}),
+            f"Torques are late against positions by {listed}{joints}; they were shifted back{cost}",
+            Cure(
+                "log both at the same instants, or state the delay", settings={"delay": "SECONDS"}
+            ),
         ),
     )

@@ -291,7 +291,9 @@ def _shifted(x: Array, steps: float, first: int, last: int) -> Array:
     if abs(part) < 1e-9:
         return x[first + whole : last + whole]
     offsets = np.arange(-HALF_WIDTH, HALF_WIDTH + 1)
-    window = np.i0(KAISER * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0)))
+    window = np.i0(
+        KAISER * np.sqrt(np.maximum(1.0 - ((offsets - part) / (HALF_WIDTH + 1)) ** 2, 0))
+    )
     taps = np.sinc(offsets - part) * window
     padded = np.pad(x, HALF_WIDTH + abs(whole), mode="reflect", reflect_type="odd")
     begin = first + whole + abs(whole)

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 SIGNIFICANT = 2.0
 """Standard errors that a delay must exceed to be applied."""
 UNEQUAL = 1e-3
-"""Probability below which joints have delays of their own."""
+"""Probability of equal joints below which they have delays of their own,"""
+UNEQUAL_BODIES = 0.5
+"""and the same by rigid bodies alone, which determine less."""
 MOST_STEPS = 10
 SETTLED = 2e-5
 """Increment [s] below which a delay has converged."""
@@ -106,12 +108,13 @@ def find_delays(
         delays, columns = fits.settled(together, whole)
         std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
     std_errors = np.where(np.abs(delays) < FARTHEST, std_errors, np.inf)
-    joints, errors = _joint_delays(fits, delays, count) or (None, None)
+    lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
+    joints, errors = _joint_delays(fits, delays, abs(lag) + SIGNIFICANT * lag_error) or (None, None)
     return DelayEstimate(
         delays,
         std_errors,
-        float(mean_lag.increments[-1]),
-        float(mean_lag.std_errors[-1]),
+        lag,
+        lag_error,
         joints,
         errors,
     )
@@ -132,7 +135,7 @@ class _Fits:
         self._prepare, self._block_seconds = prepare, block_seconds
         self._base = find_base_parameters(model, drive)
         self._design = design_values(model, self._base)
-        self._longest = np.inf
+        self.longest = np.inf
 
     def columns(self, delays: Array) -> DelayColumns:
         """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
@@ -140,7 +143,7 @@ class _Fits:
         wide = np.broadcast_to(delays if delays.ndim == 2 else delays[:, None], (self.count, n))
         samples = self._prepare(wide)
         bands = [each.parallel.cutoff for each in samples if each.parallel]
-        self._longest = LONGEST_STEP / min(bands) if bands else LONGEST_STEP
+        self.longest = LONGEST_STEP / min(bands) if bands else LONGEST_STEP
         information = accumulate_stream(
             self.model, self._base, samples, block_seconds=self._block_seconds
         )
@@ -153,14 +156,12 @@ class _Fits:
             block_seconds=self._block_seconds,
         )
 
-    def settled(
-        self, delays: Array, shares: Array
-    ) -> tuple[Array, DelayColumns]:
+    def settled(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
         """Return the delays (R,) after which the residual falls no further."""
         columns = self.columns(delays)
         for _ in range(MOST_STEPS):
             step = columns.solve(shares).increments[: self.count]
-            step = np.clip(step, -self._longest, self._longest)
+            step = np.clip(step, -self.longest, self.longest)
             if np.all(np.abs(step) < SETTLED) or np.any(np.abs(delays + step) > FARTHEST):
                 return delays + step, columns
             delays = delays + step
@@ -168,36 +169,46 @@ class _Fits:
         return delays, columns
 
 
-def _joint_delays(fits: _Fits, delays: Array, count: int) -> tuple[Array, Array] | None:
+def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array] | None:
     """Return delays of the joints and their errors, (R, n) each, or None if they are alike.
 
-    Those of the rigid bodies are compared, since friction of joints lags by different times.
+    Friction lags by different times at different joints. So delays that differ must do so by more
+    than the largest lag of friction (`lag`), and must not be alike for rigid bodies alone.
     """
-    n = fits.model.n_joints
-    columns = fits.columns(delays)
-    each, lags = _per_joint(count, n), _friction(count, n)
-    solved = columns.solve(np.concatenate([each, lags], axis=2))
-    joint, errors = (x[: count * n] for x in (solved.increments, solved.std_errors))
-    told = np.isfinite(errors)
-    chi_square, freedom = 0.0, 0
-    for r in range(count):
-        mine = np.flatnonzero(told & (np.arange(count * n) // n == r))
-        if mine.size > 1:
-            weight = errors[mine] ** -2.0
-            mean = float(weight @ joint[mine] / weight.sum())
-            chi_square += float(weight @ (joint[mine] - mean) ** 2)
-            freedom += mine.size - 1
-    blocks = max(solved.n_blocks - 1, 1)
-    if not freedom or f_distribution.sf(chi_square / freedom, freedom, blocks) > UNEQUAL:
+    n, count = fits.model.n_joints, fits.count
+    columns, each = fits.columns(delays), _per_joint(count, n)
+    bodies = columns.solve(np.concatenate([each, _friction(count, n)], axis=2))
+    if _alike(bodies, count, n)[0] > UNEQUAL_BODIES:
         return None
     wide = np.repeat(delays[:, None], n, axis=1)
+    solved = columns.solve(each)
+    chance, spread = _alike(solved, count, n)
+    if chance > UNEQUAL or spread < lag:
+        return None
     for _ in range(MOST_STEPS):
-        solved = fits.columns(wide).solve(each)
-        step = np.clip(solved.increments.reshape(count, n), -0.02, 0.02)
+        step = np.clip(solved.increments.reshape(count, n), -fits.longest, fits.longest)
         wide = np.clip(wide + step, -FARTHEST, FARTHEST)
+        solved = fits.columns(wide).solve(each)
         if np.all(np.abs(step) < SETTLED):
             break
     return wide, solved.std_errors.reshape(count, n)
+
+
+def _alike(solved: DelaySolution, count: int, n: int) -> tuple[float, float]:
+    """Return the probability of such differences between joints, and their mean size [s]."""
+    size = count * n
+    delays = solved.increments[:size].reshape(count, n)
+    weight = (solved.std_errors[:size] ** -2.0).reshape(count, n)
+    total = weight.sum(axis=1, keepdims=True)
+    if np.any(total == 0.0):
+        return 1.0, 0.0
+    off = delays - (weight * delays).sum(axis=1, keepdims=True) / total
+    freedom = int(np.count_nonzero(weight)) - count
+    if freedom < 1:
+        return 1.0, 0.0
+    chi_square = float(np.sum(weight * off**2))
+    chance = float(f_distribution.sf(chi_square / freedom, freedom, max(solved.n_blocks - 1, 1)))
+    return chance, float(np.sqrt(np.sum(weight * off**2) / total.sum()))
 
 
 def _common(count: int, n: int) -> Array:

@@ -88,9 +88,9 @@ class DelayColumns:
     def solve(self, shares: Array, *, textbook: bool = False) -> DelaySolution:
         """Return the delays that lower the residual most, and what they add to other errors.
 
-        `shares` (R, 2 n, m) are the delays of each recording and column per free delay. With `C'` the
-        columns projected off all others, the covariance is `(C'^T C')^-1`, or that from time blocks
-        if it is larger (CR2 with Student's quantile, as in `block_uncertainty`). The base
+        `shares` (R, 2 n, m) are the delays of each recording and column per free delay. With `C'`
+        the columns projected off all others, the covariance is `(C'^T C')^-1`, or that from time
+        blocks if it is larger (CR2 with Student's quantile, as in `block_uncertainty`). The base
         parameters follow by `-(W^T W)^-1 W^T C` (Frisch and Waugh, Econometrica 1, 1933).
         """
         spread = shares[self.place]
@@ -176,7 +176,7 @@ def delay_errors(
     V = solved.covariance[np.ix_(told, told)] * np.outer(swell, swell)
     follows = solved.follows[:, told]
     delays = np.array([samples[r].delay[k] for r, k in free])[told]
-    return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(follows @ delays))
+    return DelayErrors(np.asarray(follows @ V @ follows.T), np.asarray(-follows @ delays))
 
 
 def delay_columns(
