@@ -25,9 +25,7 @@ if TYPE_CHECKING:
 SIGNIFICANT = 2.0
 """Standard errors that a delay must exceed to be applied."""
 UNEQUAL = 1e-3
-"""Probability of equal joints below which they have delays of their own,"""
-UNEQUAL_BODIES = 0.5
-"""and the same by rigid bodies alone, which determine less."""
+"""Probability of equal joints below which they have delays of their own."""
 MOST_STEPS = 10
 SETTLED = 2e-5
 """Increment [s] below which a delay has converged."""
@@ -173,13 +171,10 @@ def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array]
     """Return delays of the joints and their errors, (R, n) each, or None if they are alike.
 
     Friction lags by different times at different joints. So delays that differ must do so by more
-    than the largest lag of friction (`lag`), and must not be alike for rigid bodies alone.
+    than the largest lag of friction (`lag`) [s].
     """
     n, count = fits.model.n_joints, fits.count
     columns, each = fits.columns(delays), _per_joint(count, n)
-    bodies = columns.solve(np.concatenate([each, _friction(count, n)], axis=2))
-    if _alike(bodies, count, n)[0] > UNEQUAL_BODIES:
-        return None
     wide = np.repeat(delays[:, None], n, axis=1)
     solved = columns.solve(each)
     chance, spread = _alike(solved, count, n)
