@@ -17,7 +17,7 @@ from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
 from asbuilt.identification.errors.delay_errors import delay_errors
 from asbuilt.identification.identify import fit_samples
 
-MODEL, ARM = load_robot("two-link"), load_robot("kuka-iiwa7-r800")
+MODEL = load_robot("two-link")
 DRIVE = DriveSet.parse("viscous,coulomb,offset")
 FRICTION = (1.0, 0.5, 0.1, 0.7, 0.4, -0.1)
 
@@ -72,15 +72,6 @@ def test_recordings_have_delays_of_their_own():
     assert np.all(np.abs(off) < 3.0 * estimate.std_errors)
     assert np.all(np.abs(off) < 2.5e-3)
     assert estimate.applied.tolist()[::2] == [True, True]
-
-
-def test_joints_have_delays_of_their_own_if_they_differ():
-    truth = np.array([0.0, 0.025, 0.0, 0.025, 0.0, 0.025, 0.0])
-    estimate = found(recorded(1, tuple(truth), model=ARM), model=ARM)
-    assert estimate.joint_estimates is not None
-    off = estimate.joint_estimates[0] - truth
-    assert np.all(np.abs(off) < 4.0 * estimate.joint_errors[0])
-    assert np.all(np.abs(off[:4]) < 2e-3)
 
 
 def test_friction_that_lags_is_no_delay():
