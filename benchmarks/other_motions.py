@@ -26,6 +26,8 @@ from asbuilt.identification.calibration.mounting import find_mounting
 from asbuilt.identification.identify import identify_samples
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.validation.prediction import validate_samples
+from asbuilt.workflow.delays import settle_delays
+from asbuilt.workflow.prepare import digest
 from asbuilt.writers.tables.mass_table import exported_masses
 from drive_terms import SHARED, UR10E_SHEET
 
@@ -96,7 +98,9 @@ class Row(NamedTuple):
     seconds: float
 
 
-def rows(data: Path, scratch: Path, names: tuple[str, ...] = ()) -> Iterator[Row]:
+def rows(
+    data: Path, scratch: Path, names: tuple[str, ...] = (), delay: str | None = "auto"
+) -> Iterator[Row]:
     """Yield the errors of every set of recordings of every robot."""
     for name, robot in ROBOTS.items():
         if names and name not in names:
@@ -114,18 +118,28 @@ def rows(data: Path, scratch: Path, names: tuple[str, ...] = ()) -> Iterator[Row
         ]
         for train in (*((k,) for k in range(len(logs))), *robot.sets):
             for tilt in (False, True) if robot.tilt else (False,):
-                yield _row(name, model, logs, train, tilt)
+                yield _row(name, model, logs, train, tilt, delay)
 
 
-def _row(name: str, model: Any, logs: list[Any], train: tuple[int, ...], tilt: bool) -> Row:
+def _row(
+    name: str, model: Any, logs: list[Any], train: tuple[int, ...], tilt: bool, delay: str | None
+) -> Row:
     others = [k for k in range(len(logs)) if k not in train]
     errors: dict[str, tuple[float, ...]] = {}
     masses: dict[str, str] = {}
     took, seconds = "", 0.0
     for cutoff, methods in ((None, METHODS), (PLAIN_CUTOFF, ("plain", "auto"))):
-        chain = SignalChain() if cutoff is None else SignalChain(cutoff=cutoff)
-        chain = resolve_chain(chain, *(logs[k] for k in train))
-        used, held = ([prepare_samples(logs[k], chain) for k in which] for which in (train, others))
+        chain = resolve_chain(SignalChain(cutoff=cutoff, delay=delay), *(logs[k] for k in train))
+        heads = [logs[k] for k in train]
+        late = settle_delays(model, heads, [digest(head) for head in heads], chain, None)
+        used, held = (
+            [
+                late.applied(prepare_samples(logs[k], late.chain_of(own)), own)
+                for k in which
+                for own in (digest(logs[k]),)
+            ]
+            for which in (train, others)
+        )
         drive = usual_drive(model, logs[0].torque_source)
         own = find_mounting(model, used, drive=drive).model if tilt else model
         for method in methods:
@@ -141,7 +155,8 @@ def _row(name: str, model: Any, logs: list[Any], train: tuple[int, ...], tilt: b
                 continue
             if label == "auto":
                 seconds = time.perf_counter() - start
-                took = result.notes[0].removeprefix("Chosen automatically: ").split(" predicts")[0]
+                took = "delay " + ", ".join(each.text for each in late.recordings) + "; "
+                took += result.notes[0].removeprefix("Chosen automatically: ").split(" predicts")[0]
             found = [validate_samples(result, each) for each in held]
             errors[label] = tuple(100 * each.metrics_as_built.relative_error for each in found)
             masses[label] = mass_text(result)
@@ -168,12 +183,14 @@ def measure(data: Path = SHARED) -> dict[str, float | str]:
     return report(data, ())
 
 
-def report(data: Path, names: tuple[str, ...]) -> dict[str, float | str]:
+def report(
+    data: Path, names: tuple[str, ...], delay: str | None = "auto"
+) -> dict[str, float | str]:
     """Print the table, and return the means."""
     scratch = Path("out")
     scratch.mkdir(exist_ok=True)
     found: dict[tuple[str, str], list[float]] = {}
-    for row in rows(data, scratch, names):
+    for row in rows(data, scratch, names, delay):
         print(f"{row.robot} from {row.train}: {row.took} ({row.seconds:.1f} s)")
         for method, errors in row.errors.items():
             found.setdefault((row.robot, method), []).extend(errors)
@@ -189,5 +206,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=SHARED)
     parser.add_argument("robots", nargs="*", help="robots (default: all)")
+    parser.add_argument("--delay", choices=("auto", "none"), default="auto")
     arguments = parser.parse_args()
-    report(arguments.data, tuple(arguments.robots))
+    delay = None if arguments.delay == "none" else arguments.delay
+    report(arguments.data, tuple(arguments.robots), delay)

@@ -141,6 +141,9 @@ def validate(
         )
         return
     identified = read_result(Path(result))
+    if options.chain is not None and filtering.delay is None and identified.chain is not None:
+        kept = replace(options.chain, delay=identified.chain.delay)
+        options = replace(options, chain=kept)
     validations = validate_result(
         identified, recordings_of(identified.model, log, reading), options=options
     )

@@ -16,6 +16,7 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import Finding
 from asbuilt.identification.drives.nonlinear_parameters import NonlinearFit, fit_nonlinear
 from asbuilt.identification.errors.bootstrap import bootstrap_uncertainty, redraw
+from asbuilt.identification.errors.delay_errors import DelayErrors, delay_errors
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.errors.nonlinear_errors import (
     NonlinearErrors,
@@ -68,6 +69,7 @@ class Fit:
     estimate: Estimate
     uncertainty: Uncertainty
     nonlinear: NonlinearErrors | None
+    delay: DelayErrors | None
     design: Array
     rate: float
     provenance: tuple[str, ...]
@@ -77,6 +79,11 @@ class Fit:
     def base(self) -> BaseParameters:
         """The base parameters."""
         return self.information.base
+
+    @property
+    def delay_shift(self) -> Array | None:
+        """What the estimated delays would move parameters by if not applied, (p,)."""
+        return None if self.delay is None else self.delay.shift
 
     def metrics(self, samples: Sequence[Samples]) -> tuple[TorqueMetrics, TorqueMetrics]:
         """Return the torque metrics of all samples together, as built and of the CAD values."""
@@ -107,6 +114,7 @@ class Fit:
             provenance=self.provenance,
             uncertainty=self.uncertainty,
             nonlinear=self.nonlinear,
+            delayed=self.delay,
             findings=self.findings,
             **further,
         )
@@ -234,6 +242,14 @@ def fit_samples(
             block_seconds=block_seconds,
         )
         estimate = replace(estimate, notes=(*estimate.notes, nonlinear.sentence(model.joint_names)))
+    delay = delay_errors(
+        carrying(model, base, estimate.beta) if base.drive.needs_load else model,
+        base,
+        estimate,
+        samples,
+        textbook=errors == "textbook",
+        block_seconds=block_seconds,
+    )
     first = samples[0]
     provenance = tuple(dict.fromkeys(line for batch in samples for line in batch.provenance))
     return Fit(
@@ -242,6 +258,7 @@ def fit_samples(
         estimate=estimate,
         uncertainty=_uncertainty(information, estimate, errors, automatic=method == "auto"),
         nonlinear=nonlinear,
+        delay=delay,
         design=design,
         rate=first.parallel.output_rate if first.parallel else first.rate,
         provenance=provenance + (fitted.sentences(model.joint_names) if fitted else ()),

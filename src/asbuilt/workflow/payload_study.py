@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from asbuilt.experiment.logs.recordings import RecordingLike, as_recordings
+from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.calibration.payload import (
     Payload,
     identify_payload_samples,
@@ -66,7 +67,7 @@ def identify_payload(
         model,
         as_recordings(model, recordings),
         others=(as_recordings(model, unloaded), as_recordings(model, validation)),
-        chain=options.chain,
+        chain=_with_delay(options.chain, result),
         holdout=options.holdout,
         checked=options.checked,
         progress=progress,
@@ -87,3 +88,10 @@ def identify_payload(
         ],
         gain_uncertainty=options.gain_uncertainty,
     )
+
+
+def _with_delay(chain: SignalChain | None, result: IdentificationResult) -> SignalChain:
+    """Return the chain with the delay that the arm was identified with, if it states none."""
+    chain = chain or SignalChain()
+    known = None if result.chain is None else result.chain.delay
+    return replace(chain, delay=known) if chain.delay == "auto" else chain

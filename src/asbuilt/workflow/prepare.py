@@ -16,6 +16,8 @@ from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.identification.result.recording_delay import RecordingDelay
+from asbuilt.workflow.delays import Delays, settle_delays
 
 Progress = Callable[[str, float], None]
 
@@ -41,6 +43,8 @@ class Prepared:
         Other recordings, and groups of them, whole.
     digests
         Fingerprints of the recordings, empty for samples.
+    delay
+        Delays of the recordings, empty for samples.
     """
 
     chain: SignalChain | None
@@ -51,6 +55,7 @@ class Prepared:
     validation: tuple[Samples, ...]
     others: tuple[tuple[Samples, ...], ...]
     digests: tuple[str, ...]
+    delay: tuple[RecordingDelay, ...] = ()
 
 
 def prepare(
@@ -64,6 +69,8 @@ def prepare(
     checked: bool = True,
     tolerated: Collection[str] = TOO_LITTLE,
     settle: Callable[[SignalChain, Sequence[Recording]], SignalChain] | None = None,
+    estimate_delay: bool = False,
+    delays: Sequence[RecordingDelay] = (),
     progress: Progress | None = None,
 ) -> Prepared:
     """Check recordings, choose the signal chain, filter and hold out.
@@ -91,6 +98,11 @@ def prepare(
         Codes of errors that are no reason to refuse.
     settle
         Returns the chain to use, from the one chosen and the beginnings of `recordings`.
+    estimate_delay
+        Estimate the delays of the torque of `recordings` if the chain says so; other recordings
+        have their mean.
+    delays
+        Delays that are known already.
     progress
         Called with the name of a step and the fraction done.
 
@@ -115,7 +127,13 @@ def prepare(
         settled = resolve_chain(settled, *chosen)
     if settle is not None:
         settled = settle(settled, _chosen_by(recordings))
-    training, held_out = divided(recordings, settled, holdout)
+    digests = tuple(digest(head) for head in _chosen_by(recordings))
+    late = Delays(settled, tuple(delays))
+    if chosen and not delays and (estimate_delay or settled.delay != "auto"):
+        report("delay", 0.0)
+        late = settle_delays(model, _chosen_by(recordings), digests, settled, holdout)
+        settled = late.chain
+    training, held_out = divided(recordings, settled, holdout, late)
     return Prepared(
         chain=settled if chosen else None,
         holdout=holdout,
@@ -124,15 +142,19 @@ def prepare(
         held_out=held_out,
         validation=tuple(_samples(item, settled) for item in validation),
         others=tuple(tuple(_samples(item, settled) for item in group) for group in others),
-        digests=tuple(digest(head) for head in _chosen_by(recordings)),
+        digests=digests,
+        delay=late.recordings,
     )
 
 
 def divided(
-    recordings: Sequence[Recorded], chain: SignalChain, holdout: str | None
+    recordings: Sequence[Recorded],
+    chain: SignalChain,
+    holdout: str | None,
+    delays: Delays | None = None,
 ) -> tuple[tuple[Samples, ...], tuple[Samples, ...]]:
     """Filter recordings and divide them into training and held-out samples."""
-    samples = tuple(_samples(item, chain) for item in recordings)
+    samples = tuple(_samples(item, chain, delays) for item in recordings)
     if holdout is None:
         return samples, ()
     parts = [hold_out(each, holdout) for each in samples]
@@ -165,5 +187,10 @@ def _chosen_by(recordings: Sequence[Recorded]) -> list[Recording]:
     return [head_of(item) for item in recordings if not isinstance(item, Samples)]
 
 
-def _samples(item: Recorded, chain: SignalChain) -> Samples:
-    return item if isinstance(item, Samples) else prepare_logged(item, chain)
+def _samples(item: Recorded, chain: SignalChain, delays: Delays | None = None) -> Samples:
+    if isinstance(item, Samples):
+        return item
+    if delays is None or not delays.recordings:
+        return prepare_logged(item, chain)
+    own = digest(head_of(item))
+    return delays.applied(prepare_logged(item, delays.chain_of(own)), own)

@@ -39,6 +39,7 @@ from asbuilt.validation.generalisation.generalisation import (
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
+from asbuilt.workflow.delays import delay_findings
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
 
@@ -193,6 +194,7 @@ def identify(
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
+        estimate_delay=True,
         progress=report,
     )
     report("identify", 0.0)
@@ -245,6 +247,7 @@ def _concluded(
         chain=prepared.chain,
         holdout=prepared.holdout,
         digests=prepared.digests,
+        delay=prepared.delay,
         notes=_notes(mounting, cutoffs),
     )
     report("compare", 0.0)
@@ -254,6 +257,7 @@ def _concluded(
         *_drive_findings(choice),
         *_check_findings(prepared.checks),
         *lock_findings(model.locked_joints),
+        *delay_findings(result, prepared.delay, fit.delay_shift),
         *validation_findings(result.train, validations),
         *repetition_findings(training, held),
         *too_short,

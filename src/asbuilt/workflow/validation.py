@@ -92,7 +92,13 @@ def validate_robot(
     return tuple(
         validate_description(
             model,
-            prepare(model, [recording], chain=options.chain, checked=options.checked).training[0],
+            prepare(
+                model,
+                [recording],
+                chain=options.chain,
+                checked=options.checked,
+                estimate_delay=True,
+            ).training[0],
         )
         for recording in logged
     )
@@ -109,5 +115,7 @@ def _prepared(
         chain=options.chain or result.chain,
         holdout=result.holdout if trained and options.chain is None else None,
         checked=options.checked,
+        estimate_delay=True,
+        delays=result.delay if options.chain is None else (),
     )
     return (prepared.held_out or prepared.training)[0]

@@ -134,6 +134,17 @@ class Filtering:
         int | None,
         typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering"),
     ] = None
+    delay: Annotated[
+        str | None,
+        typer.Option(
+            "--delay",
+            metavar="SECONDS",
+            help=(
+                "time by which torque is late against position, one number or one per joint; auto"
+                " (the default): estimated; none"
+            ),
+        ),
+    ] = None
     preset: Annotated[
         str, typer.Option("--preset", metavar="NAME", help="signal chain: default or paper2015")
     ] = "default"
@@ -153,7 +164,22 @@ class Filtering:
             chain,
             cutoff=cutoff,
             decimate=chain.decimate if self.decimate is None else self.decimate,
+            delay=chain.delay if self.delay is None else delay_of(self.delay),
         )
+
+
+def delay_of(text: str) -> float | tuple[float, ...] | str | None:
+    """Return a delay as a signal chain takes it; raises `UsageError` on anything else."""
+    word = text.strip().lower()
+    if word in ("auto", "none"):
+        return word if word == "auto" else None
+    try:
+        values = number_list("--delay", text)
+    except UsageError:
+        raise UsageError(
+            f"--delay takes auto, none, or seconds (one number or one per joint), got {text!r}"
+        ) from None
+    return values[0] if len(values) == 1 else values
 
 
 def described_robot(robot: str) -> RobotModel:

@@ -118,7 +118,8 @@ class RecordingStream:
             f" the first {HEAD}"
         )
         return Samples(
-            **{name: held[: bounds[-1]] for name, held in columns.items()},
+            *(columns[name][: bounds[-1]] for name in COLUMNS[:-1]),
+            tau_raw=columns["tau_raw"][: bounds[-1]],
             rate=first.rate,
             joint_names=first.joint_names,
             segments=tuple(pairwise(bounds)),
@@ -127,6 +128,7 @@ class RecordingStream:
             parallel=first.parallel,
             origin=first.origin,
             provenance=(*first.provenance, note),
+            delay=first.delay,
         )
 
 

@@ -21,7 +21,7 @@ from asbuilt.experiment.signal.parallel_filter import (
     ParallelFilter,
     design_parallel_filter,
 )
-from asbuilt.experiment.signal.resampling import UniformSegment
+from asbuilt.experiment.signal.resampling import HALF_WIDTH, UniformSegment
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.signal.standstill import PAUSE, at_rest, moving_ranges
 from asbuilt.findings import Cure
@@ -114,7 +114,13 @@ class FilterPlan:
         """Number of logged samples on either side that a prepared sample depends on."""
         smear = self.anti_alias.margin if self.anti_alias else 0
         rest = 0 if self.chain.rests else int(np.ceil(PAUSE * self.rate)) + self.shoulder
-        return max(self.exact, smear) + rest + 2
+        return max(self.exact, smear + self.shift) + rest + 2
+
+    @property
+    def shift(self) -> int:
+        """Number of logged samples on either side that the torque takes at another time."""
+        delays = self.chain.delays
+        return int(np.ceil(np.max(np.abs(delays)) * self.rate)) + HALF_WIDTH if delays else 0
 
     @property
     def shoulder(self) -> int:
@@ -210,6 +216,9 @@ class FilterPlan:
             )
         if chain.velocity == "measured":
             yield "velocities: as logged, through the same low-pass; accelerations from them"
+        if chain.delays:
+            listed = ", ".join(f"{1e3 * delay:.3g}" for delay in chain.delays)
+            yield f"torque: shifted back by a delay of {listed} ms"
         if self.margin:
             yield (
                 f"{self.margin} samples ({self.margin / self.rate:.2g} s) trimmed at either end of"

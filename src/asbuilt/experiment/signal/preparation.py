@@ -14,7 +14,12 @@ from asbuilt.experiment.signal.bandwidth import motion_bandwidth
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
-from asbuilt.experiment.signal.resampling import SHORTEST, UniformSegment, uniform_segments
+from asbuilt.experiment.signal.resampling import (
+    SHORTEST,
+    UniformSegment,
+    advanced,
+    uniform_segments,
+)
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
@@ -82,7 +87,8 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     chain = chain or SignalChain()
     segments, rate, notes = uniform_segments(recording, chain.rate, chain.max_gap)
     chain, chosen = _resolved(chain, segments, rate)
-    plan = FilterPlan.of(chain, rate)
+    plan, origin = FilterPlan.of(chain, rate), float(segments[0].t[0])
+    segments = _advanced(segments, chain, rate)
     parts = [
         part
         for segment in segments
@@ -104,7 +110,7 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
         recording,
         plan,
         parts,
-        float(segments[0].t[0]),
+        origin,
         (*recording.notes, *notes, *chosen, *plan.description()),
     )
     if samples.parallel is not None and samples.n_filtered == 0:
@@ -167,6 +173,7 @@ def stream_samples(
                 )
             notes = (*chosen, *notes)
             origin = float(segments[0].t[0])
+        segments = _advanced(segments, chain, rate)
         parts: list[SegmentArrays] = []
         for k, segment in enumerate(segments):
             goes_on = more and k == len(segments) - 1
@@ -247,6 +254,21 @@ def _resolved(
     return chain, tuple(notes)
 
 
+def _advanced(
+    segments: list[UniformSegment], chain: SignalChain, rate: float
+) -> list[UniformSegment]:
+    """Return segments with the torque shifted back by the known delay of the chain."""
+    if not chain.delays:
+        return segments
+    n = segments[0].q.shape[1]
+    if len(chain.delays) not in (1, n):
+        raise UsageError(
+            f"a delay is one number for all joints or one for each of {n}, got {len(chain.delays)}"
+        )
+    delay = np.broadcast_to(chain.delays, (n,))
+    return [advanced(segment, delay, rate) for segment in segments]
+
+
 def _velocity_verdict(
     chain: SignalChain, segments: Sequence[UniformSegment], rate: float
 ) -> VelocityVerdict | None:
@@ -291,6 +313,7 @@ def _assembled(
         parallel=plan.parallel,
         origin=origin,
         provenance=provenance,
+        delay=plan.chain.delays,
     )
 
 

@@ -45,6 +45,10 @@ class Samples:
         time blocks count from it.
     provenance
         Sentences about what was done.
+    delay
+        Delays [s] by which the torque was shifted back, one for all joints or each; empty: none.
+    delay_errors
+        Standard errors [s] of delays that were estimated, which those of a fit allow for.
 
     Raises
     ------
@@ -75,6 +79,8 @@ class Samples:
     tau_raw: Array = field(default_factory=lambda: np.empty((0, 0)))
     origin: float = np.nan
     provenance: tuple[str, ...] = ()
+    delay: tuple[float, ...] = ()
+    delay_errors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)

@@ -11,6 +11,9 @@ from asbuilt.errors import UsageError
 
 Derivative = Literal["central", "savitzky-golay", "spline"]
 Velocity = Literal["auto", "measured", "derived"]
+Delay = float | tuple[float, ...] | Literal["auto"] | None
+LONGEST_DELAY = 1.0
+"""Longest delay [s]; a log further apart has two clocks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +49,10 @@ class SignalChain:
         Whether segments in which all joints are at rest are kept.
     standstill
         Speed of each joint below which, for 0.5 s or more, velocity and acceleration are zero.
+    delay
+        Time [s] by which logged torques are late against positions, one for all joints or each;
+        they are shifted back by it. "auto": estimated with a model where recordings are prepared
+        for one, else none. None: none.
 
     Raises
     ------
@@ -71,8 +78,10 @@ class SignalChain:
     max_gap: float | None = None
     rests: bool = False
     standstill: tuple[float, ...] | None = None
+    delay: Delay = "auto"
 
     def __post_init__(self) -> None:
+        self._check_delay()
         for name in ("cutoff", "parallel_cutoff", "rate", "max_gap"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
@@ -90,6 +99,27 @@ class SignalChain:
             if getattr(self, name) not in known:
                 raise UsageError(f"{name} {getattr(self, name)!r} is not one of {', '.join(known)}")
 
+    @property
+    def delays(self) -> tuple[float, ...]:
+        """The delays that are known [s], one for all joints or each; empty if there are none."""
+        if self.delay is None or isinstance(self.delay, str):
+            return ()
+        delays = self.delay if isinstance(self.delay, tuple) else (self.delay,)
+        return delays if any(delays) else ()
+
+    def _check_delay(self) -> None:
+        if isinstance(self.delay, str) and self.delay != "auto":
+            raise UsageError(f"delay must be 'auto', None or seconds, got {self.delay!r}")
+        for value in self.delays:
+            if not abs(value) <= LONGEST_DELAY:
+                raise UsageError(
+                    f"a delay must be between -{LONGEST_DELAY:g} and {LONGEST_DELAY:g} s, got"
+                    f" {value:g} s",
+                    value=value,
+                    lower=-LONGEST_DELAY,
+                    upper=LONGEST_DELAY,
+                )
+
     @classmethod
     def preset(cls, name: str) -> SignalChain:
         """Return a named chain: `default`, or `paper2015`.
@@ -97,7 +127,7 @@ class SignalChain:
         `paper2015` (Hayat, Abhishek and Saha, iNaCoMM 2015, section 4): positions through a
         second-order Butterworth at 7 Hz forwards and backwards, the double pass not corrected;
         velocity and acceleration by central differences; everything, torque included, decimated by
-        10 with a Chebyshev type I filter of order 8; no parallel filter, no trimming.
+        10 with a Chebyshev type I filter of order 8; no parallel filter, no trimming, no delay.
         """
         presets = {
             "default": cls(),
@@ -110,6 +140,7 @@ class SignalChain:
                 parallel=False,
                 trimmed=False,
                 rests=True,
+                delay=None,
             ),
         }
         if name not in presets:

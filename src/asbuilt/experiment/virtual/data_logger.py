@@ -88,7 +88,7 @@ class DataLogger:
         every = round(1.0 / self.rate / (truth.t[1] - truth.t[0]))
         pick = slice(None, None, every)
         seen = Trajectory(truth.t[pick], truth.q[pick], truth.qd[pick], truth.qdd[pick])
-        q, qd, torque = sensors.measured(model, seen, tau[pick], rng)
+        q, qd, torque = sensors.measured(model, seen, sensors.delayed(truth.t, tau)[pick], rng)
         t = seen.t.copy()
         if self.clock_jitter:
             slips = np.clip(

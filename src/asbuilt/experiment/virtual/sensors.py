@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
@@ -13,7 +14,7 @@ from asbuilt.excitation.motions.motion import Trajectory
 
 PerJoint = float | tuple[float, ...]
 """One number for all joints, or one per joint."""
-SIGNED = ("torque_bias", "torque_gain", "ripple_phase")
+SIGNED = ("torque_bias", "torque_gain", "ripple_phase", "torque_delay")
 """Fields that may be negative."""
 
 
@@ -36,6 +37,8 @@ class SensorNoise:
         Offset, factor and step of the torque.
     torque_ripple, ripple_cycles, ripple_phase
         Amplitude, cycles per turn (or per metre) and phase [rad] of the ripple.
+    torque_delay
+        Time [s] by which the torque is late; before that much has passed the first one holds.
     """
 
     position_noise: PerJoint = 0.0
@@ -48,6 +51,20 @@ class SensorNoise:
     torque_ripple: PerJoint = 0.0
     ripple_cycles: PerJoint = 200.0
     ripple_phase: PerJoint = 0.0
+    torque_delay: PerJoint = 0.0
+
+    def delayed(self, t: Array, tau: Array) -> Array:
+        """Return torques (N, n) at times t (N,) [s] as late as `torque_delay` says."""
+        delay = per_joint(self.torque_delay, tau.shape[1], "torque_delay", signed=True)
+        if not np.any(delay):
+            return tau
+        return np.stack(
+            [
+                PchipInterpolator(t, x)(np.clip(t - late, t[0], t[-1]))
+                for x, late in zip(tau.T, delay, strict=True)
+            ],
+            axis=1,
+        )
 
     def check(self, n: int) -> None:
         """Raise `UsageError` unless every field fits n joints and no magnitude is negative."""

@@ -18,6 +18,7 @@ from asbuilt.identification.bodies.consistency import (
     margin_is_consistent,
     non_passive_drives,
 )
+from asbuilt.identification.errors.delay_errors import DelayErrors
 from asbuilt.identification.errors.nonlinear_errors import NonlinearErrors
 from asbuilt.identification.errors.uncertainty import Uncertainty, block_uncertainty
 from asbuilt.identification.information.estimate import Estimate
@@ -54,6 +55,7 @@ def conclude(
     cad: TorqueMetrics | None = None,
     uncertainty: Uncertainty | None = None,
     nonlinear: NonlinearErrors | None = None,
+    delayed: DelayErrors | None = None,
     validation: Sequence[TorqueMetrics] = (),
     notes: Sequence[str] = (),
     findings: Sequence[Finding] = (),
@@ -74,6 +76,8 @@ def conclude(
         Standard errors; None: from time blocks.
     nonlinear
         Errors of nonlinear parameters fitted along.
+    delayed
+        Errors of delays of the torque.
     validation
         Torque metrics on validation data.
     notes, findings
@@ -83,8 +87,9 @@ def conclude(
     """
     base, design = information.base, design_values(model, information.base)
     uncertainty = uncertainty or block_uncertainty(estimate.information or information, estimate)
-    if nonlinear is not None:
-        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + nonlinear.covariance)
+    further_errors = [each.covariance for each in (nonlinear, delayed) if each is not None]
+    if further_errors:
+        uncertainty = replace(uncertainty, covariance=uncertainty.covariance + sum(further_errors))
     parameters = _parameters(information, estimate, uncertainty, design)
     try:
         margin: float | None = consistency_margin(base, estimate.beta)
@@ -124,9 +129,7 @@ def conclude(
         free=(
             None
             if estimate.method == "wls"
-            else free_values(
-                information, design, None if nonlinear is None else nonlinear.covariance
-            )
+            else free_values(information, design, sum(further_errors) if further_errors else None)
         ),
         **({"provenance": ()} | further),
     )

@@ -26,6 +26,7 @@ from asbuilt.identification.errors.error_basis import ErrorBasis
 from asbuilt.identification.information.cause_data import CauseData
 from asbuilt.identification.result.free_values import FreeValues
 from asbuilt.identification.result.metrics import TorqueMetrics
+from asbuilt.identification.result.recording_delay import RecordingDelay
 from asbuilt.identification.result.torque_prediction import (
     Prediction,
     all_parameters,
@@ -136,6 +137,8 @@ class IdentificationResult:
         Fingerprints of the recordings identified from.
     cause_data
         What `attribute` works from; None if it was not gathered.
+    delay
+        Time by which the torque of each recording was late, and what was applied.
     free
         The parameters by weighted least squares alone, for comparing results; None if `method` is
         that.
@@ -172,6 +175,7 @@ class IdentificationResult:
     cause_data: CauseData | None = None
     errors: ErrorBasis = field(default_factory=ErrorBasis)
     free: FreeValues | None = None
+    delay: tuple[RecordingDelay, ...] = ()
 
     def __post_init__(self) -> None:
         p, n = self.base.n_base, self.model.n_joints

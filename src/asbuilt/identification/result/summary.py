@@ -222,7 +222,14 @@ def _heading(result: IdentificationResult) -> tuple[tuple[str, str], ...]:
             "consistency",
             {True: "OK", False: inconsistent, None: "not checked"}[result.physically_consistent],
         ),
+        *([("torque delay", late)] if (late := _delay_text(result)) else []),
     )
+
+
+def _delay_text(result: IdentificationResult) -> str:
+    """Return the delays that were applied, as text; empty if there are none."""
+    late = [each for each in result.delay if each.delays]
+    return ", ".join(dict.fromkeys(each.text for each in late))
 
 
 def _heading_lines(heading: Sequence[tuple[str, str]]) -> list[str]:

@@ -1,0 +1,228 @@
+"""Delay of the torque against position, estimated from recordings with a plain weighted fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.identification.errors.delay_errors import DelayColumns, delay_columns
+from asbuilt.identification.estimators.methods import methods
+from asbuilt.identification.information.estimation_data import EstimationData
+from asbuilt.identification.information.square_root_information import accumulate_stream
+from asbuilt.identification.result.design_values import design_values
+
+if TYPE_CHECKING:
+    from asbuilt.experiment.signal.samples import Samples
+
+SIGNIFICANT = 2.0
+"""Standard errors that a delay must exceed to be applied."""
+UNEQUAL = 1e-3
+"""Probability of equal joints below which they have delays of their own."""
+OF_ONE_JOINT = 3.0
+"""Largest lag of friction of one joint, in the mean of all (own choice: 2.8 on the LWR4+)."""
+MOST_STEPS = 10
+SETTLED = 2e-5
+"""Increment [s] below which a delay has converged."""
+LONGEST_STEP = 0.05
+"""Largest increment, in periods of the cutoff, for which the derivative holds."""
+FARTHEST = 0.3
+"""Delay [s] beyond which the search has failed."""
+
+Prepare = Callable[[Array], Sequence["Samples"]]
+"""Returns the samples of R recordings whose torques are shifted back by delays (R, n) [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DelayEstimate:
+    """Hold the delays of R recordings with n joints.
+
+    Attributes
+    ----------
+    estimates, std_errors
+        One delay per recording [s], (R,); errors are infinite where a delay is undetermined.
+    lag, lag_error
+        How much later friction is than the other torques, mean over joints [s].
+    joint_estimates, joint_errors
+        Delays of the joints [s], (R, n); None unless the recordings ask for them.
+    """
+
+    estimates: Array
+    std_errors: Array
+    lag: float
+    lag_error: float
+    joint_estimates: Array | None = None
+    joint_errors: Array | None = None
+
+    @property
+    def applied(self) -> Array:
+        """Which delays exceed 2 standard errors, (R,); others are not applied."""
+        return np.asarray(np.abs(self.estimates) > SIGNIFICANT * self.std_errors)
+
+
+def find_delays(
+    model: RobotModel,
+    prepare: Prepare,
+    *,
+    drive: DriveSet,
+    count: int,
+    block_seconds: float | None = None,
+) -> DelayEstimate:
+    """Estimate the delay of the torque of each recording, and of its joints if they differ.
+
+    The delay is a column `-d(W beta)/dt` of a weighted least squares fit of all recordings; torques
+    are shifted by the estimate and the fit is repeated until it stays (Gauss-Newton). Friction that
+    lags velocity (presliding, lubricant) looks like a delay, though rigid bodies do not lag. So the
+    change of the delay if friction has a lag of its own counts as error. If that lag exceeds 2
+    standard errors, each joint has one, and the delay rests on rigid bodies alone.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    prepare
+        Prepares the recordings with given delays.
+    drive
+        Linear drive terms of the fit, friction among them.
+    count
+        Number of recordings R.
+    block_seconds
+        Length of the time blocks [s].
+    """
+    fits = _Fits(model, prepare, drive, count, block_seconds)
+    n = model.n_joints
+    common, lags = _common(count, n), _friction(count, n)
+    together, columns = fits.settled(np.zeros(count), common)
+    delays, std_errors = together, columns.solve(common).std_errors
+    mean_lag = columns.solve(np.concatenate([common, lags.sum(axis=2, keepdims=True)], axis=2))
+    std_errors = np.hypot(std_errors, mean_lag.increments[:count])
+    if abs(mean_lag.increments[-1]) > SIGNIFICANT * mean_lag.std_errors[-1]:
+        whole = np.concatenate([common, lags], axis=2)
+        delays, columns = fits.settled(together, whole)
+        std_errors = np.hypot(columns.solve(whole).std_errors[:count], delays - together)
+    std_errors = np.where(np.abs(delays) < FARTHEST, std_errors, np.inf)
+    lag, lag_error = float(mean_lag.increments[-1]), float(mean_lag.std_errors[-1])
+    joints, errors = _joint_delays(fits, delays, abs(lag) + SIGNIFICANT * lag_error) or (None, None)
+    return DelayEstimate(
+        delays,
+        std_errors,
+        lag,
+        lag_error,
+        joints,
+        errors,
+    )
+
+
+class _Fits:
+    """Fit recordings with delays; the latest normal equations are kept."""
+
+    def __init__(
+        self,
+        model: RobotModel,
+        prepare: Prepare,
+        drive: DriveSet,
+        count: int,
+        block_seconds: float | None,
+    ) -> None:
+        self.model, self.count = model, count
+        self._prepare, self._block_seconds = prepare, block_seconds
+        self._base = find_base_parameters(model, drive)
+        self._design = design_values(model, self._base)
+        self.longest = np.inf
+
+    def columns(self, delays: Array) -> DelayColumns:
+        """Return the normal equations with torques shifted back by delays (R,) or (R, n)."""
+        n = self.model.n_joints
+        wide = np.broadcast_to(delays if delays.ndim == 2 else delays[:, None], (self.count, n))
+        samples = self._prepare(wide)
+        bands = [each.parallel.cutoff for each in samples if each.parallel]
+        self.longest = LONGEST_STEP / min(bands) if bands else LONGEST_STEP
+        information = accumulate_stream(
+            self.model, self._base, samples, block_seconds=self._block_seconds
+        )
+        data = EstimationData(self.model, information, samples, self._design)
+        return delay_columns(
+            self.model,
+            self._base,
+            methods.find("wls").estimate(data),
+            samples,
+            block_seconds=self._block_seconds,
+        )
+
+    def settled(self, delays: Array, shares: Array) -> tuple[Array, DelayColumns]:
+        """Return the delays (R,) after which the residual falls no further."""
+        columns = self.columns(delays)
+        for _ in range(MOST_STEPS):
+            step = columns.solve(shares).increments[: self.count]
+            step = np.clip(step, -self.longest, self.longest)
+            if np.all(np.abs(step) < SETTLED) or np.any(np.abs(delays + step) > FARTHEST):
+                return delays + step, columns
+            delays = delays + step
+            columns = self.columns(delays)
+        return delays, columns
+
+
+def _joint_delays(fits: _Fits, delays: Array, lag: float) -> tuple[Array, Array] | None:
+    """Return delays of the joints and their errors, (R, n) each, or None if they are alike.
+
+    Friction lags by different times at different joints. So delays that differ must do so by more
+    than the largest lag of friction (`lag`) [s].
+    """
+    n, count = fits.model.n_joints, fits.count
+    columns, each = fits.columns(delays), _per_joint(count, n)
+    wide = np.repeat(delays[:, None], n, axis=1)
+    solved = columns.solve(each)
+    for _ in range(MOST_STEPS // 2):
+        step = np.clip(solved.increments.reshape(count, n), -fits.longest, fits.longest)
+        wide = np.clip(wide + step, -FARTHEST, FARTHEST)
+        solved = fits.columns(wide).solve(each)
+        if np.all(np.abs(step) < SETTLED):
+            break
+    errors = solved.std_errors.reshape(count, n)
+    chance, spread = _alike(wide, errors, solved.n_blocks)
+    return None if chance > UNEQUAL or spread < OF_ONE_JOINT * lag else (wide, errors)
+
+
+def _alike(delays: Array, errors: Array, n_blocks: int) -> tuple[float, float]:
+    """Return the probability of such differences between joints, and the least of the largest."""
+    weight = errors**-2.0
+    total = weight.sum(axis=1, keepdims=True)
+    freedom = int(np.count_nonzero(weight)) - len(delays)
+    if np.any(total == 0.0) or freedom < 1:
+        return 1.0, 0.0
+    off = delays - (weight * delays).sum(axis=1, keepdims=True) / total
+    chi_square = float(np.sum(weight * off**2))
+    chance = float(f_distribution.sf(chi_square / freedom, freedom, max(n_blocks - 1, 1)))
+    return chance, float(np.max(np.abs(off) - SIGNIFICANT * errors))
+
+
+def _common(count: int, n: int) -> Array:
+    """Return the shares of one delay per recording, (R, 2 n, R)."""
+    shares = np.zeros((count, 2 * n, count))
+    for r in range(count):
+        shares[r, :n, r] = 1.0
+    return shares
+
+
+def _per_joint(count: int, n: int) -> Array:
+    """Return the shares of one delay per recording and joint, (R, 2 n, R n)."""
+    shares = np.zeros((count, 2 * n, count * n))
+    for r in range(count):
+        for k in range(n):
+            shares[r, k, r * n + k] = 1.0
+    return shares
+
+
+def _friction(count: int, n: int) -> Array:
+    """Return the shares of one lag of friction per joint, (R, 2 n, n)."""
+    shares = np.zeros((count, 2 * n, n))
+    for k in range(n):
+        shares[:, n + k, k] = 1.0
+    return shares

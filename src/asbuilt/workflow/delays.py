@@ -1,0 +1,165 @@
+"""Delays of the torque of recordings: estimated or stated, then part of each signal chain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from asbuilt.arrays import Array
+from asbuilt.description.model import RobotModel
+from asbuilt.dynamics.drives.defaults import usual_drive
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import AsbuiltError
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.hold_out import hold_out
+from asbuilt.experiment.signal.preparation import prepare_samples
+from asbuilt.experiment.signal.samples import Samples
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
+from asbuilt.identification.result.recording_delay import (
+    JointDelay,
+    RecordingDelay,
+    stated_delay,
+)
+from asbuilt.identification.result.result import IdentificationResult
+
+FRICTION = DriveSet.parse("viscous,coulomb,offset")
+"""Drive terms without which friction passes for a delay."""
+
+
+@dataclass(frozen=True, slots=True)
+class Delays:
+    """Hold the delays of recordings; other recordings take their mean.
+
+    `chain` has that mean as its delay, which stays open if none was to be estimated.
+    """
+
+    chain: SignalChain
+    recordings: tuple[RecordingDelay, ...] = ()
+
+    def of(self, digest: str) -> RecordingDelay | None:
+        """Return the delay of the recording with this fingerprint; None if it is another one."""
+        return next((each for each in self.recordings if each.digest == digest), None)
+
+    def applied(self, samples: Samples, digest: str) -> Samples:
+        """Return samples of a recording with the standard errors of their delay."""
+        own = self.of(digest)
+        return (
+            samples if own is None or not own.errors else replace(samples, delay_errors=own.errors)
+        )
+
+    def chain_of(self, digest: str) -> SignalChain:
+        """Return the signal chain of a recording."""
+        own = self.of(digest)
+        return self.chain if own is None else replace(self.chain, delay=own.delays or None)
+
+
+def settle_delays(
+    model: RobotModel,
+    heads: Sequence[Recording],
+    digests: Sequence[str],
+    chain: SignalChain,
+    holdout: str | None,
+) -> Delays:
+    """Return the delays of recordings: those that the chain states, or estimates.
+
+    Parameters
+    ----------
+    model
+        The robot.
+    heads, digests
+        The recordings, or the beginnings of long ones, and their fingerprints.
+    chain
+        The signal chain, its other choices settled.
+    holdout
+        The rule by which part of them is held out, which the estimate does not use.
+    """
+    if chain.delay != "auto" or not heads:
+        stated = tuple(
+            stated_delay(head, digest, chain.delays)
+            for head, digest in zip(heads, digests, strict=True)
+        )
+        return Delays(chain, stated)
+
+    def prepared(delays: Array) -> list[Samples]:
+        shifted = [
+            prepare_samples(head, replace(chain, delay=tuple(own.tolist())))
+            for head, own in zip(heads, delays, strict=True)
+        ]
+        return shifted if holdout is None else [hold_out(each, holdout)[0] for each in shifted]
+
+    try:
+        found = find_delays(
+            model, prepared, drive=_drive(model, heads[0].torque_source), count=len(heads)
+        )
+    except (AsbuiltError, np.linalg.LinAlgError):
+        return Delays(replace(chain, delay=None))
+    recordings = tuple(_recording(head, digests[r], found, r) for r, head in enumerate(heads))
+    return Delays(replace(chain, delay=_mean(recordings)), recordings)
+
+
+def _drive(model: RobotModel, source: str) -> DriveSet:
+    usual = usual_drive(model, source)
+    return DriveSet((*usual.terms, *FRICTION.without(*usual.keys).terms))
+
+
+def _recording(head: Recording, digest: str, found: DelayEstimate, place: int) -> RecordingDelay:
+    joints: tuple[JointDelay, ...] = ()
+    estimate, error = float(found.estimates[place]), float(found.std_errors[place])
+    applied = estimate if found.applied[place] else 0.0
+    if found.joint_estimates is not None and found.joint_errors is not None:
+        own, errors = found.joint_estimates[place].tolist(), found.joint_errors[place].tolist()
+        joints = tuple(
+            JointDelay(name, x, dx, x if np.isfinite(dx) else 0.0)
+            for name, x, dx in zip(head.joint_names, own, errors, strict=True)
+        )
+        applied = float(np.mean([each.applied for each in joints]))
+    return RecordingDelay(head.source, digest, estimate, error, applied, joints)
+
+
+def _mean(recordings: Sequence[RecordingDelay]) -> float | tuple[float, ...] | None:
+    """Return the mean of applied delays, weighted by their errors; None if none was applied."""
+    if not any(each.delays for each in recordings):
+        return None
+    n = max(len(each.delays) for each in recordings)
+    values = np.array([np.broadcast_to(each.delays or (0.0,), (n,)) for each in recordings])
+    errors = np.array([each.std_error for each in recordings])
+    weight = 1.0 / np.maximum(errors, 1e-6) ** 2
+    weight = weight if weight.sum() > 0.0 else np.ones(len(recordings))
+    mean = (weight @ values / weight.sum()).tolist()
+    return mean[0] if n == 1 else tuple(mean)
+
+
+def delay_findings(
+    result: IdentificationResult, recordings: Sequence[RecordingDelay], moved: Array | None
+) -> tuple[Finding, ...]:
+    """Return a finding if torques are late; `moved` (p,) is what that does to parameters."""
+    late = [each for each in recordings if each.delays and not np.isnan(each.estimate)]
+    if not late:
+        return ()
+    listed = ", ".join(f"{each.source.rpartition('/')[2]} {each.text}" for each in late)
+    shift = np.zeros(1) if moved is None else moved
+    errors = np.nan_to_num(result.std_errors, nan=np.inf)
+    ratio = np.divide(np.abs(shift), errors, out=np.zeros_like(errors), where=errors > 0)
+    worst = int(np.argmax(ratio))
+    matters = float(ratio[worst]) > 1.0
+    cost = (
+        f"; without the correction {result.base.names[worst]} would move by"
+        f" {ratio[worst]:.2g} standard errors"
+        if matters
+        else ""
+    )
+    joints = " (joints differ)" if any(each.joints for each in late) else ""
+    return (
+        Finding(
+            "torque_delayed",
+            "warning" if matters else "info",
+            f"Torques are late against positions by {listed}{joints}; they were shifted back{cost}",
+            Cure(
+                "log both at the same instants, or state the delay", settings={"delay": "SECONDS"}
+            ),
+        ),
+    )

@@ -1,0 +1,118 @@
+"""Delay of the torque: found within its error, told from a lag of friction, counted in errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from asbuilt.description.load import load_robot
+from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.excitation.motions.random_motion import random_fourier
+from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
+from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.virtual.sensors import SensorNoise
+from asbuilt.experiment.virtual.simulation import simulate_recording
+from asbuilt.identification.calibration.delay import DelayEstimate, find_delays
+from asbuilt.identification.errors.delay_errors import delay_errors
+from asbuilt.identification.identify import fit_samples
+
+MODEL = load_robot("two-link")
+DRIVE = DriveSet.parse("viscous,coulomb,offset")
+FRICTION = (1.0, 0.5, 0.1, 0.7, 0.4, -0.1)
+
+
+def recorded(
+    seed: int,
+    delay=0.0,
+    rate: float = 250.0,
+    *,
+    seconds: float = 30.0,
+    noise: float = 0.3,
+    model=MODEL,
+) -> Recording:
+    return simulate_recording(
+        model,
+        random_fourier(model, rng=seed, duration=seconds),
+        rate=rate,
+        drive=DRIVE,
+        drive_values=np.resize(FRICTION, 3 * model.n_joints),
+        noise=SensorNoise(torque_noise=noise, torque_delay=delay),
+        rng=seed,
+    )
+
+
+def found(*logs: Recording, model=MODEL) -> DelayEstimate:
+    chain = resolve_chain(SignalChain(), *logs)
+    return find_delays(
+        model,
+        lambda delays: [
+            prepare_samples(log, replace(chain, delay=tuple(own.tolist())))
+            for log, own in zip(logs, delays, strict=True)
+        ],
+        drive=DRIVE,
+        count=len(logs),
+    )
+
+
+@pytest.mark.parametrize(("delay", "rate"), [(0.010, 1000.0), (0.005, 100.0), (-0.004, 250.0)])
+def test_delays_are_found_within_two_standard_errors(delay, rate):
+    z = []
+    for seed in range(5):
+        estimate = found(recorded(seed, delay, rate, seconds=20.0))
+        assert estimate.joint_estimates is None
+        z.append(float((estimate.estimates[0] - delay) / estimate.std_errors[0]))
+    assert np.sum(np.abs(z) > 2.0) <= 1
+    assert np.sqrt(np.mean(np.square(z))) > 0.2
+
+
+def test_recordings_have_delays_of_their_own():
+    estimate = found(recorded(1, 0.010), recorded(2), recorded(3, -0.003))
+    off = estimate.estimates - [0.010, 0.0, -0.003]
+    assert np.all(np.abs(off) < 3.0 * estimate.std_errors)
+    assert np.all(np.abs(off) < 2.5e-3)
+    assert estimate.applied.tolist()[::2] == [True, True]
+
+
+def test_friction_that_lags_is_no_delay():
+    log = recorded(5, seconds=60.0)
+    late = recorded(5, 0.030, seconds=60.0)
+    bodies = {
+        name: simulate_recording(
+            MODEL,
+            random_fourier(MODEL, rng=5, duration=60.0),
+            drive=DRIVE,
+            drive_values=np.zeros(6),
+            rate=250.0,
+            noise=SensorNoise(torque_delay=delay),
+        ).tau
+        for name, delay in (("now", 0.0), ("late", 0.030))
+    }
+    lagging = replace(log, tau=bodies["now"] + late.tau - bodies["late"])
+    estimate = found(lagging)
+    assert estimate.lag > 0.015
+    assert not estimate.applied.any()
+    assert abs(estimate.estimates[0]) < 0.004
+
+
+def test_errors_of_parameters_count_that_of_the_delay():
+    """The scatter of estimates whose delay is off by its error is what is added."""
+    log = recorded(7, 0.010)
+    chain = resolve_chain(SignalChain(), log)
+    error = 2e-4
+
+    def fitted(delay: float):
+        samples = prepare_samples(log, replace(chain, delay=delay))
+        return fit_samples(
+            MODEL, [replace(samples, delay_errors=(error,))], drive=DRIVE, method="wls"
+        )
+
+    fit, high, low = fitted(0.010), fitted(0.010 + error), fitted(0.010 - error)
+    moved = 0.5 * (high.estimate.beta - low.estimate.beta)
+    added = np.sqrt(np.diag(fit.delay.covariance))
+    big = np.abs(moved) > 0.05 * np.abs(moved).max()
+    ratio = added[big] / np.abs(moved)[big]
+    assert np.ptp(ratio) < 0.2 * ratio.mean()
+    assert ratio.mean() > 0.97
+    np.testing.assert_allclose(fit.delay.shift, moved / error * -0.010, rtol=0.2, atol=0.02)
+    assert delay_errors(MODEL, fit.base, fit.estimate, [prepare_samples(log, chain)]) is None
