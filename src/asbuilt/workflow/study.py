@@ -178,6 +178,7 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    model = options.with_known_masses(model)
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:

@@ -76,10 +76,17 @@ def _inside(prior: CadPrior, bounds: BodyBounds) -> Array:
     )
     if np.all(bounds.slack(chi) > 0):
         return chi
-    margin = 1e-3 * np.linalg.norm(bounds.rows, axis=1)
+    margin = np.minimum(1e-3 * np.linalg.norm(bounds.rows, axis=1), 0.25 * _widths(bounds))
     tighter = BodyBounds(bounds.rows, bounds.offsets - margin, bounds.labels)
     p = len(prior.parameters)
     nothing = np.zeros((p + 1, p + 1))
     return fit_consistent_bodies(
         prior, np.eye(p), factor=nothing, bounds=tighter, weight=1.0, smallest_part=1e-2
     ).chi
+
+
+def _widths(bounds: BodyBounds) -> Array:
+    """Return the width of every bound to its opposite, infinite without one."""
+    opposite = np.all(bounds.rows[:, None] == -bounds.rows[None], axis=2)
+    width = bounds.offsets[:, None] + bounds.offsets[None]
+    return np.asarray(np.min(np.where(opposite, width, np.inf), axis=1, initial=np.inf))

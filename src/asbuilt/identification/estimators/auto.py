@@ -12,7 +12,7 @@ from asbuilt.arrays import Array
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
-from asbuilt.identification.bodies.body_bounds import non_negative_drives
+from asbuilt.identification.bodies.body_bounds import certain_bounds
 from asbuilt.identification.bodies.cad_prior import CadPrior, cad_prior
 from asbuilt.identification.bodies.consistency import (
     consistency_margin,
@@ -216,7 +216,7 @@ def _candidates(
     candidates, of_joints, K = _Candidates(), consistent.weights, information.base.regrouping
     rough: dict[float, Array] = {}
     if weights:
-        path = EntropicPath.of(prior, Coordinates.of(information.base), non_negative_drives(prior))
+        path = EntropicPath.of(prior, Coordinates.of(information.base), certain_bounds(prior))
         factors = np.array([training.stacked(of_joints) for training, _ in parts])
         rough = path.descending(factors, weights)
     for weight in weights:

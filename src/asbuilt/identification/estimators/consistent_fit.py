@@ -14,8 +14,8 @@ from asbuilt.errors import UsageError
 from asbuilt.findings import joined
 from asbuilt.identification.bodies.body_bounds import (
     BodyBounds,
+    certain_bounds,
     generous_bounds,
-    non_negative_drives,
 )
 from asbuilt.identification.bodies.cad_prior import CadPrior, body_metric_root, cad_prior
 from asbuilt.identification.bodies.conic_fit import TINY_WEIGHT, ConicProblem
@@ -166,11 +166,7 @@ def fit_toward_cad(
     if metric not in ("entropic", "euclidean"):
         raise UsageError(f"unknown metric {metric!r}; available: entropic, euclidean")
     base = information.base
-    limits = (
-        non_negative_drives(prior)
-        if bounds is None
-        else non_negative_drives(prior).and_also(bounds)
-    )
+    limits = certain_bounds(prior) if bounds is None else certain_bounds(prior).and_also(bounds)
 
     with one_blas_thread():
         conic = ConicProblem.of(prior, base.regrouping, limits)
@@ -308,6 +304,15 @@ def _estimate(
     )
 
 
+def _known_masses(prior: CadPrior) -> Array:
+    """Return rows (k, n_standard) over standard deviations of masses known within two limits."""
+    known = [each for each in prior.mass_ranges if np.isfinite(each[2])]
+    rows = np.zeros((len(known), len(prior.parameters)))
+    for row, (links, lower, upper) in zip(rows, known, strict=True):
+        row[[10 * link + 9 for link in links]] = np.sqrt(12.0) / (upper - lower)
+    return rows
+
+
 def _belief_and_root(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
 ) -> tuple[float, Array]:
@@ -319,12 +324,14 @@ def _belief_and_root(
     roots = body_metric_root(halfway, prior.strength)
     bodies = (roots @ free[:inertial].reshape(prior.n_links, 10, -1)).reshape(inertial, -1)
     drives = np.sqrt(DRIVE_RIDGE) / prior.drive_scale[:, None] * free[inertial:]
+    known = _known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
 
     def inverse_root(belief: float) -> Array:
         triangle, _, _, _ = lapack.dgeqrf(
-            np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives])), overwrite_a=True
+            np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives, known])),
+            overwrite_a=True,
         )
         return np.asarray(
             solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1]))
