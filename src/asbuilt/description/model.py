@@ -129,8 +129,8 @@ class RobotModel:
         for name in (name for known in self.mass_ranges for name in known.links):
             if name not in self.link_names:
                 raise DescriptionError(
-                    f"{self.name} has no moving link {name!r}, whose mass is given; its moving links"
-                    f" are {', '.join(self.link_names)}"
+                    f"{self.name} has no moving link {name!r}, whose mass is given; its moving"
+                    f" links are {', '.join(self.link_names)}"
                 )
         if self.motor_coupling is not None:
             coupling = np.array(self.motor_coupling, dtype=np.float64)

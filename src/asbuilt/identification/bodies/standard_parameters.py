@@ -197,7 +197,7 @@ def standard_parameters(
     motion = random_motion_rows(model, base)
     of_motion = _joint_rms(motion @ asked, model.n_joints)
     known = known_bounds(cad).wider(ROUNDING, cad.parameters)
-    shared, consistent_bounds = shared.and_also(known), drives.and_also(known_bounds(cad))
+    shared, passive = shared.and_also(known), drives.and_also(known_bounds(cad))
     with one_blas_thread():
         within = shared.and_also(wide_bounds(cad).wider(ROUNDING, cad.parameters))
         chi, part = deepest_inside(cad, coordinates, asked, within)
@@ -209,7 +209,7 @@ def standard_parameters(
         consistent = exact or nearest
         if not exact and nearest:
             factor = _distance_factor(asked, motion, information)
-            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=consistent_bounds).chi
+            chi = fit_consistent_bodies(cad, base.regrouping, factor=factor, bounds=passive).chi
             least = LEAST_SHARE * cad.drive_scale[cad.non_negative - 10 * cad.n_links] * moving
             chi[cad.non_negative] = np.maximum(chi[cad.non_negative], least)
             chi, part = deepest_inside(cad, coordinates, base.regrouping @ chi, shared)

@@ -313,10 +313,21 @@ def _known_masses(prior: CadPrior) -> Array:
     return rows
 
 
-def _belief_and_root(
+def supported_belief(
     information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
-) -> tuple[float, Array]:
-    """Return the belief in CAD and the root (p, p) of the covariance of beta."""
+) -> float:
+    """Return the weight of CAD that the distance of a fit from CAD supports.
+
+    As many determined parameters as twice the divergence times the weight: the estimate of the
+    precision of a prior by MacKay, Neural Computation 4, 1992. `chi` is the fit with `weight`.
+    """
+    return _supported(*_stacked(information, prior, weights, chi), prior, chi, weight)
+
+
+def _stacked(
+    information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array
+) -> tuple[Array, Array, Array]:
+    """Return rows of the data, of CAD with unit weight, and of drives and known masses."""
     coordinates = Coordinates.of(information.base)
     free = np.hstack([coordinates.kept, coordinates.dependent])
     inertial = 10 * prior.n_links
@@ -327,22 +338,35 @@ def _belief_and_root(
     known = _known_masses(prior) @ free
     R = information.stacked(weights)[:-1, :-1]
     data = np.hstack([R, np.zeros((len(R), free.shape[1] - len(R)))])
+    return data, bodies, np.vstack([drives, known])
 
-    def inverse_root(belief: float) -> Array:
-        triangle, _, _, _ = lapack.dgeqrf(
-            np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, drives, known])),
-            overwrite_a=True,
-        )
-        return np.asarray(
-            solve_triangular(np.triu(triangle[: free.shape[1]]), np.eye(free.shape[1]))
-        )
 
-    determined = inertial - float(np.sum((np.sqrt(weight) * bodies @ inverse_root(weight)) ** 2))
-    moved = float(prior.strength @ prior.divergence(chi))
-    belief = min(
-        weight, STRONGEST_BELIEF, max(determined, 1.0) / max(2.0 * moved, np.finfo(np.float64).tiny)
+def _inverse_root(data: Array, bodies: Array, others: Array, belief: float) -> Array:
+    """Return the inverse of the triangular root of the information."""
+    triangle, _, _, _ = lapack.dgeqrf(
+        np.asfortranarray(np.vstack([data, np.sqrt(belief) * bodies, others])), overwrite_a=True
     )
-    p = len(R)
-    wide = inverse_root(belief)[:p]
+    p = data.shape[1]
+    return np.asarray(solve_triangular(np.triu(triangle[:p]), np.eye(p)))
+
+
+def _supported(
+    data: Array, bodies: Array, others: Array, prior: CadPrior, chi: Array, weight: float
+) -> float:
+    """Return the weight of CAD that the distance of `chi` supports."""
+    root = _inverse_root(data, bodies, others, weight)
+    determined = len(bodies) - float(np.sum((np.sqrt(weight) * bodies @ root) ** 2))
+    moved = 2.0 * float(prior.strength @ prior.divergence(chi))
+    return max(determined, 1.0) / max(moved, float(np.finfo(np.float64).tiny))
+
+
+def _belief_and_root(
+    information: SquareRootInformation, prior: CadPrior, weights: Array, chi: Array, weight: float
+) -> tuple[float, Array]:
+    """Return the belief in CAD and the root (p, p) of the covariance of beta."""
+    data, bodies, others = _stacked(information, prior, weights, chi)
+    belief = min(weight, STRONGEST_BELIEF, _supported(data, bodies, others, prior, chi, weight))
+    p = information.base.n_base
+    wide = _inverse_root(data, bodies, others, belief)[:p]
     triangle, _, _, _ = lapack.dgeqrf(np.asfortranarray(wide.T), overwrite_a=True)
     return belief, np.asarray(np.triu(triangle[:p]).T)
