@@ -195,7 +195,7 @@ class PayloadOptions:
         The arm is refined with the payload, held by the result, or frozen.
     gain_uncertainty
         Relative error of the torque per ampere, for all joints or each; None: 7 % for currents, 5 %
-        for motor torques, 0 for sensors.
+        for motor torques whose gravity torques agree with CAD's, else 10 % and more, 0 for sensors.
     chain
         The signal chain; what it leaves open is chosen from the loaded recordings.
     holdout

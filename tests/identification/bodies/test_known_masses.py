@@ -30,7 +30,7 @@ def arm():
 @pytest.fixture(scope="module")
 def log(arm):
     motion = random_fourier(arm, rng=1, duration=10.0)
-    return simulate_recording(arm, motion, rng=1)
+    return simulate_recording(arm, motion, rate=200.0, rng=1)
 
 
 @pytest.mark.parametrize(
