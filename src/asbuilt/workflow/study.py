@@ -20,7 +20,7 @@ from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.findings import Cure, Finding
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.identify import Fit, fit_samples
@@ -32,6 +32,7 @@ from asbuilt.identification.result.result import IdentificationResult, stored_do
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
+from asbuilt.validation.generalisation.consolidation import consolidated
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
@@ -271,7 +272,7 @@ def _concluded(
     )
     report("compare", 1.0)
     return Study(
-        result, ranked(findings), prepared.checks, trained, validations, cutoffs, attribution
+        result, consolidated(findings), prepared.checks, trained, validations, cutoffs, attribution
     )
 
 
