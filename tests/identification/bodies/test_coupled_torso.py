@@ -28,7 +28,7 @@ def torso(tmp_path_factory):
     rows = (
         ("column", "lift", "prismatic", "base", [0, 0, 0], [0, 0, 0], 12.0, [0.02, 0, 0.2], 0.3, 8),
         ("mast", "lift_2", "prismatic", "column", [0, 0, 0.4], [0, 0, 0], 7.0, [0, 0, 0.1], 0.2, 5),
-        ("arm", "shoulder", "revolute", "mast", [0.1, 0, 0], [1.57, 0, 0], 4.0, [0.2, 0, 0], 0.1, 0.4),
+        ("arm", "shoulder", "revolute", "mast", [0.1, 0, 0], [1.5, 0, 0], 4.0, [0.2, 0, 0], 0.1, 1),
         ("hand", "elbow", "revolute", "arm", [0.4, 0, 0], [0, 0, 0], 2.0, [0.1, 0, 0], 0.03, 0.2),
     )  # fmt: skip
     names = "name", "joint", "kind", "parent", "xyz", "rpy", "mass", "com", "inertia", "armature"

@@ -12,13 +12,16 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.bodies.cad_prior import cad_prior
 from asbuilt.identification.calibration.mounting import Mounting
-from asbuilt.identification.estimators.consistent_fit import fit_consistent
+from asbuilt.identification.estimators.consistent_fit import fit_consistent, fit_toward_cad
 from asbuilt.identification.information.held_out import different_motions, held_out_errors
 from asbuilt.identification.information.square_root_information import accumulate_stream
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
+WEIGHT = 100.0
+"""Weight of CAD in the fits, ten times the usual design effect: without CAD, links that the other
+groups do not determine decide how well a group is predicted."""
 FEWEST_GROUPS = 3
 """Groups below which held-out errors have no usable standard error."""
 
@@ -32,8 +35,8 @@ def relief_on_other_motions(
 ) -> tuple[float, float] | None:
     """Return the relative fall of the squared torque error by the tilt, and its standard error.
 
-    On groups of different motion that are held out in turn: consistent links are fitted to the
-    other groups with gravity as described and as estimated, and predict the group. None if there
+    On groups of different motion that are held out in turn: links near CAD are fitted to the other
+    groups with gravity as described and as estimated, and predict the group. None if there
     are fewer than three groups.
     """
     drive = DriveSet(tuple(term for term in drive.terms if not term.needs_load))
@@ -51,7 +54,9 @@ def relief_on_other_motions(
             return None
         before, after = (
             held_out_errors(
-                information, lambda part: fit_consistent(part, prior, weights=weights).beta, groups
+                information,
+                lambda part: fit_toward_cad(part, prior, weight=WEIGHT, weights=weights).beta,
+                groups,
             )[0]
             @ weights**2
             for information in (straight, turned)
