@@ -33,7 +33,7 @@ def relief_on_other_motions(
     drive: DriveSet,
     block_seconds: float | None = None,
 ) -> tuple[float, float] | None:
-    """Return the relative fall of the squared torque error by the tilt, and its standard error.
+    """Return the log of the fall of the squared torque error by the tilt, and its standard error.
 
     On groups of different motion that are held out in turn: links near CAD are fitted to the other
     groups with gravity as described and as estimated, and predict the group. None if there
@@ -61,5 +61,6 @@ def relief_on_other_motions(
             @ weights**2
             for information in (straight, turned)
         )
-    relief = (before - after) / max(float(before.mean()), float(np.finfo(np.float64).tiny))
+    tiny = np.finfo(np.float64).tiny
+    relief = np.log(np.maximum(before, tiny) / np.maximum(after, tiny))
     return float(relief.mean()), float(relief.std(ddof=1) / np.sqrt(len(relief)))

@@ -130,7 +130,8 @@ def _tilt_findings(
 
 def _lower(relief: tuple[float, float]) -> str:
     """Return how much lower the squared torque error is, as text."""
-    return f"{100 * relief[0]:.0f} +- {100 * relief[1]:.0f} % less squared error"
+    fall, error = 1.0 - np.exp(-relief[0]), np.exp(-relief[0]) * relief[1]
+    return f"{100 * fall:.0f} +- {100 * error:.0f} % less squared error"
 
 
 def _unsearched_tilt(tilt: float) -> Iterator[Finding]:
