@@ -17,6 +17,7 @@ from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.signal.preparation import prepare_samples, resolve_chain
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.virtual.sensors import SensorNoise
 from asbuilt.experiment.virtual.simulation import simulate_recording
 from asbuilt.identification.identify import identify_samples
 from asbuilt.validation.prediction import validate_samples
@@ -24,6 +25,8 @@ from asbuilt.validation.prediction import validate_samples
 ROBOTS = ("kuka-iiwa7-r800", "ur10e", "franka-panda")
 METHODS = ("auto", "wls", "consistent")
 FACTOR = 3.0
+RATE = 200.0
+NOISE = SensorNoise(position_noise=2e-5, torque_noise=0.5)
 
 
 def wrong_cad(model: RobotModel, rng: np.random.Generator, factor: float) -> RobotModel:
@@ -46,7 +49,13 @@ def errors(name: str, seed: int, duration: float, factor: float) -> dict[str, fl
     truth = load_robot(name)
     cad = wrong_cad(truth, rng, factor)
     logs = [
-        simulate_recording(truth, random_fourier(truth, rng=seed + k, duration=duration), rng=seed)
+        simulate_recording(
+            truth,
+            random_fourier(truth, rng=seed + k, duration=duration),
+            rate=RATE,
+            noise=NOISE,
+            rng=seed,
+        )
         for k in (0, 1000)
     ]
     chain = resolve_chain(SignalChain(), logs[0])

@@ -21,6 +21,7 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding
+from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.identify import Fit, fit_samples
@@ -247,7 +248,7 @@ def _concluded(
         chain=prepared.chain,
         holdout=prepared.holdout,
         digests=prepared.digests,
-        notes=_notes(mounting, cutoffs),
+        notes=(*known_mass_notes(model), *_notes(mounting, cutoffs)),
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)

@@ -97,6 +97,7 @@ def test_the_robot_as_built_has_the_weighed_mass(arm, log, method):
     found = masses(result)
     assert found.sum() == pytest.approx(1.1 * cad, abs=0.0101)
     assert found[0] <= 0.9 * arm.links[0].inertia.mass * (1.0 + 1e-5)
+    assert any("7 links together" in note for note in result.notes)
     again = IdentificationResult.from_json(result.to_json())
     np.testing.assert_allclose(masses(again), found, rtol=1e-9)
 
