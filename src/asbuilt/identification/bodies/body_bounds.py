@@ -65,7 +65,9 @@ def non_negative_drives(prior: CadPrior) -> BodyBounds:
 
 def known_bounds(prior: CadPrior) -> BodyBounds:
     """Return the bounds of masses that are known beside CAD, as from a scale."""
-    rows, offsets, labels = [], [], []
+    rows: list[Array] = []
+    offsets: list[float] = []
+    labels: list[str] = []
     for links, lower, upper in prior.mass_ranges:
         row = np.zeros(len(prior.parameters))
         row[[10 * link + 9 for link in links]] = 1.0
