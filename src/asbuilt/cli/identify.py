@@ -303,7 +303,8 @@ def payload(
             metavar="7%|P1,P2,...",
             help=(
                 "relative error of the torque per ampere, for all joints or each (default: 7% for"
-                " currents, 5% for motor torques, 0 for sensors)"
+                " currents, 5% for motor torques, 0 for sensors; more where gravity torques are"
+                " far from CAD's)"
             ),
         ),
     ] = None,

@@ -40,12 +40,30 @@ def drives(as_json: AsJson = False) -> None:
     answer(as_json, drives_document, drives_text)
 
 
-def show(robot: Robot, full: Full = False, as_json: AsJson = False) -> None:
-    """Show geometry, mass properties, limits and the physical consistency of every link."""
+def show(robot: RobotOrResult, full: Full = False, as_json: AsJson = False) -> None:
+    """Show geometry, mass properties, limits and the physical consistency of every link.
+
+    Of a result, those of the robot as built, masses of CAD beside them.
+    """
     from asbuilt.writers.tables.robot_tables import robot_document, robot_text
 
-    model = described_robot(robot)
-    answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
+    if Path(robot).suffix.lower() != ".json":
+        model = described_robot(robot)
+        answer(as_json, lambda: robot_document(model), lambda: robot_text(model, full))
+        return
+    from asbuilt.writers.models.as_built import as_built_model
+    from asbuilt.writers.tables.mass_table import exported_masses, mass_table
+
+    result = read_result(Path(robot))
+    model, masses = as_built_model(result), exported_masses(result)
+    answer(
+        as_json,
+        lambda: robot_document(model) | {"mass": None if masses is None else masses.as_dict()},
+        lambda: (
+            ("" if masses is None else mass_table(masses).as_text(full) + "\n")
+            + robot_text(model, full)
+        ),
+    )
 
 
 def base(robot: Robot, drive: Drive = "none", full: Full = False, as_json: AsJson = False) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,6 +11,11 @@ from numpy.typing import ArrayLike
 
 from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.identification.bodies.known_masses import (
+    link_masses_from_text,
+    total_mass_from_text,
+    with_known_masses,
+)
 from asbuilt.identification.errors.error_basis import ERROR_KINDS, ErrorKind
 from asbuilt.identification.estimators.methods import methods
 
@@ -71,6 +77,12 @@ class StudyOptions:
         Directions that no motion excites stay at CAD and are named, or are refused.
     mounting
         Gravity points as described, or its direction is identified too.
+    total_mass
+        Limits of the mass of all moving links [kg], or text such as "18.6+-0.1" or
+        "24.2+-0.1,root=5.6"; fit and export keep them.
+    link_mass
+        Limits of the masses of single moving links [kg] by name, or text such as
+        "hand=0.7+-0.05,link_1<=4"; fit and export keep them.
     errors
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
@@ -112,6 +124,18 @@ class StudyOptions:
         "direction of gravity: cad (as described) or estimate",
         choices={"cad": "as_described", "estimate": "estimate"},
     )
+    total_mass: tuple[float, float] | str | None = _option(
+        None,
+        "KG+-KG[,root=KG]",
+        "mass of all moving links, from a scale; with root=KG less that of the root link",
+        parse=total_mass_from_text,
+    )
+    link_mass: Mapping[str, tuple[float, float]] | str | None = _option(
+        None,
+        "NAME=KG+-KG,...",
+        "known masses of moving links: NAME=KG+-KG, NAME<=KG or NAME>=KG",
+        parse=link_masses_from_text,
+    )
     errors: ErrorKind = _option(
         "blocks",
         "KIND",
@@ -127,6 +151,17 @@ class StudyOptions:
         _check_rule(self.holdout)
         if isinstance(self.drive, str):
             object.__setattr__(self, "drive", _drive(self.drive))
+        if isinstance(self.total_mass, str):
+            object.__setattr__(self, "total_mass", total_mass_from_text(self.total_mass))
+        if isinstance(self.link_mass, str):
+            object.__setattr__(self, "link_mass", link_masses_from_text(self.link_mass))
+
+    def with_known_masses(self, model: RobotModel) -> RobotModel:
+        """Return a robot with the known masses; raises `UsageError` if it has no such links."""
+        total, links = self.total_mass, self.link_mass or {}
+        if isinstance(total, str) or isinstance(links, str):  # parsed in `__post_init__`
+            return model
+        return with_known_masses(model, total, links)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,7 +195,7 @@ class PayloadOptions:
         The arm is refined with the payload, held by the result, or frozen.
     gain_uncertainty
         Relative error of the torque per ampere, for all joints or each; None: 7 % for currents, 5 %
-        for motor torques, 0 for sensors.
+        for motor torques whose gravity torques agree with CAD's, else 10 % and more, 0 for sensors.
     chain
         The signal chain; what it leaves open is chosen from the loaded recordings.
     holdout

@@ -20,7 +20,8 @@ from asbuilt.experiment.quality.checks import RecordingCheck
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.findings import Cure, Finding, ranked
+from asbuilt.findings import Cure, Finding
+from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
 from asbuilt.identification.identify import Fit, fit_samples
@@ -32,6 +33,7 @@ from asbuilt.identification.result.result import IdentificationResult, stored_do
 from asbuilt.identification.result.summary import Summary, summarise
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
+from asbuilt.validation.generalisation.consolidation import consolidated
 from asbuilt.validation.generalisation.generalisation import (
     repetition_findings,
     validation_findings,
@@ -179,6 +181,7 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    model = options.with_known_masses(model)
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -248,7 +251,7 @@ def _concluded(
         holdout=prepared.holdout,
         digests=prepared.digests,
         delay=prepared.delay,
-        notes=_notes(mounting, cutoffs),
+        notes=(*known_mass_notes(model), *_notes(mounting, cutoffs)),
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -274,7 +277,7 @@ def _concluded(
     )
     report("compare", 1.0)
     return Study(
-        result, ranked(findings), prepared.checks, trained, validations, cutoffs, attribution
+        result, consolidated(findings), prepared.checks, trained, validations, cutoffs, attribution
     )
 
 

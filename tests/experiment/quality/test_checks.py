@@ -57,6 +57,18 @@ def test_no_false_alarm(name: str, seed: int) -> None:
     check.raise_errors()
 
 
+def test_noise_of_joints_at_rest_is_no_velocity(iiwa: RobotModel, clean: Recording) -> None:
+    """Encoder noise of 1e-5 rad and independent noise of the velocities, on all joints but two."""
+    rng = np.random.default_rng(0)
+    q, qd = clean.q.copy(), np.gradient(clean.q, clean.t, axis=0)
+    q[:, 2:], qd[:, 2:] = clean.q[0, 2:], 0.0
+    q += 1e-5 * rng.normal(size=q.shape)
+    qd += 1e-3 * rng.normal(size=q.shape)
+    tau = inverse_dynamics(iiwa, q, qd, np.gradient(qd, clean.t, axis=0))
+    check = check_recording(iiwa, replace(clean, q=q, qd=qd, tau=tau))
+    assert not {code for code in check.codes if code.startswith("velocity_")}, check.as_text()
+
+
 def test_pinocchio_torques_pass_and_flipped_ones_do_not(shared: Path) -> None:
     pin = pytest.importorskip("pinocchio")
     path = shared / "models" / "lbrstack_med7.urdf"

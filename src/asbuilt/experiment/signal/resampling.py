@@ -125,7 +125,11 @@ def uniform_segments(
         target = _rounded(
             1.0 / float(np.median([np.median(np.diff(clock)) for clock, _ in clocks]))
         )
-    if ticks:
+    late = max(
+        float(np.max(np.abs(clock - recording.t[rows])))
+        for rows, (clock, _) in zip(segments, clocks, strict=True)
+    )
+    if ticks and late > JITTER / target:
         notes.append(
             "the time stamps jitter, but the positions are smoother on a uniform clock, which was"
             " used"

@@ -12,6 +12,7 @@ from asbuilt.findings import Cure
 from asbuilt.identification.calibration.payload import Payload
 from asbuilt.identification.drives.motor_side import gear_ratios, motor_side_parameters
 from asbuilt.identification.result.result import IdentificationResult
+from asbuilt.identification.result.summary import Summary
 from asbuilt.tables import wrapped
 from asbuilt.validation.prediction import Validation
 from asbuilt.workflow.study import Study
@@ -26,7 +27,7 @@ from asbuilt.writers.models.robot_toml import write_robot_toml
 from asbuilt.writers.models.urdf import write_urdf
 from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
-from asbuilt.writers.tables.mass_table import exported_masses
+from asbuilt.writers.tables.mass_table import ExportedMasses, exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
 from asbuilt.writers.tables.tabular import (
     identify_document,
@@ -61,9 +62,7 @@ def study_text(
     `cure_text` writes cures, for an interface that adds the names of its options.
     """
     masses = exported_masses(study.result)
-    parts = [
-        study.summary.with_mass(None if masses is None else masses.totals).as_text(full, cure_text)
-    ]
+    parts = [with_masses(study.summary, masses).as_text(full, cure_text)]
     if full and gear_ratios(study.result.model):
         parts.append(
             "Drives at the motor\n"
@@ -77,6 +76,14 @@ def study_text(
     if payload is not None:
         parts.append(payload_text(payload, full) if full else payload_table(payload).as_text())
     return "\n".join(parts)
+
+
+def with_masses(summary: Summary, masses: ExportedMasses | None) -> Summary:
+    """Return a summary with the masses of the links by CAD and as built."""
+    if masses is None:
+        return summary
+    links = tuple(zip(masses.names, masses.cad, masses.as_built, strict=True))
+    return summary.with_mass(masses.totals, links)
 
 
 def study_document(
