@@ -140,6 +140,7 @@ def sweep_cutoffs(
     recordings: Sequence[Recording],
     *,
     drive: DriveSet,
+    method: str = "auto",
     chain: SignalChain | None = None,
     holdout: str | None = None,
     cutoffs: Sequence[float] | None = None,
@@ -147,8 +148,10 @@ def sweep_cutoffs(
 ) -> CutoffSweep:
     """Choose the lowest cutoff whose held-out error is within 2 % of the smallest.
 
-    Each cutoff is tried with weighted least squares. The error is against the torque as recorded,
-    since the error in the band of the filter falls with the cutoff whatever the model.
+    Each cutoff is tried with the estimator that will be used: what a plain fit makes of directions
+    that the motion hardly excites changes at random from cutoff to cutoff. The error is against the
+    torque as recorded, since the error in the band of the filter falls with the cutoff whatever the
+    model.
 
     Parameters
     ----------
@@ -158,6 +161,8 @@ def sweep_cutoffs(
         Recordings to identify from.
     drive
         Drive terms.
+    method
+        The estimator, a key of `methods`.
     chain
         The signal chain; its cutoff is replaced.
     holdout
@@ -189,7 +194,7 @@ def sweep_cutoffs(
         at = replace(start, cutoff=cutoff, parallel_cutoff=None)
         try:
             training, held_out = divided(recordings, at, rule)
-            result = identify_samples(model, training, base=base)
+            result = identify_samples(model, training, base=base, method=method)
             judged = [validate_samples(result, held) for held in held_out]
         except AsbuiltError as problem:
             last = problem

@@ -23,6 +23,7 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, ranked
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
+from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.as_built_parameters import mass_findings
@@ -266,6 +267,12 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *position_noise_findings(
+            result,
+            training,
+            [check.position_noise for check in prepared.checks],
+            prepared.chain.cutoff if prepared.chain else None,
+        ),
         *mass_findings(result),
     )
     report("compare", 1.0)
@@ -358,5 +365,11 @@ def _swept(
         else usual_drive(model, recordings[0].torque_source)
     )
     return sweep_cutoffs(
-        model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report
+        model,
+        recordings,
+        drive=drive,
+        method=options.method,
+        chain=chain,
+        holdout=options.holdout,
+        progress=report,
     )
