@@ -53,5 +53,3 @@ def test_noise_of_positions_is_no_motion(rate, noise):
     )
     q = q + noise * np.random.default_rng(0).normal(size=q.shape)
     assert motion_bandwidth([q], rate) == pytest.approx(2.0, abs=0.11)
-    chain = resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q))
-    assert chain.cutoff == pytest.approx(min(20.0, 0.2 * rate), abs=1.1)

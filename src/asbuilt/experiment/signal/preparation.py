@@ -34,7 +34,7 @@ def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> q = np.sin(2.0 * np.pi * 0.5 * t)[:, None]
     >>> round(resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q)).cutoff, 2)
-    7.5
+    7.0
     """
     chains = [
         _resolved(chain, *uniform_segments(recording, chain.rate, chain.max_gap)[:2])[0]

@@ -63,7 +63,7 @@ def position_noise_bias(
             )
             weighted = rows * np.tile(weights, len(q))[:, None]
             normal += variance[k] * len(samples.q) / total * (rows.T @ weighted) / len(q)
-    values = np.array([parameter.value for parameter in result.parameters])
+    values = np.array([parameter.estimate for parameter in result.parameters])
     return np.asarray(
         -result.textbook_covariance @ (result.n_samples * normal) @ values, dtype=np.float64
     )

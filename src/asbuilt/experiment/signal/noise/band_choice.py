@@ -11,7 +11,7 @@ from asbuilt.experiment.signal.resampling import UniformSegment
 
 POSITION_BANDWIDTHS = 10.0
 """Default position cutoff, in bandwidths of the motion."""
-LOWEST_CUTOFF = 7.5
+LOWEST_CUTOFF = 7.0
 """Lowest default cutoff [Hz] where noise of the positions does not demand a lower one.
 
 Friction changes sign within a tenth of a second. Settled on the UR10e, where the held-out error
