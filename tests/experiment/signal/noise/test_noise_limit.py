@@ -73,10 +73,11 @@ def test_a_good_velocity_is_used_in_place_of_coarse_positions():
 def test_noise_is_told_from_motion_by_torque():
     """Two joints with one and the same motion; torque shows whose fast part is real."""
     rng, t = np.random.default_rng(0), np.arange(0.0, 60.0, 0.005)
-    slow, fast = (np.sin(2 * np.pi * f * t) for f in (0.4, 12.0))
-    q = np.column_stack([slow + 0.002 * fast] * 2)
-    acceleration = -(0.8 * np.pi) ** 2 * slow
-    tau = np.column_stack([acceleration, acceleration - 0.002 * (24 * np.pi) ** 2 * fast])
+    slow = np.sin(0.8 * np.pi * t) + 0.3 * np.sin(1.4 * np.pi * t)
+    fast = 0.0007 * np.sin(24.0 * np.pi * t)
+    q = np.column_stack([slow + fast] * 2)
+    acceleration = np.gradient(np.gradient(slow, 0.005), 0.005)
+    tau = np.column_stack([acceleration, acceleration - (24.0 * np.pi) ** 2 * fast])
     limit = noise_limit([(q, tau + 1e-3 * rng.standard_normal(tau.shape))], 200.0)
     assert limit is not None
     at = np.searchsorted(limit.frequency, [8.0, 16.0])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from asbuilt.experiment.signal.bandwidth import motion_bandwidth
 from asbuilt.experiment.signal.noise.noise_limit import NoiseLimit, noise_limit
 from asbuilt.experiment.signal.resampling import UniformSegment
@@ -53,7 +55,13 @@ def choose_band(
 
     With `of_velocity` the noise is that of the logged velocities, from which accelerations follow.
     """
-    bandwidth = motion_bandwidth([segment.q for segment in segments], rate)
+    moved = [
+        np.cumsum(segment.qd, axis=0) / rate
+        if of_velocity and segment.qd is not None
+        else segment.q
+        for segment in segments
+    ]
+    bandwidth = motion_bandwidth(moved, rate)
     wanted = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)
     logged = [(segment.qd if of_velocity else segment.q, segment.tau) for segment in segments]
     noise = noise_limit(

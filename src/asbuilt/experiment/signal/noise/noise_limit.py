@@ -22,8 +22,9 @@ LOWEST = 3.0
 """Lowest cutoff [Hz] that noise leads to: friction changes sign within a fraction of a second."""
 WINDOW = 10.0
 """Length of the averaged spectra's windows [s]."""
-MOVING = 0.02
-"""Share of a joint's largest acceleration spectrum from which a frequency is one of its motion,"""
+MOVING, FAST = 0.02, 1e-3
+"""Shares of a joint's largest acceleration and velocity spectrum from which a frequency is one of
+its motion,"""
 ABOVE_NOISE = 100.0
 """and multiple of the position's noise that its spectrum exceeds there."""
 QUANTILE = 0.25
@@ -154,7 +155,10 @@ def _squared_inertia(
     edges = np.geomspace(1.0, frequency[-1], BANDS + 1)
     bands = [(frequency >= a) & (frequency < b) for a, b in zip(edges, edges[1:], strict=False)]
     noise = np.median([np.median(position[band], axis=0) for band in bands if band.any()], axis=0)
-    clear = np.where(position > ABOVE_NOISE * noise, acceleration, 0.0)
+    velocity = (2.0 * np.pi * frequency[:, None]) ** 2 * position
+    clear = position > ABOVE_NOISE * noise
+    clear &= velocity > FAST * velocity.max(axis=0)
+    clear = np.where(clear, acceleration, 0.0)
     moving = (clear > MOVING * clear.max(axis=0)) & (clear > 0.0)
     found = np.zeros(position.shape[1])
     for k in np.flatnonzero(moving.any(axis=0)):
