@@ -68,7 +68,7 @@ def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterato
         by_steps = f", whose positions change in {steps[worst]}" if steps[worst] else ""
         yield Finding(
             "band_limited_by_noise",
-            "warning",
+            "warning" if steps[worst] else "info",
             f"Noise of the positions, not the motion, limits the low-pass to {band.cutoff:.2g} Hz,"
             f" most of all that of {model.joint_names[worst]}{by_steps}; faster parts of the motion"
             " determine nothing",

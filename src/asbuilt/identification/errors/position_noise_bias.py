@@ -27,16 +27,13 @@ MOST_NAMED = 3
 """Parameters named in the message."""
 
 
-def acceleration_noise(density: Array, cutoff: float) -> Array:
-    """Return the variance of the accelerations (n,) from the noise of low-passed positions.
+def acceleration_noise(density: Array, band: float) -> Array:
+    """Return the variance of the accelerations (n,) below `band` [Hz] by noise of the positions.
 
-    `density` (n,) is the spectrum of the noise [rad^2/Hz] about the `cutoff` [Hz]; positions and
-    then regressor columns pass a low-pass of fourth order forwards and backwards.
+    `density` (n,) is the spectrum of the noise [rad^2/Hz]; the integral of (2 pi f)^4 over the band
+    is (2 pi)^4 band^5 / 5.
     """
-    f = np.linspace(0.0, 3.0, 601)
-    gain = 1.0 / (1.0 + (np.sqrt(2.0) - 1.0) * f**8) ** 2
-    power = np.trapezoid((2.0 * np.pi * f) ** 4 * gain**2, f)
-    return np.asarray(density * power * cutoff**5, dtype=np.float64)
+    return np.asarray(density * (2.0 * np.pi) ** 4 * band**5 / 5.0, dtype=np.float64)
 
 
 def position_noise_bias(
@@ -83,8 +80,10 @@ def position_noise_findings(
     if cutoff is None or len(densities) < len(training):
         return ()
     noise = [
-        acceleration_noise(np.array(each), cutoff) if len(each) == n else np.zeros(n)
-        for each in densities[: len(training)]
+        acceleration_noise(np.array(each), samples.parallel.cutoff if samples.parallel else cutoff)
+        if len(each) == n
+        else np.zeros(n)
+        for samples, each in zip(training, densities, strict=False)
     ]
     if not np.any(noise):
         return ()
