@@ -206,7 +206,7 @@ def sweep_cutoffs(
             result = identify_samples(model, training, base=base, method=method)
             judged = [validate_samples(result, held) for held in held_out]
             if min(item.t.size for item in judged) < FEWEST:
-                raise RecordingError("the low-pass leaves too few samples to validate")  # noqa: TRY301
+                raise RecordingError("the low-pass leaves too few samples to validate")
         except AsbuiltError as problem:
             last = problem
             continue

@@ -1,10 +1,7 @@
 import numpy as np
 import pytest
 
-from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.bandwidth import motion_bandwidth
-from asbuilt.experiment.signal.preparation import resolve_chain
-from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.experiment.signal.velocity_choice import compare_velocities
 
 T = np.arange(0, 40, 0.01)

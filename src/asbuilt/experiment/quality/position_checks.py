@@ -77,7 +77,10 @@ def position_findings(model: RobotModel, noise: PositionNoise | None) -> Iterato
     for k, text in enumerate(steps):
         if text:
             yield Finding(
-                "coarse_positions", "info", f"positions change in {text}", joint=model.joint_names[k]
+                "coarse_positions",
+                "info",
+                f"positions change in {text}",
+                joint=model.joint_names[k],
             )
 
 

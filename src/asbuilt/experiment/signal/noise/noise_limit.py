@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy import signal
@@ -153,7 +154,7 @@ def _squared_inertia(
 ) -> Array:
     """Return torque over acceleration, squared (n,), at frequencies of the motion."""
     edges = np.geomspace(1.0, frequency[-1], BANDS + 1)
-    bands = [(frequency >= a) & (frequency < b) for a, b in zip(edges, edges[1:], strict=False)]
+    bands = [(frequency >= a) & (frequency < b) for a, b in pairwise(edges)]
     noise = np.median([np.median(position[band], axis=0) for band in bands if band.any()], axis=0)
     velocity = (2.0 * np.pi * frequency[:, None]) ** 2 * position
     clear = position > ABOVE_NOISE * noise
