@@ -183,4 +183,4 @@ def _expected_errors(
     power = np.maximum(power, np.finfo(np.float64).tiny)
     rest = np.maximum(power - useful.sum(axis=0) * width, 0.0)
     errors = (rest + lost + np.cumsum(excess, axis=0) * width) / power
-    return np.maximum(errors, MODEL_ERROR**2)
+    return np.asarray(np.maximum(errors, MODEL_ERROR**2), dtype=np.float64)
