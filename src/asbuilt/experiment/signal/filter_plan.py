@@ -39,6 +39,8 @@ PARALLEL_IN_CUTOFFS = 0.5
 There the low-pass of the positions, which the torque does not pass, is within 0.2 % of 1; at its
 own cutoff it takes 30 % of the accelerations, and inertias would grow by as much to make up.
 """
+LOWEST_PARALLEL = 3.0
+"""Default cutoff of the parallel filter [Hz] below which friction and rests of the motion go."""
 OUTPUT_RATE_IN_CUTOFFS = 4.0
 """Default rate after the parallel filter, in its cutoffs."""
 EXACT = 1e-12
@@ -90,7 +92,8 @@ class FilterPlan:
         if not chain.parallel:
             return cls(chain, rate, total or 1, None, None, margin, exact)
         low = chain.parallel_cutoff or min(
-            PARALLEL_IN_CUTOFFS * cutoff, 0.5 * rate / STOP_BAND_EDGE
+            max(PARALLEL_IN_CUTOFFS * cutoff, min(LOWEST_PARALLEL, cutoff)),
+            0.5 * rate / STOP_BAND_EDGE,
         )
         thinning = max(1, int(rate / max(LOWEST_RATE, RATE_IN_CUTOFFS * cutoff) + 1e-9))
         if total is not None:
