@@ -24,6 +24,7 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.identification.bodies.known_masses import known_mass_notes
 from asbuilt.identification.calibration.mounting import Mounting, find_mounting
 from asbuilt.identification.drives.drive_choice import DriveChoice, settle_drive
+from asbuilt.identification.errors.position_noise_bias import position_noise_findings
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.information.cause_data import CauseData, gather_cause_data
 from asbuilt.identification.result.as_built_parameters import mass_findings
@@ -273,6 +274,12 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *position_noise_findings(
+            result,
+            training,
+            [check.position_noise for check in prepared.checks],
+            prepared.chain.cutoff if prepared.chain else None,
+        ),
         *mass_findings(result),
     )
     report("compare", 1.0)
@@ -365,5 +372,11 @@ def _swept(
         else usual_drive(model, recordings[0].torque_source)
     )
     return sweep_cutoffs(
-        model, recordings, drive=drive, chain=chain, holdout=options.holdout, progress=report
+        model,
+        recordings,
+        drive=drive,
+        method=options.method,
+        chain=chain,
+        holdout=options.holdout,
+        progress=report,
     )

@@ -10,10 +10,10 @@ import numpy as np
 
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
-from asbuilt.experiment.signal.bandwidth import motion_bandwidth
 from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.filter_plan import FilterPlan, SegmentArrays
 from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
+from asbuilt.experiment.signal.noise.band_choice import choose_band
 from asbuilt.experiment.signal.resampling import (
     SHORTEST,
     UniformSegment,
@@ -26,14 +26,8 @@ from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
 from asbuilt.experiment.signal.velocity_choice import VelocityVerdict, compare_velocities
 from asbuilt.findings import Cure
 
-POSITION_BANDWIDTHS = 10.0
-"""Default position cutoff, in bandwidths of the motion."""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
-LOWEST_CUTOFF = 3.0
-"""Lowest default cutoff [Hz]: friction changes sign within a fraction of a second."""
-HIGHEST_CUTOFF = 0.2
-"""Highest default cutoff, as a share of the sampling rate."""
 
 
 def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
@@ -45,7 +39,7 @@ def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
     >>> t = np.arange(0.0, 20.0, 0.01)
     >>> q = np.sin(2.0 * np.pi * 0.5 * t)[:, None]
     >>> round(resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q)).cutoff, 2)
-    5.5
+    7.0
     """
     chains = [
         _resolved(chain, *uniform_segments(recording, chain.rate, chain.max_gap)[:2])[0]
@@ -223,14 +217,10 @@ def _resolved(
             value=chain.cutoff,
             lower=0.1 / longest,
         )
+    band = None
     if chain.cutoff is None:
-        bandwidth = motion_bandwidth([segment.q for segment in segments], rate)
-        cutoff = min(max(POSITION_BANDWIDTHS * bandwidth, LOWEST_CUTOFF), HIGHEST_CUTOFF * rate)
-        chain = replace(chain, cutoff=cutoff)
-        notes.append(
-            f"95 % of the velocity's power lies below {bandwidth:.3g} Hz; positions are kept up to"
-            f" {cutoff:.3g} Hz"
-        )
+        band = choose_band(segments, rate)
+        chain = replace(chain, cutoff=band.cutoff)
     if chain.velocity == "auto":
         verdict = _velocity_verdict(chain, segments, rate)
         chain = replace(
@@ -243,6 +233,11 @@ def _resolved(
             " sample",
             cure=Cure("let the chain choose", settings={"velocity": "auto"}),
         )
+    if band is not None:
+        if chain.velocity == "measured":
+            band = choose_band(segments, rate, of_velocity=True)
+            chain = replace(chain, cutoff=band.cutoff)
+        notes.insert(0, str(band))
     if chain.standstill is None and not chain.rests:
         plan = FilterPlan.of(chain, rate)
         fitting = [segment for segment in segments if plan.fits(segment)]

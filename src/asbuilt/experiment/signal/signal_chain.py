@@ -25,7 +25,7 @@ class SignalChain:
     cutoff
         Cutoff [Hz] of the low-pass of the positions, a Butterworth filter forwards and backwards.
     parallel_cutoff
-        Cutoff [Hz] of the parallel filter, by default `cutoff`.
+        Cutoff [Hz] of the parallel filter, by default half of `cutoff`.
     decimate
         Number of logged samples per row in the end.
     rate
