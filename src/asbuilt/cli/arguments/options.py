@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -168,11 +168,13 @@ class Filtering:
         )
 
 
-def delay_of(text: str) -> float | tuple[float, ...] | str | None:
+def delay_of(text: str) -> float | tuple[float, ...] | Literal["auto"] | None:
     """Return a delay as a signal chain takes it; raises `UsageError` on anything else."""
     word = text.strip().lower()
-    if word in ("auto", "none"):
-        return word if word == "auto" else None
+    if word == "auto":
+        return "auto"
+    if word == "none":
+        return None
     try:
         values = number_list("--delay", text)
     except UsageError:

@@ -117,9 +117,14 @@ class RecordingStream:
             f"read in chunks of {self.chunk_samples} samples; checked and its filters chosen on"
             f" the first {HEAD}"
         )
+        t, q, qd, qdd, tau, tau_raw = (columns[name][: bounds[-1]] for name in COLUMNS)
         return Samples(
-            *(columns[name][: bounds[-1]] for name in COLUMNS[:-1]),
-            tau_raw=columns["tau_raw"][: bounds[-1]],
+            t,
+            q,
+            qd,
+            qdd,
+            tau,
+            tau_raw=tau_raw,
             rate=first.rate,
             joint_names=first.joint_names,
             segments=tuple(pairwise(bounds)),

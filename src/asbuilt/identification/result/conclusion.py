@@ -129,7 +129,11 @@ def conclude(
         free=(
             None
             if estimate.method == "wls"
-            else free_values(information, design, sum(further_errors) if further_errors else None)
+            else free_values(
+                information,
+                design,
+                np.sum(further_errors, axis=0) if further_errors else None,
+            )
         ),
         **({"provenance": ()} | further),
     )
