@@ -134,6 +134,14 @@ class Filtering:
         int | None,
         typer.Option("--decimate", metavar="N", help="keep every Nth sample after filtering"),
     ] = None
+    max_gap: Annotated[
+        float | None,
+        typer.Option(
+            "--max-gap",
+            metavar="SECONDS",
+            help="longest pause that is bridged (default: what the low-pass does not resolve)",
+        ),
+    ] = None
     delay: Annotated[
         str | None,
         typer.Option(
@@ -164,6 +172,9 @@ class Filtering:
             chain,
             cutoff=cutoff,
             decimate=chain.decimate if self.decimate is None else self.decimate,
+            max_gap=chain.max_gap
+            if self.max_gap is None
+            else positive_number("--max-gap", str(self.max_gap)),
             delay=chain.delay if self.delay is None else delay_of(self.delay),
         )
 

@@ -26,6 +26,10 @@ from asbuilt.experiment.signal.standstill import PAUSE, standstill_speeds
 from asbuilt.experiment.signal.velocity_choice import VelocityVerdict, compare_velocities
 from asbuilt.findings import Cure
 
+UNRESOLVED = 0.25
+"""Longest pause that is bridged, in periods of the cutoff: there a sine at the cutoff turns by a
+quarter.
+"""
 SLOWEST_RATE = 1.0
 """Lowest rate [Hz] at which velocities can be derived; slower clocks count in another unit."""
 
@@ -41,10 +45,7 @@ def resolve_chain(chain: SignalChain, *recordings: Recording) -> SignalChain:
     >>> round(resolve_chain(SignalChain(), Recording(t=t, q=q, tau=q)).cutoff, 2)
     7.0
     """
-    chains = [
-        _resolved(chain, *uniform_segments(recording, chain.rate, chain.max_gap)[:2])[0]
-        for recording in recordings
-    ]
+    chains = [_resolved(chain, *_segments(recording, chain)[:2])[0] for recording in recordings]
     return replace(max(chains, key=lambda each: each.cutoff or 0.0), velocity=chain.velocity)
 
 
@@ -79,8 +80,11 @@ def prepare_samples(recording: Recording, chain: SignalChain | None = None) -> S
     (100.0, 1)
     """
     chain = chain or SignalChain()
-    segments, rate, notes = uniform_segments(recording, chain.rate, chain.max_gap)
+    segments, rate, notes = _segments(recording, chain)
+    is_open = chain.cutoff is None
     chain, chosen = _resolved(chain, segments, rate)
+    if is_open:
+        segments, rate, notes = _segments(recording, chain)
     plan, origin = FilterPlan.of(chain, rate), float(segments[0].t[0])
     segments = _advanced(segments, chain, rate)
     parts = [
@@ -154,9 +158,7 @@ def stream_samples(
         held = joined
         if joined.n_samples < SHORTEST and more:
             continue
-        segments, rate, notes = uniform_segments(
-            joined, plan.rate if plan else chain.rate, chain.max_gap
-        )
+        segments, rate, notes = _segments(joined, chain, plan.rate if plan else None)
         if plan is None:
             chain, chosen = _resolved(chain, segments, rate)
             plan = FilterPlan.of(chain, rate)
@@ -194,6 +196,14 @@ def stream_samples(
             )
             if samples.n_filtered:
                 yield samples
+
+
+def _segments(
+    recording: Recording, chain: SignalChain, rate: float | None = None
+) -> tuple[list[UniformSegment], float, tuple[str, ...]]:
+    """Return uniform segments; pauses that the filter does not resolve do not divide them."""
+    resolved = 0.0 if chain.cutoff is None else UNRESOLVED / chain.cutoff
+    return uniform_segments(recording, rate or chain.rate, chain.max_gap, resolved)
 
 
 def _resolved(

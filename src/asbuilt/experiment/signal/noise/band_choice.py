@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from asbuilt.experiment.signal.bandwidth import motion_bandwidth
+from asbuilt.experiment.signal.noise.bandwidth import motion_bandwidth
 from asbuilt.experiment.signal.noise.noise_limit import NoiseLimit, noise_limit
 from asbuilt.experiment.signal.resampling import UniformSegment
 
