@@ -11,6 +11,7 @@ import pytest
 from asbuilt.arrays import Array
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import RobotModel
+from asbuilt.excitation.motions.motion import Trajectory
 from asbuilt.excitation.motions.random_motion import random_fourier
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
@@ -21,18 +22,22 @@ from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import identify
 
 RATE = 200.0
+LONGEST = 15.0
+"""Duration [s] of every motion, of which a recording is the beginning; sets how fast it is."""
+STEP = 1e-4
+"""Resolution of the encoders [rad]."""
 NOISE = 0.1
 """Standard deviation of the torque noise [N m]."""
 
 
 @dataclass(frozen=True)
 class WatchedRobot:
-    """The robot that moves, its result, two quiet recordings, thresholds set on the second."""
+    """The robot that moves, its result, a recording it was identified from, quiet ones, and thresholds."""
 
     robot: VirtualRobot
     result: IdentificationResult
     trained: Recording
-    quiet: Recording
+    quiet: tuple[Recording, ...]
     thresholds: Thresholds
 
     @property
@@ -47,12 +52,14 @@ def recorded(
     robot: VirtualRobot, seed: int, duration: float, external: Array | None = None
 ) -> Recording:
     """Record a motion, with an external torque (N, n) or (n,) on the joints."""
-    moved = random_fourier(robot.model, rng=seed, duration=duration).sample(RATE)
+    whole = random_fourier(robot.model, rng=seed, duration=LONGEST).sample(RATE)
+    kept = whole.t <= duration
+    moved = Trajectory(*(x[kept] for x in (whole.t, whole.q, whole.qd, whole.qdd)))
     noise = NOISE * np.random.default_rng(seed).normal(size=moved.q.shape)
     torque = robot.exact_torque(moved.q, moved.qd, moved.qdd)
     return Recording(
         t=moved.t,
-        q=moved.q,
+        q=np.round(moved.q / STEP) * STEP,
         qd=moved.qd,
         tau=torque + noise - (0.0 if external is None else external),
         joint_names=robot.model.joint_names,
@@ -68,11 +75,11 @@ def watched_robot() -> WatchedRobot:
     trained = recorded(robot, 1, 15.0)
     options = StudyOptions(drive="armature,viscous,coulomb,offset", method="wls")
     result = identify(robot.described, trained, options=replace(options, holdout=None)).result
-    quiet = recorded(robot, 2, 60.0)
+    quiet = tuple(recorded(robot, seed, LONGEST) for seed in (2, 3, 4, 5))
     observer = Observer(result)
-    seen = observer.observe(quiet.t, quiet.q, quiet.tau, quiet.qd)
+    seen = [observer.observe(log.t, log.q, log.tau, log.qd) for log in quiet]
     thresholds = set_thresholds(
-        [seen], observer.model_error, result.model.joint_names, bandwidth=observer.bandwidth
+        seen, observer.model_error, result.model.joint_names, bandwidth=observer.bandwidth
     )
     return WatchedRobot(robot, result, trained, quiet, thresholds)
 

@@ -51,7 +51,7 @@ def compiled(watched: WatchedRobot, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_observer_in_c_is_that_in_python(watched: WatchedRobot, compiled: Compiled) -> None:
-    log, n = watched.quiet, watched.model.n_joints
+    log, n = watched.quiet[0], watched.model.n_joints
     observer = Observer(watched.result, thresholds=watched.thresholds)
     state = np.zeros(6 * n + 1)
     compiled.call("observer_restart", pointer(state))

@@ -49,6 +49,8 @@ class Thresholds:
         The tail of each joint's block maxima.
     held_out
         Whether the levels were set on recordings other than the one watched.
+    filtered
+        Whether velocities came from the causal filter and not from the log.
     """
 
     joint_names: tuple[str, ...]
@@ -64,6 +66,7 @@ class Thresholds:
     top_speed: Array
     tails: tuple[Tail, ...] = ()
     held_out: bool = True
+    filtered: bool = False
 
     def check_joints(self, names: Sequence[str]) -> None:
         """Raise `UsageError` unless the thresholds belong to these joints."""
@@ -124,6 +127,7 @@ def set_thresholds(
     bandwidth: float,
     false_alarms_per_hour: float = 1.0,
     held_out: bool = True,
+    filtered: bool = False,
 ) -> Thresholds:
     """Set thresholds from residuals without contact.
 
@@ -147,6 +151,8 @@ def set_thresholds(
     held_out
         Whether the logs are free of contact. If not, the upper half of the blocks is ignored, and
         the tail is that of a Gumbel distribution through the rest.
+    filtered
+        Whether velocities came from the causal filter; they then must when watching.
 
     Raises
     ------
@@ -180,6 +186,7 @@ def set_thresholds(
             slow_speed=np.array([part[3] for part in parts]),
             top_speed=np.max([np.abs(log.qd).max(axis=0) for log in logs], axis=0),
             held_out=held_out,
+            filtered=filtered,
         )
         ratios = [np.abs(log.residual) / made.of_log(log, error)[0] for log in logs]
         if last:

@@ -36,8 +36,29 @@ def logged(recorded: Recorded) -> Recording | RecordingStream:
     return recorded
 
 
+def check_joints(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:
+    """Raise `RecordingError` for a log of other joints, or without measured torque."""
+    head, names = head_of(recorded), result.model.joint_names
+    if head.joint_names != names:
+        raise RecordingError(
+            f"{recorded.source} has the joints {', '.join(head.joint_names)}; the result is of"
+            f" {result.robot} with {', '.join(names)}",
+            cure=Cure("give a log of the robot that was identified"),
+            file=recorded.source,
+            value=list(head.joint_names),
+            expected=list(names),
+        )
+    if head.torque_source == "command":
+        raise RecordingError(
+            f"{recorded.source} has no measured torque, only commands of a position servo, from"
+            " which external torque does not follow",
+            cure=Cure("give a log with torque or current"),
+            file=recorded.source,
+        )
+
+
 def check_log(result: IdentificationResult, recorded: Recording | RecordingStream) -> None:
-    """Raise `RecordingError` for a log of other joints or of a wrong clock, unit or sign."""
+    """Raise `RecordingError` for a log of a wrong clock, unit or sign."""
     check_recording(result.model, head_of(recorded)).raise_errors(but=TOO_LITTLE)
 
 

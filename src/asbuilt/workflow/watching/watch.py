@@ -21,6 +21,7 @@ from asbuilt.monitoring.thresholds import Thresholds, set_thresholds
 from asbuilt.workflow.prepare import Progress, digest
 from asbuilt.workflow.study import Study
 from asbuilt.workflow.watching.observation import (
+    check_joints,
     check_log,
     held_out_part,
     logged,
@@ -83,6 +84,8 @@ def watch(
     quiet = [logged(each) for each in as_recordings(result.model, calibrate or [])]
     if thresholds is None:
         _check_covariance(result)
+    for each in (log, *quiet):
+        check_joints(result, each)
     if options.checked:
         report("check", 0.0)
         for each in (log, *quiet):
@@ -90,7 +93,12 @@ def watch(
     robot = result if options.model == "as_built" else result.model
     bandwidth = options.bandwidth if thresholds is None else thresholds.bandwidth
     observer = Observer(robot, bandwidth=bandwidth, thresholds=thresholds)
-    measured = all(uses_logged_velocities(each) for each in (log, *quiet))
+    measured = (
+        all(uses_logged_velocities(each) for each in (log, *quiet))
+        if thresholds is None
+        else not thresholds.filtered
+    )
+    _check_velocities(log, needed=measured)
     findings = _velocity_findings(log, measured=measured)
     if thresholds is None:
         report("thresholds", 0.0)
@@ -111,6 +119,15 @@ def _check_covariance(result: IdentificationResult) -> None:
             f"the result of {result.robot} has no covariance, so thresholds cannot follow the"
             " uncertainty of its model",
             cure=Cure("identify again"),
+        )
+
+
+def _check_velocities(log: Recording | RecordingStream, *, needed: bool) -> None:
+    if needed and head_of(log).qd is None:
+        raise RecordingError(
+            f"{log.source} has no velocities, but the thresholds were set with logged ones",
+            cure=Cure("log velocities, or set the thresholds again", {"calibrate": "LOG"}),
+            file=log.source,
         )
 
 
@@ -174,6 +191,7 @@ def _thresholds(
         bandwidth=observer.bandwidth,
         false_alarms_per_hour=options.false_alarms_per_hour,
         held_out=bool(quiet),
+        filtered=not measured,
     )
     if found.hours * 3600.0 < SHORT and quiet:
         findings.append(
