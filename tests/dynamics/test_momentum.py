@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from reload_oracle import two_armed
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.description.model import RobotModel
@@ -9,7 +10,6 @@ from asbuilt.dynamics.momentum import generalised_momentum, lagged
 from asbuilt.dynamics.newton_euler import coriolis_matrix, kinetic_energy, mass_matrix
 from asbuilt.errors import UsageError
 from example_identification import example_robot
-from reload_oracle import two_armed
 
 ROBOTS = (bundled_robot("kuka-iiwa7-r800"), example_robot("slides"), two_armed())
 
@@ -29,7 +29,9 @@ def test_gradient_is_that_of_kinetic_energy(model: RobotModel) -> None:
     q, qd = np.random.default_rng(1).normal(size=(2, model.n_joints))
     step = 1e-6
     slopes = [
-        float(kinetic_energy(model, q + step * unit, qd) - kinetic_energy(model, q - step * unit, qd))
+        float(
+            kinetic_energy(model, q + step * unit, qd) - kinetic_energy(model, q - step * unit, qd)
+        )
         / (2 * step)
         for unit in np.eye(model.n_joints)
     ]

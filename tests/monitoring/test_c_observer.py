@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from watched_robot import WatchedRobot
 
 from asbuilt.cli.app import main
 from asbuilt.dynamics.newton_euler import coriolis_torque
 from asbuilt.monitoring.observer import Observer
 from asbuilt.writers.models.c.observer_files import write_observer
 from asbuilt.writers.reports.study_files import write_result
+from watched_robot import WatchedRobot
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1")
 SAME = 1e-12

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from watched_robot import RATE, WatchedRobot, recorded
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import RecordingError, ResultError, UsageError
@@ -14,6 +13,7 @@ from asbuilt.monitoring.events import joined_events
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch import watch
 from asbuilt.workflow.watching.watched_log import WatchedLog
+from watched_robot import RATE, WatchedRobot, recorded
 
 UNCHECKED = WatchOptions(checked=False)
 
@@ -25,7 +25,9 @@ def found(watched: WatchedRobot, log: Recording) -> WatchedLog:
 def joined_recordings(logs: tuple[Recording, ...]) -> Recording:
     """Return recordings one after another, 2 s apart."""
     t = np.concatenate([log.t + 17.0 * k for k, log in enumerate(logs)])
-    columns = {name: np.concatenate([getattr(log, name) for log in logs]) for name in ("q", "tau", "qd")}
+    columns = {
+        name: np.concatenate([getattr(log, name) for log in logs]) for name in ("q", "tau", "qd")
+    }
     return replace(logs[0], t=t, **columns)
 
 

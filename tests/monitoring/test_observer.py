@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from watched_robot import RATE, WatchedRobot
 
 from asbuilt.description.catalogue import bundled_robot
 from asbuilt.dynamics.newton_euler import gravity_torque
@@ -12,6 +11,7 @@ from asbuilt.experiment.virtual.physics import Physics
 from asbuilt.experiment.virtual.virtual_robot import VirtualRobot
 from asbuilt.monitoring.contact import estimate_contact, frame_jacobian
 from asbuilt.monitoring.observer import Observer
+from watched_robot import RATE, WatchedRobot
 
 BANDWIDTH = 8.0
 GAIN = 2.0 * np.pi * BANDWIDTH
@@ -37,7 +37,9 @@ def test_lag_does_not_depend_on_the_clock() -> None:
     q, external = rng.normal(size=6), rng.normal(size=6)
     t = np.cumsum(rng.uniform(0.001, 0.08, 60))
     tau = np.tile(gravity_torque(model, q) - external, (60, 1))
-    seen = Observer(model, bandwidth=BANDWIDTH).observe(t, np.tile(q, (60, 1)), tau, np.zeros((60, 6)))
+    seen = Observer(model, bandwidth=BANDWIDTH).observe(
+        t, np.tile(q, (60, 1)), tau, np.zeros((60, 6))
+    )
     expected = np.outer(1.0 - np.exp(-GAIN * (t - t[0])), external)
     assert np.allclose(seen.residual, expected, rtol=0, atol=1e-10)
 
@@ -93,7 +95,9 @@ def test_force_of_another_engine_is_found_with_its_point() -> None:
     for k, t in enumerate(command.t):
         q, qd = physics.state
         tau = gravity_torque(model, q) + M @ (10.0 * (command.q[k] - q) + (command.qd[k] - qd))
-        here = frame_jacobian(model, q, link, np.block([[np.eye(3), pushed[:, None]], [0, 0, 0, 1]]))
+        here = frame_jacobian(
+            model, q, link, np.block([[np.eye(3), pushed[:, None]], [0, 0, 0, 1]])
+        )
         rows.append((t, q, qd, tau))
         body = physics._bodies[link]
         data = physics.data
@@ -107,9 +111,7 @@ def test_force_of_another_engine_is_found_with_its_point() -> None:
     seen = Observer(model, bandwidth=BANDWIDTH).observe(t, q, tau, qd)
     expected = here[3:].T @ force
     assert np.allclose(seen.residual[-1], expected, rtol=0, atol=0.05 * np.abs(expected).max())
-    contact = estimate_contact(
-        model, q[-1], seen.residual[-1], 0.01 * np.eye(7), link, np.eye(4)
-    )
+    contact = estimate_contact(model, q[-1], seen.residual[-1], 0.01 * np.eye(7), link, np.eye(4))
     turned = physics.data.xmat[physics._bodies[link]].reshape(3, 3)
     assert contact.point is not None
     along = force / np.linalg.norm(force)

@@ -73,7 +73,10 @@ def estimate_contact(
         return Contact(force, errors, p_value)
     point = _nearest_point(wrench)
     slopes = np.column_stack(
-        [(_nearest_point(wrench + STEP * size * unit) - point) / (STEP * size) for unit in np.eye(6)]
+        [
+            (_nearest_point(wrench + STEP * size * unit) - point) / (STEP * size)
+            for unit in np.eye(6)
+        ]
     )
     return Contact(force, errors, p_value, point, np.sqrt(np.diag(slopes @ error @ slopes.T)))
 

@@ -86,12 +86,7 @@ class Thresholds:
     def scale(self, qd: Array, slowness: Array, model: Array) -> Array:
         """Return the scale S, shape of `qd`, from lagged slowness and the model's error."""
         return np.asarray(
-            np.sqrt(
-                self.floor**2
-                + self.slow_part**2 * slowness
-                + (self.fast * qd) ** 2
-                + model**2
-            )
+            np.sqrt(self.floor**2 + self.slow_part**2 * slowness + (self.fast * qd) ** 2 + model**2)
         )
 
     def limit(self, qd: Array, slowness: Array, model: Array) -> Array:

@@ -11,10 +11,14 @@ from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, check_recording
 from asbuilt.experiment.recording import Recording
+from asbuilt.experiment.signal.differentiation import central_differences
 from asbuilt.experiment.signal.hold_out import Blocks, parse_rule
+from asbuilt.experiment.signal.lowpass import butterworth, settling_samples
 from asbuilt.experiment.signal.preparation import resolve_chain
+from asbuilt.experiment.signal.resampling import uniform_segments
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
+from asbuilt.experiment.signal.velocity_choice import compare_velocities
 from asbuilt.findings import Cure
 from asbuilt.identification.result.result import IdentificationResult
 from asbuilt.monitoring.observed import Observed
@@ -65,7 +69,19 @@ def check_log(result: IdentificationResult, recorded: Recording | RecordingStrea
 def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
     """Whether velocities are logged and agree with the derivative of positions."""
     head = head_of(recorded)
-    return head.qd is not None and resolve_chain(SignalChain(), head).velocity == "measured"
+    if head.qd is None:
+        return False
+    cutoff = resolve_chain(SignalChain(), head).cutoff or 0.0
+    segments, rate, _ = uniform_segments(head)
+    pairs = []
+    for segment in segments:
+        if segment.qd is None:
+            return False
+        if segment.t.size > 2 * settling_samples(cutoff, rate):
+            derived = central_differences(segment.q, rate)
+            smooth = [butterworth(x, cutoff=cutoff, rate=rate) for x in (derived, segment.qd)]
+            pairs.append((*smooth, derived, segment.qd))
+    return bool(pairs) and compare_velocities(pairs, rate).helps
 
 
 def observed_parts(

@@ -131,9 +131,7 @@ def _check_velocities(log: Recording | RecordingStream, *, needed: bool) -> None
         )
 
 
-def _velocity_findings(
-    log: Recording | RecordingStream, *, measured: bool
-) -> list[Finding]:
+def _velocity_findings(log: Recording | RecordingStream, *, measured: bool) -> list[Finding]:
     if measured:
         return []
     why = "lag behind the positions or are noisy" if head_of(log).qd is not None else "are missing"

@@ -96,7 +96,8 @@ class WatchedLog:
     def sentences(self) -> tuple[str, ...]:
         """Return log, thresholds and verdict as sentences."""
         thresholds = self.thresholds
-        expected = thresholds.false_alarms_per_hour * self.seconds / 3600.0
+        rate = thresholds.false_alarms_per_hour
+        expected = rate * self.seconds / 3600.0
         model = "as built" if self.model == "as_built" else "as described (CAD)"
         kinds = [event.kind for event in self.events]
         counts = ", ".join(
@@ -109,9 +110,9 @@ class WatchedLog:
             if kind in kinds
         )
         return (
-            f"{self.source}: {self.n_samples} samples, {_span(self.seconds)}, watched with the"
+            f"{self.robot}, {shortened(self.source, 60)}: {self.n_samples} samples, {_span(self.seconds)}, watched with the"
             f" model {model}.",
-            f"Thresholds for {thresholds.false_alarms_per_hour:g} false alarms per hour"
+            f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
             f" ({significant(expected, 2)} expected in this log), from"
             f" {_span(3600.0 * thresholds.hours)}"
             + (" without contact." if thresholds.held_out else " of this log itself."),
@@ -124,10 +125,10 @@ class WatchedLog:
             Column("start", "s", "decimal"),
             Column("lasts", "s", "decimal"),
             Column("what", width=8),
-            Column("at or beyond", width=18),
-            Column("joint", width=14),
+            Column("at or beyond", width=14),
+            Column("joint", width=13),
             Column("torque", align="decimal"),
-            Column("threshold", align="decimal"),
+            Column("limit", align="decimal"),
             Column("force", "N", width=12),
             Column("x", "N", detail=True),
             Column("y", "N", detail=True),
@@ -138,7 +139,7 @@ class WatchedLog:
             columns,
             tuple(self._row(event) for event in self.events),
             notes=(
-                f"Torque and threshold [N m or N] of the joint farthest beyond its threshold; force"
+                f"Torque and limit [N m or N] of the joint farthest beyond its threshold; force"
                 f" on the robot if it acts at {self.frame}, {PLUS} standard error. A contact acts"
                 " at the link named or beyond it.",
             ),
@@ -150,9 +151,7 @@ class WatchedLog:
 
     def as_text(self, full: bool = False) -> str:
         """Return findings and events for a terminal of 80 columns."""
-        model = "as built" if self.model == "as_built" else "as described"
-        parts = [f"{self.robot} {model}: {shortened(self.source, 60)}"]
-        parts += [wrapped(line) for line in self.sentences()]
+        parts = [wrapped(line) for line in self.sentences()]
         if self.events:
             parts += ["", self.table().as_text(full).rstrip("\n")]
         return "\n".join(parts) + "\n"

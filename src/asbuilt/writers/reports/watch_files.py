@@ -26,9 +26,7 @@ def write_watched(folder: Path, watched: WatchedLog) -> dict[str, Path]:
         "table": atomic_write(folder / "events.csv", watched.table().as_csv()),
         "report": atomic_write(folder / "watch.html", watch_html(watched)),
         "figure": save_figure(watch_figure(watched), folder / "watch.png"),
-        "thresholds": atomic_write(
-            folder / "thresholds.json", thresholds_text(watched.thresholds)
-        ),
+        "thresholds": atomic_write(folder / "thresholds.json", thresholds_text(watched.thresholds)),
     }
 
 

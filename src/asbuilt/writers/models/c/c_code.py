@@ -156,9 +156,7 @@ def write_c(
             f"the name of a C file must have plain characters, got {target.name!r}",
             cure=Cure(f"name it {stem}.c"),
         )
-    code = c_code(
-        model, drive=drive, drive_values=drive_values, stem=stem, observer=observer
-    )
+    code = c_code(model, drive=drive, drive_values=drive_values, stem=stem, observer=observer)
     return atomic_write(target, code.source), atomic_write(target.with_suffix(".h"), code.header)
 
 

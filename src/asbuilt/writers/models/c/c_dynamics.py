@@ -45,9 +45,7 @@ class Mechanism:
     Luh, Walker and Paul (1980); Atkeson, An and Hollerbach (1986).
     """
 
-    def __init__(
-        self, model: RobotModel, *, at_rest: bool = False, steady: bool = False
-    ) -> None:
+    def __init__(self, model: RobotModel, *, at_rest: bool = False, steady: bool = False) -> None:
         """Take joint rates, or not `at_rest`, and accelerations, or not if `steady`."""
         self.model, self.code = model, StraightLine()
         n = model.n_joints

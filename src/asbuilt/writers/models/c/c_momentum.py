@@ -33,9 +33,7 @@ def momentum_terms(
     rotors = [
         [(Term(float(a)), rate) for a, rate in zip(row, qd, strict=True) if a] for row in armature
     ]
-    return [
-        code.total((p,), *extra) for p, extra in zip(momenta, rotors, strict=True)
-    ], gradient
+    return [code.total((p,), *extra) for p, extra in zip(momenta, rotors, strict=True)], gradient
 
 
 def mass_matrix_terms(
@@ -84,9 +82,7 @@ def _carried(
             *((-each[1], other[0]) for each, other in pairs),
         )
         if joint.parent != ROOT:
-            carried[joint.parent].append(
-                mechanism._out(joint.before, mechanism._unturned(j, h))
-            )
+            carried[joint.parent].append(mechanism._out(joint.before, mechanism._unturned(j, h)))
     return momenta, gradient
 
 
@@ -111,9 +107,7 @@ def _moved(mechanism: Mechanism, j: int, at: Twist, rate: Term) -> Twist:
         w, v = mechanism._turned(c, s, at.w), mechanism._turned(c, s, at.v)
         return Twist((w[0], w[1], code.sum(w[2], rate)), v)
     q, (x, y, _), (vx, vy, vz) = mechanism.q[j], at.w, at.v
-    return Twist(
-        at.w, (code.total((vx,), (y, q)), code.total((vy,), (-x, q)), code.sum(vz, rate))
-    )
+    return Twist(at.w, (code.total((vx,), (y, q)), code.total((vy,), (-x, q)), code.sum(vz, rate)))
 
 
 def _momentum(mechanism: Mechanism, twist: Twist, parameters: Array) -> Wrench:

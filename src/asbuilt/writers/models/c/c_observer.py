@@ -69,7 +69,9 @@ void {name}_observer_update({name}_observer *observer, double dt, {state},
     source = _update(name, n, width, thresholds)
     if thresholds is not None:
         header += _threshold_header(name, n, thresholds)
-        source += _threshold_source(name, n, thresholds, np.zeros((0, 0)) if factor is None else factor)
+        source += _threshold_source(
+            name, n, thresholds, np.zeros((0, 0)) if factor is None else factor
+        )
     return ObserverCode(header, source)
 
 
@@ -77,16 +79,12 @@ def _update(name: str, n: int, width: float, thresholds: Thresholds | None) -> s
     slow_start, slow = "", ""
     if thresholds is not None:
         slow_start = "        observer->slowness[j] = 0.0;\n"
-        slow = f"""            double least = fmin(fabs(observer->velocity[j]), fabs(qd[j]));
+        slow = """            double least = fmin(fabs(observer->velocity[j]), fabs(qd[j]));
             if (observer->velocity[j]*qd[j] < 0.0) least = 0.0;
             least /= slow_speed[j];
             observer->slowness[j] += share*(exp(-least*least) - observer->slowness[j]);
 """
-    tables = (
-        ""
-        if thresholds is None
-        else _table("slow_speed", thresholds.slow_speed) + "\n"
-    )
+    tables = "" if thresholds is None else _table("slow_speed", thresholds.slow_speed) + "\n"
     return f"""{tables}void {name}_observer_restart({name}_observer *observer)
 {{
     for (int j = 0; j < {n}; j++) {{
