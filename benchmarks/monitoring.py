@@ -94,10 +94,10 @@ class Site:
         return float(np.median(smallest))
 
 
-def virtual(hours: float) -> None:
+def virtual(hours: float, promised: float) -> None:
     """Print false alarms of virtual robots with friction that the model does not have."""
     print(
-        f"virtual robots, {hours:g} h each, {RATE:g} Hz, {PROMISED:g} false alarm per hour promised"
+        f"virtual robots, {hours:g} h each, {RATE:g} Hz; promised: {promised:g} per hour"
     )
     print("robot                 hours  found  rate/h   force seen within 20 ms: as built   CAD")
     for seed, name in enumerate(("kuka-iiwa7-r800", "ur10e", "franka-panda")):
@@ -110,8 +110,8 @@ def virtual(hours: float) -> None:
             options=StudyOptions(drive="armature,viscous,coulomb,offset", holdout="blocks:5s:3"),
         ).result
         quiet = [_moves(robot, 100 + k, 300.0) for k in range(3)]
-        built = Site(result, quiet, velocities=True)
-        cad = Site(model, quiet, velocities=True)
+        built = Site(result, quiet, velocities=True, rate=promised)
+        cad = Site(model, quiet, velocities=True, rate=promised)
         began, found, watched = time.time(), 0, 0.0
         for k in range(round(hours * 3600.0 / CHUNK)):
             log = _moves(robot, 1000 + k, CHUNK)
@@ -183,7 +183,10 @@ REAL: Mapping[str, dict[str, Any]] = {
         "options": {"rate": 100.0, "flip_torque": True},
     },
 }
-"""Recordings to identify from, to set thresholds on, and to watch; `parts`: one recording is divided at these times [s]."""
+"""Recordings to identify from, to set thresholds on, and to watch.
+
+`parts`: one recording is divided at these times [s].
+"""
 
 
 def real(shared: Path) -> None:
@@ -244,11 +247,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--virtual", type=float, metavar="HOURS")
     parser.add_argument("--real", type=Path, metavar="DIR")
+    parser.add_argument("--promised", type=float, default=PROMISED, metavar="RATE")
     chosen = parser.parse_args()
     if chosen.real is not None:
         real(chosen.real)
     if chosen.virtual is not None:
-        virtual(chosen.virtual)
+        virtual(chosen.virtual, chosen.promised)
 
 
 if __name__ == "__main__":

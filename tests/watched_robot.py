@@ -32,7 +32,7 @@ NOISE = 0.1
 
 @dataclass(frozen=True)
 class WatchedRobot:
-    """The robot that moves, its result, a recording it was identified from, quiet ones, and thresholds."""
+    """The robot that moves, its result, what that was made from, quiet recordings, thresholds."""
 
     robot: VirtualRobot
     result: IdentificationResult

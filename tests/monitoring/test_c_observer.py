@@ -56,8 +56,8 @@ def test_observer_in_c_is_that_in_python(watched: WatchedRobot, compiled: Compil
     state = np.zeros(6 * n + 1)
     compiled.call("observer_restart", pointer(state))
     threshold, last, alarms = np.zeros(n), -np.inf, 0
-    for t, q, qd, tau in zip(log.t[:600], log.q, log.qd, log.tau, strict=False):
-        tau = tau - (5.0 if 2.0 < t < 2.2 else 0.0)
+    for t, q, qd, quiet in zip(log.t[:600], log.q, log.qd, log.tau, strict=False):
+        tau = quiet - (5.0 if 2.0 < t < 2.2 else 0.0)
         expected = observer.update(t, q, tau, qd)
         step = ctypes.c_double(t - last if np.isfinite(last) else 0.0)
         arrays = [pointer(np.ascontiguousarray(x)) for x in (q, qd, tau)]

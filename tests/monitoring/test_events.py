@@ -98,14 +98,19 @@ def test_events_across_chunks_are_one(watched: WatchedRobot) -> None:
 
 
 def test_thresholds_come_from_quiet_recordings_or_are_said_not_to(watched: WatchedRobot) -> None:
-    quiet = watch(watched.result, watched.record(26, 15.0), calibrate=watched.quiet)
+    quiet = watch(
+        watched.result, watched.record(26, 15.0), calibrate=watched.quiet, options=UNCHECKED
+    )
     assert quiet.thresholds.held_out
     assert {each.code for each in quiet.findings} == {"calibration_short"}
-    own = watch(watched.result, joined_recordings(watched.quiet))
+    own = watch(watched.result, joined_recordings(watched.quiet), options=UNCHECKED)
     assert {each.code for each in own.findings} == {"thresholds_from_the_log"}
     assert own.as_document()["rate_verified"] is False
     trained = watch(
-        watched.result, watched.record(26, 15.0), calibrate=[watched.trained, *watched.quiet]
+        watched.result,
+        watched.record(26, 15.0),
+        calibrate=[watched.trained, *watched.quiet],
+        options=UNCHECKED,
     )
     assert "thresholds_on_training_data" in {each.code for each in trained.findings}
 
@@ -116,7 +121,7 @@ def test_higher_rates_give_lower_thresholds(watched: WatchedRobot) -> None:
             watched.result,
             watched.record(26, 15.0),
             calibrate=watched.quiet,
-            options=WatchOptions(false_alarms_per_hour=rate),
+            options=WatchOptions(false_alarms_per_hour=rate, checked=False),
         ).thresholds.level
         for rate in (0.1, 10.0)
     )

@@ -16,10 +16,11 @@ SETTLED = 10.0
 
 
 class CausalFilter:
-    """Filter `x'' = w^2 (u - x) - 2 w x'` sample by sample, exact for inputs linear between samples.
+    """Filter `x'' = w^2 (u - x) - 2 w x'` sample by sample.
 
-    The state holds the filtered value and its derivative. Torques pass the same filter, so that
-    model and measurement are late by the same `2 / w`.
+    It is exact for inputs that are linear between samples. The state holds the filtered value and
+    its derivative. Torques pass the same filter, so that model and measurement are late by the same
+    `2 / w`.
 
     Parameters
     ----------

@@ -93,8 +93,8 @@ def _fitted(columns: Array, values: Array, covariance: Array) -> tuple[Array, Ar
     """Return estimate, its covariance and the weighted sum of squares left."""
     root = np.linalg.cholesky(covariance)
     A, b = np.linalg.solve(root, columns), np.linalg.solve(root, values)
-    error = np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / WIDE**2)
-    found = error @ A.T @ b
+    error: Array = np.asarray(np.linalg.inv(A.T @ A + np.eye(A.shape[1]) / WIDE**2), np.float64)
+    found: Array = error @ A.T @ b
     return found, error, float(np.sum((b - A @ found) ** 2))
 
 

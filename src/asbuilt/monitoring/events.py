@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from asbuilt.arrays import Array, Mask
 from asbuilt.codec import plain
@@ -117,8 +118,10 @@ def joined_events(events: Sequence[Event], apart: float) -> tuple[Event, ...]:
             before = found.pop()
             names = dict.fromkeys((*before.joints, *event.joints))
             larger = max((before, event), key=lambda each: float(_excess(each)))
-            event = replace(larger, start=before.start, end=event.end, joints=tuple(names))
-        found.append(event)
+            whole = replace(larger, start=before.start, end=event.end, joints=tuple(names))
+            found.append(whole)
+        else:
+            found.append(event)
     return tuple(found)
 
 
@@ -165,8 +168,8 @@ def _event(
     return event
 
 
-def _last(parents: Sequence[int], responding: Array, ratio: Array) -> int:
-    """Return the responding joint farthest from the root; of branches the one that responds most."""
+def _last(parents: Sequence[int], responding: NDArray[Any], ratio: Array) -> int:
+    """Return the responding joint farthest from the root; of branches that responding most."""
     depth = [0] * len(parents)
     for k, parent in enumerate(parents):
         depth[k] = 0 if parent < 0 else depth[parent] + 1
@@ -187,7 +190,7 @@ def _above(parents: Sequence[int], joint: int, other: int) -> bool:
 def _payload(
     observer: Observer, observed: Observed, scale: Array, part: slice, link: int
 ) -> tuple[float, float] | None:
-    """Return the change of mass at a link that explains the residual, and its error, if any does."""
+    """Return the change of mass at a link that explains the residual, and its error, or None."""
     t = observed.t[part]
     spacing = max(
         5.0 / (2.0 * np.pi * observer.bandwidth) / float(np.median(np.diff(t))), len(t) / MOST_ROWS

@@ -47,8 +47,7 @@ class Tail:
 
 
 def block_maxima(t: Array, values: Array, seconds: float) -> Array:
-    """Return the largest values (B, n) of blocks of `seconds`; blocks less than half full are left
-    out.
+    """Return the largest values (B, n) of blocks of `seconds`, without blocks less than half full.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ class ModelError:
     @property
     def is_known(self) -> bool:
         """Whether there is any covariance."""
-        return self.factor.shape[1] > 0
+        return bool(self.factor.shape[1] > 0)
 
     def std(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Return the standard deviation of the torque of each joint (N, n) at states (N, n)."""

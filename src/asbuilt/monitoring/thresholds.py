@@ -29,8 +29,9 @@ class Thresholds:
     """Hold limits of the residual of each joint: `level S`, with the scale S of its errors.
 
     `S^2 = floor^2 + slow^2 phi + (fast qd)^2 + model^2`: a constant, friction near standstill with
-    phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples, growth with speed, and the standard deviation of the
-    predicted torque that follows from the covariance of the parameters.
+    phi the lagged `exp(-(v / slow_speed)^2)` of the least speed v between samples, growth with
+    speed, and the standard deviation of the predicted torque that follows from the covariance of
+    the parameters.
 
     Parameters
     ----------
@@ -42,7 +43,7 @@ class Thresholds:
         Rate for the whole robot; a joint has its n-th part.
     block_seconds, hours
         Length of the blocks, and of the recordings that the levels were set on.
-    level, floor, slow, fast, slow_speed, top_speed
+    level, floor, slow_part, fast, slow_speed, top_speed
         Per joint, (n,): level in scales, the parts of S [N m or N, per unit of speed for `fast`],
         and speeds [rad/s or m/s], the last the highest met.
     tails

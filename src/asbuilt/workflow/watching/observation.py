@@ -79,8 +79,10 @@ def uses_logged_velocities(recorded: Recording | RecordingStream) -> bool:
             return False
         if segment.t.size > 2 * settling_samples(cutoff, rate):
             derived = central_differences(segment.q, rate)
-            smooth = [butterworth(x, cutoff=cutoff, rate=rate) for x in (derived, segment.qd)]
-            pairs.append((*smooth, derived, segment.qd))
+            smooth, logged = (
+                butterworth(x, cutoff=cutoff, rate=rate) for x in (derived, segment.qd)
+            )
+            pairs.append((smooth, logged, derived, segment.qd))
     return bool(pairs) and compare_velocities(pairs, rate).helps
 
 
@@ -137,7 +139,7 @@ def _joined(first: Recording, second: Recording) -> Recording:
         t=np.concatenate([first.t, second.t]),
         q=np.concatenate([first.q, second.q]),
         tau=np.concatenate([first.tau, second.tau]),
-        qd=np.concatenate([first.qd, second.qd]) if both else None,  # type: ignore[list-item]
+        qd=np.concatenate([first.qd, second.qd]) if both else None,
         joint_names=first.joint_names,
         source=first.source,
         torque_source=first.torque_source,

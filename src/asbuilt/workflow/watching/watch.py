@@ -80,6 +80,7 @@ def watch(
     """
     options, report = options or WatchOptions(), progress or (lambda what, fraction: None)
     result = result.result if isinstance(result, Study) else result
+    payload_frame(result.model, options.frame)
     log = logged(_single(result, recording))
     quiet = [logged(each) for each in as_recordings(result.model, calibrate or [])]
     if thresholds is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -110,8 +111,8 @@ class WatchedLog:
             if kind in kinds
         )
         return (
-            f"{self.robot}, {shortened(self.source, 60)}: {self.n_samples} samples, {_span(self.seconds)}, watched with the"
-            f" model {model}.",
+            f"{self.robot}, {shortened(self.source, 60)}: {self.n_samples} samples,"
+            f" {_span(self.seconds)}, watched with the model {model}.",
             f"Thresholds for {rate:g} false alarm{'s' * (rate != 1.0)} per hour"
             f" ({significant(expected, 2)} expected in this log), from"
             f" {_span(3600.0 * thresholds.hours)}"
@@ -190,7 +191,7 @@ def traced(observed: Observed, limit: Array) -> Trace:
     ratio = np.abs(observed.residual) / limit
     edges = np.append(starts, len(ratio))
     rows = np.empty((len(starts), n), dtype=np.int64)
-    for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for k, (a, b) in enumerate(pairwise(edges.tolist())):
         rows[k] = a + np.argmax(ratio[a:b], axis=0)
     columns = np.arange(n)
     return Trace(observed.t[rows], observed.residual[rows, columns], limit[rows, columns])

@@ -73,10 +73,10 @@ def _carried(
         h, twist = mechanism._out(joint.after, whole), at_joint[j]
         if joint.is_revolute:
             momenta[j] = h.moment[2]
-            pairs = ((h.moment, twist.w), (h.force, twist.v))
+            pairs = [(h.moment, twist.w), (h.force, twist.v)]
         else:
             momenta[j] = h.force[2]
-            pairs = ((h.force, twist.w),)
+            pairs = [(h.force, twist.w)]
         gradient[j] = code.total(
             *((each[0], other[1]) for each, other in pairs),
             *((-each[1], other[0]) for each, other in pairs),
