@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import call, document
-from watched_robot import WatchedRobot
 
 from asbuilt.writers.recording_files import write_recording
 from asbuilt.writers.reports.study_files import write_result
+from command_line import call, document
+from watched_robot import WatchedRobot
 
 
 @pytest.fixture(scope="module")

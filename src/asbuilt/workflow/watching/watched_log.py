@@ -17,6 +17,8 @@ from asbuilt.monitoring.observed import Observed
 from asbuilt.monitoring.thresholds import Thresholds
 from asbuilt.tables import Column, Shown, Table, plus_minus, shortened, significant, wrapped
 
+ELSEWHERE = 1e-3
+"""Probability of the fit below which a force at the tool does not explain the torques."""
 POINTS = 3000
 """Points of a trace, of each chunk of a log."""
 
@@ -130,18 +132,18 @@ class WatchedLog:
             Column("joint", width=13),
             Column("torque", align="decimal"),
             Column("limit", align="decimal"),
-            Column("force", "N", width=12),
+            Column("force", "N", width=16),
             Column("x", "N", detail=True),
             Column("y", "N", detail=True),
             Column("z", "N", detail=True),
-            Column("p", detail=True),
+            Column("p", style=".2g", detail=True),
         )
         return Table(
             columns,
             tuple(self._row(event) for event in self.events),
             notes=(
                 f"Torque and limit [N m or N] of the joint farthest beyond its threshold; force"
-                f" on the robot if it acts at {self.frame}, {PLUS} standard error. A contact acts"
+                f" on the robot if it acts at {self.frame}, +/- standard error. A contact acts"
                 " at the link named or beyond it.",
             ),
             details=(
@@ -165,6 +167,10 @@ class WatchedLog:
         along = force / size if size > 0.0 else np.zeros(3)
         error = float(np.sqrt(np.sum((along * errors) ** 2)))
         shown = plus_minus(size, error)
+        if event.kind == "fault":
+            shown = ""
+        elif event.contact.p_value < ELSEWHERE:
+            shown = "not at the tool"
         if event.mass is not None:
             shown = f"{plus_minus(event.mass, event.mass_error)} kg"
         return (
@@ -179,9 +185,6 @@ class WatchedLog:
             *(plus_minus(float(f), float(e)) for f, e in zip(force, errors, strict=True)),
             event.contact.p_value,
         )
-
-
-PLUS = "+/-"
 
 
 def traced(observed: Observed, limit: Array) -> Trace:
