@@ -96,9 +96,7 @@ class Site:
 
 def virtual(hours: float, promised: float) -> None:
     """Print false alarms of virtual robots with friction that the model does not have."""
-    print(
-        f"virtual robots, {hours:g} h each, {RATE:g} Hz; promised: {promised:g} per hour"
-    )
+    print(f"virtual robots, {hours:g} h each, {RATE:g} Hz; promised: {promised:g} per hour")
     print("robot                 hours  found  rate/h   force seen within 20 ms: as built   CAD")
     for seed, name in enumerate(("kuka-iiwa7-r800", "ur10e", "franka-panda")):
         model = bundled_robot(name)
