@@ -1,18 +1,21 @@
 """Contacts, faults and payloads that were put into recordings."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from asbuilt.description.inertia import LinkInertia
 from asbuilt.errors import RecordingError, ResultError, UsageError
+from asbuilt.experiment.logs.long_recordings import RecordingStream
 from asbuilt.experiment.recording import Recording
 from asbuilt.monitoring.contact import frame_jacobian
 from asbuilt.monitoring.events import joined_events
 from asbuilt.workflow.watching.options import WatchOptions
 from asbuilt.workflow.watching.watch import watch
 from asbuilt.workflow.watching.watched_log import WatchedLog
+from asbuilt.writers.recording_files import write_recording
 from watched_robot import RATE, WatchedRobot, recorded
 
 UNCHECKED = WatchOptions(checked=False)
@@ -164,3 +167,19 @@ def test_gaps_and_lost_rows_do_no_harm(watched: WatchedRobot) -> None:
     assert seen.events == ()
     assert seen.n_samples == kept.sum() - 1
     assert abs(seen.seconds - 9.0) < 0.1
+
+
+def test_a_stream_is_watched_like_a_recording(watched: WatchedRobot, tmp_path: Path) -> None:
+    external = np.zeros(watched.record(24, 10.0).q.shape)
+    external[780:900, 1] = 40.0
+    log = watched.record(24, 10.0, external)
+    path = write_recording(tmp_path / "log.parquet", log)
+    stream = RecordingStream(Path(path), watched.model, chunk_samples=400)
+    whole, parts = (
+        watch(watched.result, each, thresholds=watched.thresholds, options=UNCHECKED)
+        for each in (log, stream)
+    )
+    assert parts.n_samples == whole.n_samples
+    (one,), (other,) = whole.events, parts.events
+    assert (one.start, one.end, one.kind) == (other.start, other.end, other.kind)
+    assert np.allclose(one.residual, other.residual, rtol=0, atol=1e-6)
