@@ -28,6 +28,7 @@ STAGES = (
     "excitation",
     "experiment",
     "identification",
+    "monitoring",
     "validation",
     "workflow",
     "writers",

@@ -47,6 +47,9 @@ from .identification.estimators.recursive import RecursiveIdentification as Recu
 from .identification.identify import identify_samples as identify_samples
 from .identification.result.result import IdentificationResult as IdentificationResult
 from .identification.result.summary import summarise as summarise
+from .monitoring.observer import Observer as Observer
+from .monitoring.thresholds import Thresholds as Thresholds
+from .monitoring.thresholds import set_thresholds as set_thresholds
 from .validation.attribution.attribution import attribute as attribute
 from .validation.comparison.comparison import compare as compare
 from .validation.comparison.drift import compare_results as compare_results
@@ -70,6 +73,9 @@ from .workflow.study import Study as Study
 from .workflow.study import identify as identify
 from .workflow.validation import validate as validate
 from .workflow.validation import validate_robot as validate_robot
+from .workflow.watching.options import WatchOptions as WatchOptions
+from .workflow.watching.threshold_files import read_thresholds as read_thresholds
+from .workflow.watching.watch import watch as watch
 from .writers.models.convert import convert_robot as convert_robot
 from .writers.models.export import export_result as export_result
 from .writers.motion_files import write_motion as write_motion

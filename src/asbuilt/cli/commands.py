@@ -167,6 +167,15 @@ GROUPS: dict[str, dict[str, Entry]] = {
             ),
             "identify_payload",
         ),
+        "watch": Entry(
+            "monitoring",
+            "Watch a log for external torque, contact and fault.",
+            (
+                "study/result.json log.csv --calibrate quiet.csv",
+                "study/result.json log.csv --thresholds thresholds.json -o events",
+            ),
+            "watch",
+        ),
         "export": Entry(
             "robot",
             "Write the identified robot as URDF, MJCF, TOML or C.",

@@ -180,6 +180,22 @@ def export(
         Path | None,
         typer.Option("--c", metavar="FILE", help="C99 code FILE.c, and FILE.h beside it"),
     ] = None,
+    observer: Annotated[
+        Path | None,
+        typer.Option(
+            "--observer",
+            metavar="FILE",
+            help="C99 code FILE.c and FILE.h of the momentum observer and the dynamics it needs",
+        ),
+    ] = None,
+    thresholds: Annotated[
+        Path | None,
+        typer.Option(
+            "--thresholds",
+            metavar="FILE",
+            help="thresholds.json of `asbuilt watch`, for --observer",
+        ),
+    ] = None,
     original: Annotated[
         Path | None,
         typer.Option(
@@ -205,6 +221,7 @@ def export(
     as_json: AsJson = False,
 ) -> None:
     """Write the identified robot for other software."""
+    from asbuilt.workflow.watching.threshold_files import read_thresholds
     from asbuilt.writers.models.export import export_result
 
     exported = export_result(
@@ -213,6 +230,8 @@ def export(
         mjcf=mjcf,
         toml=toml,
         c=c,
+        observer=observer,
+        thresholds=None if thresholds is None else read_thresholds(thresholds),
         original=original,
         nearest=nearest,
         force=force,

@@ -22,3 +22,7 @@ from .study import Study as Study
 from .study import identify as identify
 from .validation import validate as validate
 from .validation import validate_robot as validate_robot
+from .watching.options import WatchOptions as WatchOptions
+from .watching.threshold_files import read_thresholds as read_thresholds
+from .watching.watch import watch as watch
+from .watching.watched_log import WatchedLog as WatchedLog
