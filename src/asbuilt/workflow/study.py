@@ -30,6 +30,7 @@ from asbuilt.identification.result.determination import Determination, determina
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult, stored_document
 from asbuilt.identification.result.summary import Summary, summarise
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
 from asbuilt.validation.generalisation.generalisation import (
@@ -41,6 +42,7 @@ from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,6 +180,7 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    trained, others, servo, options = settle_servo(model, trained, others, options)
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -196,7 +199,7 @@ def identify(
         progress=report,
     )
     report("identify", 0.0)
-    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, servo, report)
 
 
 def _concluded(
@@ -204,6 +207,7 @@ def _concluded(
     prepared: Prepared,
     options: StudyOptions,
     cutoffs: CutoffSweep | None,
+    servo: ServoEstimate | None,
     report: Progress,
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
@@ -245,7 +249,9 @@ def _concluded(
         chain=prepared.chain,
         holdout=prepared.holdout,
         digests=prepared.digests,
-        notes=_notes(mounting, cutoffs),
+        notes=(*_notes(mounting, cutoffs), *servo_notes(model, servo)),
+        servo=None if servo is None else servo.servo,
+        servo_errors=None if servo is None else servo.errors,
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -266,6 +272,7 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *servo_findings(model, servo, choice.drive),
         *mass_findings(result),
     )
     report("compare", 1.0)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
+from asbuilt.codec import stored
 from asbuilt.errors import UsageError
+
+
+def _limits(values: Sequence[float | None]) -> tuple[float, ...]:
+    """Return stored torque limits, infinite where None is stored."""
+    return tuple(np.inf if each is None else float(each) for each in values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +50,7 @@ class PositionServo:
 
     kp: tuple[float, ...]
     kd: tuple[float, ...]
-    torque_limit: tuple[float, ...] = ()
+    torque_limit: tuple[float, ...] = field(default=(), metadata=stored(decode=_limits))
     delay: float | None = None
 
     def __post_init__(self) -> None:
