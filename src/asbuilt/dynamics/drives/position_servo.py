@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from asbuilt.arrays import Array
 from asbuilt.codec import stored
+from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
 
 
@@ -90,3 +91,22 @@ class PositionServo:
         free = np.asarray(self.kp) * error - np.asarray(self.kd) * np.asarray(qd)
         limit = np.asarray(self.torque_limit)
         return np.asarray(np.clip(free, -limit, limit), dtype=np.float64)
+
+
+def described_servo(model: RobotModel) -> PositionServo | None:
+    """Return the position servo that a description states, NaN for joints without one.
+
+    None if it states none. Such gains are often settings of a simulator.
+    """
+    kp, kd = (
+        tuple(_known(getattr(joint.drive, name)) for joint in model.joints)
+        for name in ("kp", "kd")
+    )
+    if not np.any(np.isfinite(kp)):
+        return None
+    limits = tuple(joint.limits.torque for joint in model.joints)
+    return PositionServo(kp=kp, kd=kd, torque_limit=limits)
+
+
+def _known(value: float | None) -> float:
+    return np.nan if value is None else value
