@@ -20,9 +20,11 @@ from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.findings import Cure, Finding, joined
-from asbuilt.identification.servo.servo_estimate import ServoEstimate, estimate_servo
+from asbuilt.identification.servo.servo_estimate import UNEXPLAINED, ServoEstimate, estimate_servo
 from asbuilt.tables import rounded
+from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.prepare import Prepared
 
 UNDETERMINED = 0.5
 """Relative standard error of a stiffness beyond which only ratios to it are determined."""
@@ -82,6 +84,25 @@ def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
     return driven_by_command(item, servo) if item.command is not None else item
 
 
+def without_unexplained(prepared: Prepared, found: ServoEstimate | None) -> Prepared:
+    """Return the samples without the time that the servo and the robot do not explain."""
+    if found is None or not found.unexplained:
+        return prepared
+    return replace(
+        prepared,
+        training=tuple(
+            samples.outside(
+                [
+                    (block.start, block.stop)
+                    for block in found.unexplained
+                    if block.source == samples.source
+                ]
+            )
+            for samples in prepared.training
+        ),
+    )
+
+
 def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:
     """Return what the torque of a command rests on, as a sentence."""
     if found is None:
@@ -132,6 +153,8 @@ def servo_findings(
                 Cure("give the stiffness if it is known"),
             )
         )
+    if found.unexplained:
+        findings.append(_unexplained(found))
     if any(errors.kd_unknown) and any(term.key == "viscous" for term in drive.terms):
         findings.append(
             Finding(
@@ -143,6 +166,26 @@ def servo_findings(
             )
         )
     return tuple(findings)
+
+
+def _unexplained(found: ServoEstimate) -> Finding:
+    blocks = found.unexplained
+    seconds = sum(block.stop - block.start for block in blocks)
+    listed = joined(
+        [
+            f"{recording_name(block.source)} {block.start:.0f} to {block.stop:.0f} s"
+            for block in blocks
+        ]
+    )
+    return Finding(
+        "unexplained_motion",
+        "warning",
+        f"{seconds:.3g} s were left out, in which the torque of the command differs from the"
+        f" robot's {UNEXPLAINED:g} times as much as usual ({listed}): contact, or a limit of the"
+        " servo",
+        Cure("record without contact and with slower commands, or give the torque limit"),
+        time=blocks[0].start,
+    )
 
 
 def _servo(item: Recorded) -> PositionServo | None:
@@ -163,13 +206,13 @@ def _linear(drive: DriveSet | str | None) -> DriveSet | None:
     """Return the linear terms of a given drive; None where it is not given or chosen later."""
     if not isinstance(drive, DriveSet):
         return None
-    terms = tuple(
-        term for term in drive.terms if not term.nonlinear and not term.needs_load
-    )
+    terms = tuple(term for term in drive.terms if not term.nonlinear and not term.needs_load)
     return DriveSet(terms) if terms else None
 
 
 def _shown(value: float, error: float) -> str:
     if not error:
         return f"{value:.4g}"
-    return " +- ".join(rounded(value, error)) if np.isfinite(error) else f"{value:.3g} (undetermined)"
+    return (
+        " +- ".join(rounded(value, error)) if np.isfinite(error) else f"{value:.3g} (undetermined)"
+    )

@@ -99,8 +99,7 @@ def described_servo(model: RobotModel) -> PositionServo | None:
     None if it states none. Such gains are often settings of a simulator.
     """
     kp, kd = (
-        tuple(_known(getattr(joint.drive, name)) for joint in model.joints)
-        for name in ("kp", "kd")
+        tuple(_known(getattr(joint.drive, name)) for joint in model.joints) for name in ("kp", "kd")
     )
     if not np.any(np.isfinite(kp)):
         return None

@@ -14,6 +14,7 @@ from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
 from asbuilt.identification.servo.servo_rows import ServoRows
+from asbuilt.identification.servo.servo_scale import block_weights, clustered
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +28,12 @@ class DelayRules:
     drives
         Standard deviation of drive parameters before the data [SI units], practically free.
     passes
-        Passes of the weights of the joints.
+        Passes of the weights of joints and blocks.
     """
 
     links: float = 25.0
     drives: float = 1e3
-    passes: int = 4
+    passes: int = 8
 
 
 RULES = DelayRules()
@@ -40,18 +41,26 @@ RULES = DelayRules()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DelayFit:
-    """Hold the change of the delay [s] from that of the rows, and its standard error."""
+    """Hold the change of the delay [s] from that of the rows, and its standard error.
+
+    `excess` (B,) is the largest residual of a joint in each block, in those of its median block.
+    """
 
     step: float
     std_error: float
+    excess: Array
 
 
 def fit_delay(
-    rows: ServoRows, base: BaseParameters, design: CadPrior, kp: Sequence[float], kd: Sequence[float]
+    rows: ServoRows,
+    base: BaseParameters,
+    design: CadPrior,
+    kp: Sequence[float],
+    kd: Sequence[float],
 ) -> DelayFit:
     """Fit `kp (u - q) - kd qd = W beta + step kp du/dt` with passive drives.
 
-    Links have a prior from CAD. The standard error comes from the scores of time blocks, with
+    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
     everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933).
     """
     n, p = len(rows.support), base.n_standard
@@ -65,31 +74,33 @@ def fit_delay(
     lower = np.full(p + 1, -np.inf)
     lower[design.non_negative] = 0.0
     maps = [_coefficients(rows, base, k, kp[k], kd[k]) for k in range(n)]
-    grams, weight = [rows.total(k) for k in range(n)], np.ones(n)
-    x, count = start, sum(rows.counts)
+    weight = np.ones((n, len(rows.times)))
+    x = start
     for _ in range(RULES.passes):
         normal, right = prior.copy(), prior @ start
-        for (J, torque), gram, w in zip(maps, grams, weight, strict=True):
-            normal += w * J.T @ gram @ J
-            right += w * J.T @ gram @ torque
+        for k, (J, torque) in enumerate(maps):
+            weighted = J.T @ rows.total(k, weight[k])
+            normal += weighted @ J
+            right += weighted @ torque
         x, free = _bounded(normal, right, lower)
-        left = [
-            float((torque - J @ x) @ gram @ (torque - J @ x))
-            for (J, torque), gram in zip(maps, grams, strict=True)
-        ]
-        weight = count / np.maximum(left, 1e-300)
+        residuals = [torque - J @ x for J, torque in maps]
+        for k, residual in enumerate(residuals):
+            own = block_weights(rows, k, residual)
+            left = float(own @ rows.energies(k, residual)) / float(own @ rows.counts)
+            weight[k] = own / max(left, 1e-300)
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
-    scores = [
-        sum(
-            w * inverse @ (J.T @ block[k] @ (torque - J @ x))[free]
-            for k, ((J, torque), w) in enumerate(zip(maps, weight, strict=True))
-        )
-        for block in rows.grams
-    ]
-    variance = float(inverse[-1])
-    if len(scores) >= FEWEST_BLOCKS:
-        variance = max(variance, float(np.sum(np.square(scores))) * len(scores) / (len(scores) - 1))
-    return DelayFit(float(x[-1]), float(np.sqrt(variance)))
+    scores = sum(
+        weight[k] * (rows.grams[k] @ residual @ (J[:, free] @ inverse))
+        for k, ((J, _), residual) in enumerate(zip(maps, residuals, strict=True))
+    )
+    variance, together = float(inverse[-1]), clustered(np.asarray(scores), rows)
+    if together.size >= FEWEST_BLOCKS:
+        variance = max(variance, float(together @ together) * together.size / (together.size - 1))
+    left = np.array(
+        [rows.energies(k, residual) / rows.counts for k, residual in enumerate(residuals)]
+    )
+    excess = np.sqrt(np.max(left / np.median(left, axis=1)[:, None], axis=0))
+    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess)
 
 
 def _coefficients(

@@ -15,6 +15,7 @@ from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.bodies.cad_prior import cad_prior
+from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.servo.servo_delay import fit_delay
 from asbuilt.identification.servo.servo_errors import ServoErrors
 from asbuilt.identification.servo.servo_rows import ServoRows, servo_rows
@@ -31,14 +32,18 @@ class ServoIterations:
 
 
 ITERATIONS = ServoIterations()
+UNEXPLAINED = 3.0
+"""Residual of a second, in those of the median second, from which it has another cause than those
+of the model: contact, or a limit of the servo. Residuals of friction stay below."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServoEstimate:
-    """Hold an identified servo with its errors."""
+    """Hold an identified servo with its errors, and the time blocks that it does not explain."""
 
     servo: PositionServo
     errors: ServoErrors
+    unexplained: tuple[TimeBlock, ...] = ()
 
 
 def estimate_servo(
@@ -82,9 +87,9 @@ def estimate_servo(
     for _ in range(ITERATIONS.most):
         rows = servo_rows(model, base, recordings, chain, late, holdout)
         kp, scale = _gains(rows, base, links, first, unknown, shared)
+        found = fit_delay(rows, base, design, kp.tolist(), kd.tolist())
         if delay is not None:
             break
-        found = fit_delay(rows, base, design, kp.tolist(), kd.tolist())
         late = float(np.clip(late + found.step, -ITERATIONS.longest, ITERATIONS.longest))
         error = found.std_error
         if abs(found.step) < max(ITERATIONS.convergence, 0.05 * error):
@@ -103,6 +108,11 @@ def estimate_servo(
                 )
             ),
             kd_unknown=tuple(bool(each) for each in np.isnan(np.array(first.kd))),
+        ),
+        tuple(
+            block
+            for block, excess in zip(rows.times, found.excess, strict=True)
+            if excess > UNEXPLAINED
         ),
     )
 

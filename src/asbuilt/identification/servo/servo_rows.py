@@ -19,13 +19,15 @@ from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.hold_out import hold_out
 from asbuilt.experiment.signal.preparation import prepare_samples
 from asbuilt.experiment.signal.signal_chain import SignalChain
-from asbuilt.identification.information.rows import sample_blocks
+from asbuilt.identification.information.rows import TimeBlock, sample_blocks
 
 if TYPE_CHECKING:
     from asbuilt.experiment.signal.samples import Samples
 
 BESIDE = 3
 """Further rows of a joint: velocity, rate of the command and control error."""
+BLOCK = 1.0
+"""Length of a time block [s], short enough to leave out contact and little else."""
 TRACE = 1e-13
 """Increase per sample that is added to each signal, so that no row counts as a repeated one."""
 
@@ -34,17 +36,29 @@ TRACE = 1e-13
 class ServoRows:
     """Hold Gram matrices of the rows `[W_k, qd, du/dt, u - q]` of each joint and time block.
 
-    `grams[b][k]` has shape (p_k + 3, p_k + 3) with p_k = `support[k].size`; `counts[b]` are the
-    rows of each block.
+    `grams[k]` has shape (B, p_k + 3, p_k + 3) for B blocks, with p_k = `support[k].size`.
     """
 
     support: tuple[Indices, ...]
-    grams: tuple[tuple[Array, ...], ...]
-    counts: tuple[int, ...]
+    grams: tuple[Array, ...]
+    times: tuple[TimeBlock, ...]
 
-    def total(self, joint: int) -> Array:
-        """Return the Gram matrix of a joint over all blocks."""
-        return np.asarray(np.sum([block[joint] for block in self.grams], axis=0))
+    @property
+    def counts(self) -> Array:
+        """Rows of each block, shape (B,)."""
+        return np.array([each.n_samples for each in self.times], dtype=np.float64)
+
+    def total(self, joint: int, weight: Array | None = None) -> Array:
+        """Return the sum of the Gram matrices of a joint over all blocks, weighted (B,)."""
+        return np.asarray(
+            np.tensordot(
+                np.ones(len(self.times)) if weight is None else weight, self.grams[joint], 1
+            )
+        )
+
+    def energies(self, joint: int, coefficients: Array) -> Array:
+        """Return the sum of squares in each block of a combination of the rows, shape (B,)."""
+        return np.einsum("i,bij,j->b", coefficients, self.grams[joint], coefficients)
 
 
 def servo_rows(
@@ -57,14 +71,14 @@ def servo_rows(
 ) -> ServoRows:
     """Reduce recordings whose command acts after `delay` [s], without what is held out."""
     plan = RegressorPlan.of(model, base.drive, base.columns, spare_rows=BESIDE)
-    grams: list[tuple[Array, ...]] = []
-    counts = []
+    grams: list[list[Array]] = []
+    times = []
     with one_blas_thread():
         for recording in recordings:
             parts = _channels(recording, chain, delay)
             if holdout is not None:
                 parts = [hold_out(each, holdout)[0] for each in parts]
-            for block in sample_blocks(model, [parts[-1]]):
+            for block in sample_blocks(model, [parts[-1]], BLOCK):
                 sums = None
                 for chunk in block.chunks(
                     plan, lambda span, parts=parts: [each.tau[span] for each in parts[:-1]]
@@ -72,9 +86,10 @@ def servo_rows(
                     own = [rows @ rows.T for rows in chunk]
                     sums = own if sums is None else [a + b for a, b in zip(sums, own, strict=True)]
                 if sums is not None:
-                    grams.append(tuple(sums))
-                    counts.append(block.n_outputs)
-    return ServoRows(plan.support, tuple(grams), tuple(counts))
+                    grams.append(sums)
+                    times.append(replace(block.time, source=recording.source))
+    joints = tuple(np.array(own) for own in zip(*grams, strict=True))
+    return ServoRows(plan.support, joints, tuple(times))
 
 
 def _channels(recording: Recording, chain: SignalChain, delay: float) -> list[Samples]:

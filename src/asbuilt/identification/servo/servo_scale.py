@@ -36,6 +36,8 @@ class ScaleRules:
 
 
 RULES = ScaleRules()
+CLUSTER = 5
+"""Blocks together within which residuals are taken to be correlated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,22 +117,16 @@ def _own_scale(
     T[: own.size, 0], T[: own.size, 1:] = K @ design, drives
     T[own.size, 0] = np.nan_to_num(kd)
     T = T[:, [0, *(1 + np.flatnonzero(np.any(drives != 0.0, axis=0)))]]
-    weight = np.ones(len(rows.grams))
+    weight = np.ones(len(rows.times))
     for _ in range(RULES.passes):
-        gram = np.einsum("b,bij->ij", weight, [block[k] for block in rows.grams])
+        gram = rows.total(k, weight)
         normal = T.T @ gram @ T
         x = np.linalg.lstsq(normal, T.T @ gram[:, -1], rcond=1e-12)[0]
         a = -T @ x
         a[-1] += 1.0
-        left = [
-            max(float(a @ block[k] @ a), 0.0) / count
-            for block, count in zip(rows.grams, rows.counts, strict=True)
-        ]
-        weight = 1.0 / (1.0 + np.array(left) / max(float(np.median(left)), 1e-300))
+        weight = block_weights(rows, k, a)
     inverse = np.linalg.pinv(normal, hermitian=True)
-    scores = np.array(
-        [w * (inverse[0] @ T.T @ block[k] @ a) for w, block in zip(weight, rows.grams, strict=True)]
-    )
+    scores = clustered(weight * (rows.grams[k] @ a @ (T @ inverse[0])), rows)
     rest, size = np.linalg.pinv(normal[1:, 1:], hermitian=True), {}
     for name, part in parts.items():
         t = np.zeros(own.size + 3)
@@ -142,3 +138,16 @@ def _own_scale(
     if alone <= 1e-9 * normal[0, 0]:
         return float("nan"), float("inf"), source
     return float(x[0]), float(np.sum(scores**2)), source
+
+
+def block_weights(rows: ServoRows, k: int, residual: Array) -> Array:
+    """Return `1 / (1 + r / median(r))` with the residual variance r of a joint in each block."""
+    left = np.maximum(rows.energies(k, residual), 0.0) / rows.counts
+    return np.asarray(1.0 / (1.0 + left / max(float(np.median(left)), 1e-300)))
+
+
+def clustered(scores: Array, rows: ServoRows) -> Array:
+    """Return the sums of scores (B,) over neighbouring blocks, `CLUSTER` at a time."""
+    sources = np.array([each.source for each in rows.times])
+    firsts = [k for k in range(len(scores)) if k % CLUSTER == 0 or sources[k] != sources[k - 1]]
+    return np.asarray(np.add.reduceat(scores, firsts))
