@@ -11,8 +11,9 @@ from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.drives.defaults import usual_drive
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
-from asbuilt.errors import UsageError
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.command.servo_torque import driven_by_command
+from asbuilt.experiment.command.slow_motion import moving_faster
 from asbuilt.experiment.logs.long_recordings import RecordingStream, head_of
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.recording import Recording
@@ -84,23 +85,35 @@ def with_servo(item: Recorded, servo: PositionServo | None) -> Recorded:
     return driven_by_command(item, servo) if item.command is not None else item
 
 
-def without_unexplained(prepared: Prepared, found: ServoEstimate | None) -> Prepared:
-    """Return the samples without the time that the servo and the robot do not explain."""
-    if found is None or not found.unexplained:
+def explained(
+    prepared: Prepared, recordings: Sequence[Recorded], found: ServoEstimate | None
+) -> Prepared:
+    """Return the samples of commands without the time that the servo does not explain.
+
+    Rows of a joint count only where its direction of motion is known.
+    """
+    if found is None or prepared.chain is None:
         return prepared
-    return replace(
-        prepared,
-        training=tuple(
-            samples.outside(
-                [
-                    (block.start, block.stop)
-                    for block in found.unexplained
-                    if block.source == samples.source
-                ]
-            )
-            for samples in prepared.training
-        ),
-    )
+    kept = []
+    for samples, item in zip(prepared.training, recordings, strict=True):
+        windows = [
+            (block.start, block.stop)
+            for block in found.unexplained
+            if block.source == samples.source
+        ]
+        left = _outside(samples, windows)
+        if left is not None and not isinstance(item, Samples):
+            kept.append(moving_faster(left, head_of(item), prepared.chain.cutoff or np.inf))
+    return replace(prepared, training=tuple(kept)) if kept else prepared
+
+
+def _outside(samples: Samples, windows: Sequence[tuple[float, float]]) -> Samples | None:
+    """Return the samples outside the windows; None if they are too short for the filters."""
+    try:
+        left = samples.outside(windows)
+    except RecordingError:
+        return None
+    return left if left.n_filtered else None
 
 
 def servo_notes(model: RobotModel, found: ServoEstimate | None) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ from asbuilt.validation.prediction import Validation, predict_both
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
-from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
+from asbuilt.workflow.servo import explained, servo_findings, servo_notes, settle_servo
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -198,6 +198,7 @@ def identify(
         settle=settle if options.sweep_cutoff else None,
         progress=report,
     )
+    prepared = explained(prepared, trained, servo)
     report("identify", 0.0)
     return _concluded(model, prepared, options, sweeps[0] if sweeps else None, servo, report)
 
@@ -211,7 +212,6 @@ def _concluded(
     report: Progress,
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
-    prepared = without_unexplained(prepared, servo)
     training, held = prepared.training, (*prepared.held_out, *prepared.validation)
     choice = settle_drive(model, training, options.drive)
     mounting = (

@@ -45,6 +45,9 @@ class Samples:
         time blocks count from it.
     provenance
         Sentences about what was done.
+    slowest
+        Speed of each joint below which its rows do not count, since the direction of dry friction
+        is unknown; empty: all count.
 
     Raises
     ------
@@ -75,6 +78,7 @@ class Samples:
     tau_raw: Array = field(default_factory=lambda: np.empty((0, 0)))
     origin: float = np.nan
     provenance: tuple[str, ...] = ()
+    slowest: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         t = _read_only(self.t)

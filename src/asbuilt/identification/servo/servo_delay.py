@@ -43,12 +43,14 @@ RULES = DelayRules()
 class DelayFit:
     """Hold the change of the delay [s] from that of the rows, and its standard error.
 
-    `excess` (B,) is the largest residual of a joint in each block, in those of its median block.
+    `excess` (B,) is the largest residual of a joint in each block, in those of its median block;
+    `parameters` (n_standard,) are the standard parameters.
     """
 
     step: float
     std_error: float
     excess: Array
+    parameters: Array
 
 
 def fit_delay(
@@ -86,8 +88,8 @@ def fit_delay(
         residuals = [torque - J @ x for J, torque in maps]
         for k, residual in enumerate(residuals):
             own = block_weights(rows, k, residual)
-            left = float(own @ rows.energies(k, residual)) / float(own @ rows.counts)
-            weight[k] = own / max(left, 1e-300)
+            energy = float(residual @ rows.total(k, own) @ residual)
+            weight[k] = own * float(own @ rows.counts[k]) / max(energy, 1e-300)
     inverse = np.linalg.inv(normal[np.ix_(free, free)])[-1]
     scores = sum(
         weight[k] * (rows.grams[k] @ residual @ (J[:, free] @ inverse))
@@ -96,11 +98,10 @@ def fit_delay(
     variance, together = float(inverse[-1]), clustered(np.asarray(scores), rows)
     if together.size >= FEWEST_BLOCKS:
         variance = max(variance, float(together @ together) * together.size / (together.size - 1))
-    left = np.array(
-        [rows.energies(k, residual) / rows.counts for k, residual in enumerate(residuals)]
-    )
-    excess = np.sqrt(np.max(left / np.median(left, axis=1)[:, None], axis=0))
-    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess)
+    left = np.array([rows.variances(k, residual) for k, residual in enumerate(residuals)])
+    usual = np.array([np.nanmedian(each) if np.isfinite(each).any() else np.inf for each in left])
+    excess = np.sqrt(np.max(np.nan_to_num(left / usual[:, None]), axis=0))
+    return DelayFit(float(x[-1]), float(np.sqrt(variance)), excess, x[:-1])
 
 
 def _coefficients(
