@@ -87,6 +87,8 @@ class StudyOptions:
         Standard errors from time blocks by formula, by drawing the blocks, or by the textbook.
     block_seconds
         Length of the time blocks [s]; None: 5 s, less in short recordings.
+    same_servos
+        Whether all unknown stiffnesses of position servos are one.
     checked
         Refuse recordings in which `check_recording` finds errors.
     threads
@@ -144,6 +146,10 @@ class StudyOptions:
         choices=ERROR_KINDS,
     )
     block_seconds: float | None = None
+    same_servos: bool = field(
+        default=False,
+        metadata={"help": "position servos are alike: one unknown stiffness for all joints"},
+    )
     checked: bool = field(default=True, metadata=CHECKED)
     threads: int | None = None
 

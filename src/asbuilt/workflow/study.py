@@ -32,6 +32,7 @@ from asbuilt.identification.result.determination import Determination, determina
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult, stored_document
 from asbuilt.identification.result.summary import Summary, summarise
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
 from asbuilt.validation.generalisation.consolidation import consolidated
@@ -45,6 +46,13 @@ from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.delays import delay_findings
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.servo import (
+    explained,
+    servo_delays,
+    servo_findings,
+    servo_notes,
+    settle_servo,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -183,6 +191,7 @@ def identify(
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
     model = options.with_known_masses(model)
+    trained, others, servo, options = settle_servo(model, trained, others, options)
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -198,11 +207,14 @@ def identify(
         checked=options.checked,
         tolerated=(),
         settle=settle if options.sweep_cutoff else None,
-        estimate_delay=True,
+        estimate_delay=servo is None,
         progress=report,
     )
+    prepared = explained(prepared, trained, servo)
+    if servo is not None:
+        prepared = replace(prepared, delay=servo_delays(servo, trained, prepared.digests))
     report("identify", 0.0)
-    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, servo, report)
 
 
 def _concluded(
@@ -210,6 +222,7 @@ def _concluded(
     prepared: Prepared,
     options: StudyOptions,
     cutoffs: CutoffSweep | None,
+    servo: ServoEstimate | None,
     report: Progress,
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
@@ -252,7 +265,13 @@ def _concluded(
         holdout=prepared.holdout,
         digests=prepared.digests,
         delay=prepared.delay,
-        notes=(*known_mass_notes(model), *_notes(mounting, cutoffs)),
+        notes=(
+            *known_mass_notes(model),
+            *_notes(mounting, cutoffs),
+            *servo_notes(model, servo),
+        ),
+        servo=None if servo is None else servo.servo,
+        servo_errors=None if servo is None else servo.errors,
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -280,6 +299,7 @@ def _concluded(
             [check.position_noise for check in prepared.checks],
             prepared.chain.cutoff if prepared.chain else None,
         ),
+        *servo_findings(model, servo, choice.drive),
         *mass_findings(result),
     )
     report("compare", 1.0)
