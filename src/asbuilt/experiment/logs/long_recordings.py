@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -125,7 +126,7 @@ class RecordingStream:
             f" the first {HEAD}"
         )
         return Samples(
-            **{name: held[: bounds[-1]] for name, held in columns.items()},
+            **cast(Any, {name: held[: bounds[-1]] for name, held in columns.items()}),
             rate=first.rate,
             joint_names=first.joint_names,
             segments=tuple(pairwise(bounds)),
