@@ -20,8 +20,8 @@ from asbuilt.experiment.quality.first_pass import FirstPass, first_pass
 from asbuilt.experiment.quality.motion_checks import DEGREE, in_degrees, motion_findings
 from asbuilt.experiment.quality.second_pass import second_pass
 from asbuilt.experiment.quality.smoothed_motion import UniformSegments, smoothed_motion
-from asbuilt.experiment.quality.torque.signal_checks import filter_findings, saturation_findings
 from asbuilt.experiment.quality.torque.sign_check import unsigned_findings
+from asbuilt.experiment.quality.torque.signal_checks import filter_findings, saturation_findings
 from asbuilt.experiment.quality.torque.torque_checks import torque_findings
 from asbuilt.experiment.recording import Recording
 from asbuilt.findings import Cure, Finding, joined, ranked
