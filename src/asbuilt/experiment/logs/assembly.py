@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -146,10 +147,11 @@ def stated_servo(
     return PositionServo(kp=kp, kd=kd, torque_limit=limit)
 
 
-def _per_joint(recording: Recording, name: str, given: object, unknown: float) -> tuple[float, ...]:
+def _per_joint(recording: Recording, name: str, given: Any, unknown: float) -> tuple[float, ...]:
     """Return one number per joint; "auto", NaN and None are `unknown`."""
     listed = given if isinstance(given, list | tuple) else [given]
-    values = [unknown if each in (None, "auto") or each != each else float(each) for each in listed]
+    numbers = [np.nan if each in (None, "auto") else float(each) for each in listed]
+    values = [unknown if np.isnan(each) else each for each in numbers]
     if len(values) not in (1, recording.n_joints):
         raise RecordingError(
             f"{recording.source}: {len(values)} values of {name} for {recording.n_joints} joints"

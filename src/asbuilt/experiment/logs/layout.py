@@ -71,8 +71,8 @@ def find_layout(
     Raises
     ------
     RecordingError
-        If positions are missing, or both torques and commands, columns are missing or claim the same place, or they do
-        not fit the robot's joints.
+        If positions are missing, or both torques and commands, columns are missing or claim the
+        same place, or they do not fit the robot's joints.
     """
     sheet = sheet or RecordingSheet()
     groups = _group(names, {**_own_columns(names, model, sheet), **(known or {})}, sheet)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -124,14 +125,8 @@ class RecordingStream:
             f"read in chunks of {self.chunk_samples} samples; checked and its filters chosen on"
             f" the first {HEAD}"
         )
-        t, q, qd, qdd, tau, tau_raw = (columns[name][: bounds[-1]] for name in COLUMNS)
         return Samples(
-            t,
-            q,
-            qd,
-            qdd,
-            tau,
-            tau_raw=tau_raw,
+            **cast(Any, {name: held[: bounds[-1]] for name, held in columns.items()}),
             rate=first.rate,
             joint_names=first.joint_names,
             segments=tuple(pairwise(bounds)),

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.identification.bodies.cad_prior import CadPrior
 from asbuilt.identification.errors.uncertainty import FEWEST_BLOCKS
@@ -62,14 +62,15 @@ def fit_delay(
 ) -> DelayFit:
     """Fit `kp (u - q) - kd qd = W beta + step kp du/dt` with passive drives.
 
-    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the scores of time blocks, with
-    everything that is not at its bound free (Frisch and Waugh, Econometrica 1, 1933).
+    Links have a prior from CAD. Blocks weigh as in `find_scale`. The standard error comes from the
+    scores of time blocks, with everything that is not at its bound free (Frisch and Waugh,
+    Econometrica 1, 1933).
     """
     n, p = len(rows.support), base.n_standard
     prior = np.eye(p + 1) / RULES.drives**2
     for i, metric in enumerate(design.metric):
-        own = slice(10 * i, 10 * i + 10)
-        prior[own, own] = RULES.links * metric
+        link = slice(10 * i, 10 * i + 10)
+        prior[link, link] = RULES.links * metric
     prior[p, p] = 0.0
     start = np.append(design.parameters, 0.0)
     start[10 * n : p] = 0.0
@@ -117,7 +118,7 @@ def _coefficients(
     return J, torque
 
 
-def _bounded(normal: Array, right: Array, lower: Array) -> tuple[Array, Array]:
+def _bounded(normal: Array, right: Array, lower: Array) -> tuple[Array, Indices]:
     """Return the solution of normal equations above its bounds, and what is not at a bound."""
     scale = 1.0 / np.sqrt(np.diag(normal))
     root = np.linalg.cholesky(normal * np.outer(scale, scale)).T

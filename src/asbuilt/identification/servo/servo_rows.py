@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -82,9 +82,7 @@ def servo_rows(
                 parts = [hold_out(each, holdout)[0] for each in parts]
             for block in sample_blocks(model, [parts[-1]], BLOCK):
                 sums, count = None, np.zeros(model.n_joints)
-                for chunk in block.chunks(
-                    plan, lambda span, parts=parts: [each.tau[span] for each in parts[:-1]]
-                ):
+                for chunk in block.chunks(plan, _beside(parts[:-1])):
                     own = [rows @ rows.T for rows in chunk]
                     count += [np.count_nonzero(np.any(rows != 0.0, axis=0)) for rows in chunk]
                     sums = own if sums is None else [a + b for a, b in zip(sums, own, strict=True)]
@@ -109,3 +107,8 @@ def _channels(recording: Recording, chain: SignalChain, delay: float) -> list[Sa
         for each in signals
     ]
     return [*found[:-1], moving_faster(found[-1], recording, chain.cutoff or np.inf)]
+
+
+def _beside(parts: Sequence[Samples]) -> Callable[[slice], list[Array]]:
+    """Return what gives the signals of samples on a span."""
+    return lambda span: [each.tau[span] for each in parts]
