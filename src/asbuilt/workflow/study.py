@@ -38,9 +38,11 @@ from asbuilt.validation.generalisation.generalisation import (
 )
 from asbuilt.validation.generalisation.hidden_causes import hidden_cause_findings
 from asbuilt.validation.prediction import Validation, predict_both
+from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
-from asbuilt.workflow.options import StudyOptions
+from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
+from asbuilt.workflow.rollout import held_out_parts, simulated_rollouts
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,6 +65,8 @@ class Study:
         How the cutoff was chosen, if it was swept.
     attribution
         Which causes explain the error of CAD; None if the recordings are too short.
+    rollouts
+        Simulations of what was held out and of the other recordings, one per length of windows.
 
     A study that is read from a file has the result and the findings alone.
     """
@@ -74,6 +78,7 @@ class Study:
     validations: tuple[Validation, ...] = ()
     cutoffs: CutoffSweep | None = None
     attribution: Attribution | None = None
+    rollouts: tuple[Rollout, ...] = ()
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -178,6 +183,11 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    if options.rollout and options.holdout is None and not others:
+        raise UsageError(
+            "a rollout needs a recording, or a part of one, that the model is not fitted to",
+            cure=Cure("hold out a part, or give another recording", settings={"holdout": BLOCKS}),
+        )
     sweeps: list[CutoffSweep] = []
 
     def settle(chain: SignalChain, heads: Sequence[Recording]) -> SignalChain:
@@ -196,7 +206,14 @@ def identify(
         progress=report,
     )
     report("identify", 0.0)
-    return _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    study = _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
+    if not options.rollout:
+        return study
+    report("roll out", 0.0)
+    parts = held_out_parts(trained, others, prepared.chain, options.holdout)
+    rollouts = simulated_rollouts(study.result, parts, options.rollout)
+    findings = ranked((*study.findings, *rollout_findings(rollouts)))
+    return replace(study, rollouts=rollouts, findings=findings)
 
 
 def _concluded(
