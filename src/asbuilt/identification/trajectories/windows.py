@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,6 +80,16 @@ class Windows:
     def n_steps(self) -> int:
         """Number of simulation steps of a window."""
         return self.divisions * (self.n_samples - 1)
+
+    def some(self, part: slice) -> Windows:
+        """Return some of the windows."""
+        return replace(
+            self,
+            starts=self.starts[part],
+            q=self.q[part],
+            start_q=self.start_q[part],
+            start_qd=self.start_qd[part],
+        )
 
     def inputs(self, delay: float = 0.0) -> Array:
         """Return the mean of the delayed signal over each simulation step, (W, n_steps, n)."""
