@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from asbuilt.arrays import Array
+from asbuilt.arrays import Array, Indices
 from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.samples import Samples
@@ -40,6 +40,8 @@ class Windows:
         Measured state at the start, filtered, shape (W, n).
     signal
         What drives the simulation.
+    longest_step
+        Longest step of the simulation [s].
     """
 
     source: str
@@ -50,6 +52,7 @@ class Windows:
     start_q: Array
     start_qd: Array
     signal: DriveSignal
+    longest_step: float = LONGEST_STEP
 
     @property
     def n_windows(self) -> int:
@@ -69,7 +72,7 @@ class Windows:
     @property
     def divisions(self) -> int:
         """Number of simulation steps per sample."""
-        return max(1, math.ceil(1.0 / (self.rate * LONGEST_STEP) - 1e-9))
+        return max(1, math.ceil(1.0 / (self.rate * self.longest_step) - 1e-9))
 
     @property
     def step(self) -> float:
@@ -81,7 +84,7 @@ class Windows:
         """Number of simulation steps of a window."""
         return self.divisions * (self.n_samples - 1)
 
-    def some(self, part: slice) -> Windows:
+    def some(self, part: slice | Indices) -> Windows:
         """Return some of the windows."""
         return replace(
             self,
