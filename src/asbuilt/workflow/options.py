@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 else:
     SignalChain = Any
 
+LONGEST_DELAY = 1.0
+"""Longest delay [s] that is taken."""
 BLOCKS = "blocks:5s:3"
 """The usual rule of what to hold out."""
 
@@ -50,6 +52,15 @@ def horizons(text: str) -> tuple[float, ...]:
             value=text,
         )
     return tuple(dict.fromkeys(values))
+
+
+def _delay(text: str) -> float | Literal["auto"]:
+    if text.strip().lower() == "auto":
+        return "auto"
+    value = float(text)
+    if not abs(value) <= LONGEST_DELAY:
+        raise ValueError(text)
+    return value
 
 
 def _check_rule(rule: str | None) -> None:
@@ -105,6 +116,13 @@ class StudyOptions:
         Length of the time blocks [s]; None: 5 s, less in short recordings.
     rollout
         Lengths [s] of windows that are simulated, of what is held out.
+    refine
+        Continue the fit by trajectories ("rollout"), simulated windows of the training data.
+    delay
+        Time [s] by which the torque of a position servo follows its command; "auto" or None:
+        identified.
+    same_servos
+        Whether all unknown stiffnesses of position servos are one.
     checked
         Refuse recordings in which `check_recording` finds errors.
     threads
@@ -151,6 +169,22 @@ class StudyOptions:
     )
     block_seconds: float | None = None
     rollout: tuple[float, ...] = field(default=(), metadata=ROLLOUT)
+    refine: Literal["rollout"] | None = _option(
+        None,
+        "HOW",
+        "continue the fit: rollout (by simulated trajectories)",
+        choices=("rollout",),
+    )
+    delay: float | Literal["auto"] | None = _option(
+        None,
+        "auto|SECONDS",
+        "time by which the torque of a position servo follows its command; auto: identified",
+        parse=_delay,
+    )
+    same_servos: bool = field(
+        default=False,
+        metadata={"help": "position servos are alike: one unknown stiffness for all joints"},
+    )
     checked: bool = field(default=True, metadata=CHECKED)
     threads: int | None = None
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import UsageError
+from asbuilt.experiment.command.saturation import outside_saturation
 from asbuilt.experiment.logs.long_recordings import head_of, prepare_logged
 from asbuilt.experiment.logs.recordings import Recorded
 from asbuilt.experiment.quality.checks import TOO_LITTLE, RecordingCheck, check_recording
@@ -166,4 +167,7 @@ def _chosen_by(recordings: Sequence[Recorded]) -> list[Recording]:
 
 
 def _samples(item: Recorded, chain: SignalChain) -> Samples:
-    return item if isinstance(item, Samples) else prepare_logged(item, chain)
+    if isinstance(item, Samples):
+        return item
+    samples = prepare_logged(item, chain)
+    return outside_saturation(samples, item) if isinstance(item, Recording) else samples

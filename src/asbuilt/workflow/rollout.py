@@ -32,6 +32,7 @@ from asbuilt.identification.trajectories.windows import cut_windows, driving_sig
 from asbuilt.validation.rollout.rollout import Rollout, roll_out
 from asbuilt.workflow.options import ValidationOptions
 from asbuilt.workflow.prepare import digest
+from asbuilt.workflow.servo import with_servo
 
 Simulated = tuple[Recording, Samples, DriveSignal]
 """A recording, the part of its motion that is simulated, and what drives it."""
@@ -75,7 +76,7 @@ def roll_out_result(
     """
     options = options or ValidationOptions()
     logged = as_recordings(result.model, recordings)
-    parts = [_simulated(result, item, options.chain) for item in logged]
+    parts = [_simulated(result, with_servo(item, result.servo), options.chain) for item in logged]
     cad = options.cad
     cad = cad if cad is None or isinstance(cad, RobotModel) else load_robot(cad)
     return simulated_rollouts(result, parts, horizons, cad=cad)
@@ -119,7 +120,7 @@ def simulated_rollouts(
     """Return the rollouts of parts of recordings, with CAD beside as built."""
     by_cad, built = [], []
     for part in parts:
-        servo = result_servo(result) or _servo(part[0])
+        servo = result.servo or _servo(part[0])
         by_cad.append(_driven(robot_as_described(cad or result.model, servo), part))
         built.append(_driven(robot_as_built(result, servo), part))
     return tuple(
@@ -144,10 +145,11 @@ def held_out_parts(
     return (*held, *(_part(item, chain, None) for item in validation))
 
 
-def result_servo(result: IdentificationResult) -> PositionServo | None:
-    """Return the position servo of a result, if it has one."""
-    servo: PositionServo | None = getattr(result, "servo", None)
-    return servo
+def trained_parts(
+    recordings: Sequence[Recorded], chain: SignalChain | None, holdout: str | None
+) -> tuple[Simulated, ...]:
+    """Return what a study may be fitted to by simulations: all that is not held out."""
+    return tuple(_part(item, chain, holdout, train=True) for item in recordings)
 
 
 def _servo(recording: Recording) -> PositionServo | None:
@@ -172,8 +174,10 @@ def _whole(item: Recorded, chain: SignalChain) -> Simulated:
     return _part(item, chain, None)
 
 
-def _part(item: Recorded, chain: SignalChain | None, holdout: str | None) -> Simulated:
-    """Return a recording, its motion with rests, held out if there is a rule, and its signal."""
+def _part(
+    item: Recorded, chain: SignalChain | None, holdout: str | None, *, train: bool = False
+) -> Simulated:
+    """Return a recording, a part of its motion with rests by the rule, and its signal."""
     if isinstance(item, Samples):
         recording, samples = _as_recording(item), item
     else:
@@ -182,7 +186,9 @@ def _part(item: Recorded, chain: SignalChain | None, holdout: str | None) -> Sim
         whole = replace(settled, rests=True, parallel=False, decimate=None)
         samples = prepare_samples(recording, whole)
     signal = driving_signal(recording)
-    return recording, samples if holdout is None else hold_out(samples, holdout)[1], signal
+    if holdout is not None:
+        samples = hold_out(samples, holdout)[0 if train else 1]
+    return recording, samples, signal
 
 
 def _as_recording(samples: Samples) -> Recording:

@@ -30,6 +30,7 @@ from asbuilt.identification.result.determination import Determination, determina
 from asbuilt.identification.result.metrics import TorqueMetrics, TorqueTally
 from asbuilt.identification.result.result import IdentificationResult, stored_document
 from asbuilt.identification.result.summary import Summary, summarise
+from asbuilt.identification.servo.servo_estimate import ServoEstimate
 from asbuilt.validation.attribution.attribution import Attribution, attribute
 from asbuilt.validation.comparison.comparison import Comparison, compare, recording_name
 from asbuilt.validation.generalisation.generalisation import (
@@ -42,7 +43,14 @@ from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
-from asbuilt.workflow.rollout import held_out_parts, simulated_rollouts
+from asbuilt.workflow.refinement import Refined, judged, refine_study, refinement_findings
+from asbuilt.workflow.rollout import (
+    Simulated,
+    held_out_parts,
+    simulated_rollouts,
+    trained_parts,
+)
+from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,6 +75,8 @@ class Study:
         Which causes explain the error of CAD; None if the recordings are too short.
     rollouts
         Simulations of what was held out and of the other recordings, one per length of windows.
+    refined
+        How the refinement by trajectories went; None without one.
 
     A study that is read from a file has the result and the findings alone.
     """
@@ -79,6 +89,7 @@ class Study:
     cutoffs: CutoffSweep | None = None
     attribution: Attribution | None = None
     rollouts: tuple[Rollout, ...] = ()
+    refined: Refined | None = None
 
     def __repr__(self) -> str:
         codes = ", ".join(finding.code for finding in self.findings) or "none"
@@ -183,6 +194,7 @@ def identify(
     report = progress or (lambda what, fraction: None)
     model = robot if isinstance(robot, RobotModel) else load_robot(robot)
     model, (trained, others) = fitted_recordings(model, (recordings, validation))
+    trained, others, servo, options = settle_servo(model, trained, others, options)
     if options.rollout and options.holdout is None and not others:
         raise UsageError(
             "a rollout needs a recording, or a part of one, that the model is not fitted to",
@@ -206,12 +218,16 @@ def identify(
         progress=report,
     )
     report("identify", 0.0)
-    study = _concluded(model, prepared, options, sweeps[0] if sweeps else None, report)
-    if not options.rollout:
+    parts = trained_parts(trained, prepared.chain, options.holdout) if options.refine else ()
+    settled = sweeps[0] if sweeps else None
+    study = _concluded(model, prepared, options, settled, servo, report, parts)
+    if not options.rollout and not options.refine:
         return study
     report("roll out", 0.0)
-    parts = held_out_parts(trained, others, prepared.chain, options.holdout)
-    rollouts = simulated_rollouts(study.result, parts, options.rollout)
+    held = held_out_parts(trained, others, prepared.chain, options.holdout)
+    if study.refined is not None:
+        study = replace(study, refined=judged(study.result, study.refined, held or parts))
+    rollouts = simulated_rollouts(study.result, held, options.rollout)
     findings = ranked((*study.findings, *rollout_findings(rollouts)))
     return replace(study, rollouts=rollouts, findings=findings)
 
@@ -221,9 +237,12 @@ def _concluded(
     prepared: Prepared,
     options: StudyOptions,
     cutoffs: CutoffSweep | None,
+    servo: ServoEstimate | None,
     report: Progress,
+    parts: Sequence[Simulated] = (),
 ) -> Study:
     """Identify from prepared samples and say what is to be said."""
+    prepared = without_unexplained(prepared, servo)
     training, held = prepared.training, (*prepared.held_out, *prepared.validation)
     choice = settle_drive(model, training, options.drive)
     mounting = (
@@ -244,6 +263,9 @@ def _concluded(
         fitted_nonlinear=choice.fitted,
     )
     fit = replace(fit, provenance=(*fit.provenance, *choice.sentences))
+    refined = None
+    if options.refine is not None:
+        fit, servo, refined = refine_study(fit, parts, servo, options.rollout, report)
     report("predict", 0.0)
     trained, validations = (
         tuple(
@@ -262,7 +284,9 @@ def _concluded(
         chain=prepared.chain,
         holdout=prepared.holdout,
         digests=prepared.digests,
-        notes=_notes(mounting, cutoffs),
+        notes=(*_notes(mounting, cutoffs), *servo_notes(model, servo)),
+        servo=None if servo is None else servo.servo,
+        servo_errors=None if servo is None else servo.errors,
     )
     report("compare", 0.0)
     attribution = None if cause_data is None else attribute(result)
@@ -283,11 +307,20 @@ def _concluded(
             block_seconds=options.block_seconds,
         ),
         *_gain_findings(training),
+        *servo_findings(model, servo, choice.drive),
+        *refinement_findings(refined),
         *mass_findings(result),
     )
     report("compare", 1.0)
     return Study(
-        result, ranked(findings), prepared.checks, trained, validations, cutoffs, attribution
+        result,
+        ranked(findings),
+        prepared.checks,
+        trained,
+        validations,
+        cutoffs,
+        attribution,
+        refined=refined,
     )
 
 

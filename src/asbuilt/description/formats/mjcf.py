@@ -68,7 +68,7 @@ def read_mjcf(path_or_text: str | Path, *, fixed_base: bool = False) -> RobotMod
     meshes and textures are taken out first. The frame of a link is the MuJoCo body frame. Bodies
     without joint are merged as fixed; several joints on one body become links in a row, all
     massless but the last. Armature, damping and frictionloss become drive values where they are not
-    zero, named sites become frames. A body whose inertia could only come from a mesh is marked as
+    zero, as do the gains of position actuators; named sites become frames. A body whose inertia could only come from a mesh is marked as
     unknown, with a note.
 
     `fixed_base` holds free joints at the pose of their body. Raises `DescriptionError` for other
@@ -341,7 +341,7 @@ class _Tree:
             before=composed(pose, placement(onto, anchor), back),
             after=composed(placement(onto.T), placement(translation=-anchor)),
             limits=self.limits(index),
-            drive=self.drive(int(m.jnt_dofadr[index])),
+            drive=self.drive(int(m.jnt_dofadr[index]), index),
         )
 
     def kind(self, index: int) -> JointKind:
@@ -374,7 +374,7 @@ class _Tree:
                 )
         return JointLimits(lower=lower, upper=upper, torque=torque)
 
-    def drive(self, coordinate: int) -> DriveValues:
+    def drive(self, coordinate: int, index: int) -> DriveValues:
         values = (
             float(np.ravel(array[coordinate])[0])
             for array in (
@@ -384,7 +384,25 @@ class _Tree:
             )
         )
         armature, viscous, coulomb = (value if value != 0.0 else None for value in values)
-        return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb)
+        kp, kd = self.servo(index)
+        return DriveValues(armature=armature, viscous=viscous, coulomb=coulomb, kp=kp, kd=kd)
+
+    def servo(self, index: int) -> tuple[float | None, float | None]:
+        """Return the gains of the position actuator of a joint, on its side of the gear."""
+        m, kinds = self.model, self.mujoco
+        for actuator in range(m.nu):
+            gain, bias = m.actuator_gainprm[actuator], m.actuator_biasprm[actuator]
+            if (
+                m.actuator_trntype[actuator] == kinds.mjtTrn.mjTRN_JOINT
+                and m.actuator_trnid[actuator, 0] == index
+                and m.actuator_gaintype[actuator] == kinds.mjtGain.mjGAIN_FIXED
+                and m.actuator_biastype[actuator] == kinds.mjtBias.mjBIAS_AFFINE
+                and gain[0] > 0.0
+                and bias[1] == -gain[0]
+            ):
+                gear = float(m.actuator_gear[actuator, 0])
+                return float(gain[0]) * gear**2, float(-bias[2]) * gear**2
+        return None, None
 
     def placed(self, position: Array, quaternion: Array, what: str) -> Array:
         R = rotation_from_quaternion(quaternion)

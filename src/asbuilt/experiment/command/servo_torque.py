@@ -7,15 +7,13 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from asbuilt.arrays import Array, Mask
+from asbuilt.arrays import Array
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.experiment.recording import Recording
 
 DROOP = 1.0 / 24.0
 """Outer weight of the filter `[w, 1 - 2 w, w]` whose response is that of a held sample,
 `sinc(f T)`, to the fourth order in the frequency f."""
-SATURATED = 0.999
-"""Share of the torque limit from which the servo counts as saturated."""
 
 
 def held_command(recording: Recording, delay: float = 0.0) -> Array:
@@ -86,11 +84,3 @@ def logged_velocity(recording: Recording) -> Array:
     """Return velocities by central differences of the positions as logged, shape (N, n)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.gradient(recording.q, recording.t, axis=0))
-
-
-def saturated(recording: Recording) -> Mask:
-    """Return where a joint's servo is at its torque limit, shape (N, n)."""
-    if recording.servo is None:
-        return np.zeros(recording.q.shape, dtype=np.bool_)
-    limit = np.asarray(recording.servo.torque_limit)
-    return np.asarray(np.abs(recording.tau) >= SATURATED * limit)

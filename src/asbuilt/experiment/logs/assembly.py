@@ -134,7 +134,9 @@ def stated_servo(
         name: getattr(sheet if getattr(options, name) is None else options, name)
         for name in ("kp", "kd", "torque_limit")
     }
-    commanded = sheet.columns.command is not None or any(each is not None for each in given.values())
+    commanded = sheet.columns.command is not None or any(
+        each is not None for each in given.values()
+    )
     if sheet.columns.torque is not None and not commanded:
         return None
     kp, kd, limit = (

@@ -22,6 +22,8 @@ AT_MOTORS = ("motor_armature", "motor_viscous", "motor_coulomb")
 """Drive terms that a fixed tendon over the joints of a motor has."""
 DIVERGED = 1e4
 """Joint velocity [rad/s or m/s] from which a simulation counts as diverged."""
+SLOWEST = 1e-9
+"""Speed at which the friction of a joint at rest is evaluated [rad/s or m/s]."""
 
 
 def simulate_windows(robot: SimulatedRobot, windows: Windows) -> Array:
@@ -157,7 +159,7 @@ class _Engine:
                 self.others,
                 self.other_values.reshape(-1),
                 where,
-                sign * np.abs(sound),
+                sign * np.maximum(np.abs(sound), SLOWEST),
                 rest,
                 load=load,
                 shares=model.motor_shares,

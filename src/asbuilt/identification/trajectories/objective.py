@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +27,7 @@ SERVO_SPREAD = np.array([1.0, 5.0])
 """Prior standard deviation of the logarithm of a common stiffness, and of the delay [ms]."""
 
 MOSTLY = 0.5
-"""Share of a parameter's variance by prior and torque rows from which trajectories leave it open."""
+"""Share of its variance by prior and torque rows from which a parameter is left undetermined."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +94,7 @@ class Objective:
     def __post_init__(self) -> None:
         factors = tuple(
             w * factor
-            for w, factor in zip(
-                self.torque_weights, self.information.joint_factors, strict=True
-            )
+            for w, factor in zip(self.torque_weights, self.information.joint_factors, strict=True)
         )
         object.__setattr__(self, "linear_factors", factors)
 
@@ -195,9 +194,7 @@ class Objective:
         ridge, moved = self._ridge(), self._away(point)
         gradient += ridge * moved
         matrix[np.diag_indices(len(ridge))] += ridge
-        return Quadratic(
-            self.cost(point, motions, weights), gradient, matrix, every @ to_z, data
-        )
+        return Quadratic(self.cost(point, motions, weights), gradient, matrix, every @ to_z, data)
 
     def moved(self, point: Point, step: Array) -> Point:
         """Return the point at coordinates `step` (m,) from a point."""
@@ -325,7 +322,7 @@ _SVEC = svec(pseudo_inertias(np.eye(10))).T
 def _shares(count: int) -> list[tuple[int, int]]:
     """Return ranges of equal length, one per processor."""
     edges = np.linspace(0, count, (os.cpu_count() or 1) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a]
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
 
 def _joined(parts: Sequence[Motion]) -> Motion:

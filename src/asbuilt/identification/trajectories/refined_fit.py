@@ -24,7 +24,7 @@ where trajectories leave a direction open."""
 BELIEF = 10.0
 """Weight of the divergence of links from CAD: about a third of a link, in every direction."""
 MOST_SECONDS = 60.0
-"""Time [s] of all windows that are simulated for a fit; longer recordings give every k-th window."""
+"""Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
 STEP = 2e-3
 """Longest step [s] of the simulations of a fit."""
 
@@ -107,9 +107,7 @@ def refine_fit(
         free_stiffness and servo is not None,
         servo is not None,
     )
-    found = refine(
-        objective, start if begin is None else Point(begin, servo), progress=progress
-    )
+    found = refine(objective, start if begin is None else Point(begin, servo), progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
     p = base.n_base
     beta = base.regrouping @ found.point.chi

@@ -11,6 +11,7 @@ from asbuilt.dynamics.kernels.blas import one_blas_thread
 from asbuilt.identification.trajectories.objective import Objective, Point, Quadratic, Weights
 from asbuilt.identification.trajectories.sensitivity import Motion
 
+
 @dataclass(frozen=True, slots=True)
 class Steps:
     """Say how the search goes: own choices, tested on real and virtual robots.
@@ -18,7 +19,8 @@ class Steps:
     `rounds` of weights follow one another, each with at most `most` steps; a round ends when the
     quadratic model promises to lower the cost by less than `settled`, in units of the logarithmic
     likelihood. `damping` is the first relative damping.
-    Windows whose error is beyond `outlying` times the usual one count less (Huber).
+    Windows whose error is beyond `outlying` times the usual one count no more than if it were that
+    (a bounded influence, for contact and servo limits).
     """
 
     rounds: int = 3
@@ -101,7 +103,9 @@ def weights_of(
     typical = np.median(variance, axis=0) + np.finfo(float).tiny
     size = [np.sqrt(np.mean(np.mean(error**2, axis=1) / typical, axis=1)) for error in errors]
     usual = float(np.median(np.concatenate(size)))
-    share = [np.minimum(1.0, steps.outlying * usual / np.maximum(each, 1e-300)) for each in size]
+    share = [
+        np.minimum(1.0, (steps.outlying * usual / np.maximum(each, 1e-300)) ** 2) for each in size
+    ]
     kept = np.concatenate(share)
     spread = np.average(variance, axis=0, weights=kept) + np.finfo(float).tiny
     return Weights(1.0 / (spread * inflation), tuple(share))

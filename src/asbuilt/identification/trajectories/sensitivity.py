@@ -9,20 +9,21 @@ from functools import cached_property
 import numpy as np
 
 from asbuilt.arrays import Array, Indices
-from asbuilt.description.model import ROOT, RobotModel
+from asbuilt.description.model import RobotModel
 from asbuilt.dynamics.base.base_parameters import BaseParameters
 from asbuilt.dynamics.drives.program import drive_program
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.drives.torque import drive_columns
 from asbuilt.dynamics.kernels.recursion import layout_of
+from asbuilt.dynamics.kernels.single_sample import work_size
 from asbuilt.dynamics.kernels.torque_derivatives import torque_derivatives
+from asbuilt.dynamics.newton_euler import inverse_dynamics
 from asbuilt.dynamics.regressor import RegressorPlan
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.stepping import (
     SLOWEST,
     sensitivities,
     simulate,
-    work_size,
 )
 from asbuilt.identification.trajectories.windows import Windows
 
@@ -105,7 +106,10 @@ class Trajectories:
             own = np.flatnonzero(roots[owner] == root)
             servo = [p + joints, p + n + joints, [p + 2 * n]]
             found.append(Branch(joints, np.concatenate([own, *servo]).astype(np.int64)))
-        assert all(parent == ROOT or roots[parent] == roots[k] for k, parent in enumerate(self.model.parents))
+        assert all(
+            parent == ROOT or roots[parent] == roots[k]
+            for k, parent in enumerate(self.model.parents)
+        )
         return tuple(found)
 
     def simulate(self, robot: SimulatedRobot, windows: Windows, links: Array) -> Motion:
@@ -145,7 +149,9 @@ class Trajectories:
             part = slice(start, min(start + chunk, windows.n_windows))
             yield from (
                 (branch, part, found)
-                for branch, found in self._chunk(robot, windows.some(part), links, motion.chunk(part.start, part.stop))
+                for branch, found in self._chunk(
+                    robot, windows.some(part), links, motion.chunk(part.start, part.stop)
+                )
             )
 
     def _chunk(
@@ -266,8 +272,6 @@ def _drive_rows(
     away = np.maximum(np.abs(v), SLOWEST)
     load = np.zeros_like(q) if drive.needs_load else None
     if load is not None:
-        from asbuilt.dynamics.newton_euler import inverse_dynamics
-
         load = inverse_dynamics(robot.model, q, v, np.zeros_like(q))
     of = [term.key for term in drive.terms for _ in term.symbols]
     found = []

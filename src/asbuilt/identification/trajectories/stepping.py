@@ -17,7 +17,7 @@ import numpy as np
 
 from asbuilt.dynamics.kernels.compilation import compiled
 from asbuilt.dynamics.kernels.operations import STACK
-from asbuilt.dynamics.kernels.single_sample import CODES, PER_LINK, mass_matrix, torque, work_size
+from asbuilt.dynamics.kernels.single_sample import CODES, PER_LINK, mass_matrix, torque
 from asbuilt.dynamics.kernels.stack_machine import run
 
 SLOWEST = 1e-9
@@ -140,9 +140,7 @@ def simulate(
             alive = mass_matrix(codes, numbers, position, M) and torque(
                 codes, numbers, position, rate, zero, bias
             )
-            _split_drive(
-                program, n, numbers, position, rate, bias, away, zero, stack, even, odd
-            )
+            _split_drive(program, n, numbers, position, rate, bias, away, zero, stack, even, odd)
             for k in range(n):
                 full[k] = False
                 tau[k] = inputs[w, s, k]
@@ -261,6 +259,3 @@ def sensitivities(
                     dq[i, c] += h * dv[i, c]
             if (s + 1) % every == 0:
                 out[w, (s + 1) // every - 1] = dq
-
-
-__all__ = ["factored", "sensitivities", "simulate", "solved", "work_size"]

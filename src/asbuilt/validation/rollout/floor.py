@@ -67,19 +67,20 @@ def _commands(windows: Sequence[Windows]) -> Array:
 
 
 def delayed_command(windows: Windows) -> Array | None:
-    """Return the command delayed by the time that fits the windows best, shape (W, L, n).
+    """Return the motion of the command from the measured position, shape (W, L, n).
 
-    None if torques drive.
+    It is delayed by the time that fits the windows best. None if torques drive.
     """
     if windows.signal.kind != "command":
         return None
     times = windows.starts[:, None] + windows.times
 
     def delayed(delay: float) -> Array:
-        return np.stack(
+        command = np.stack(
             [np.interp(times - delay, windows.signal.t, u) for u in windows.signal.values.T],
             axis=-1,
         )
+        return command - command[:, :1] + windows.start_q[:, None]
 
     found = minimize_scalar(
         lambda delay: float(np.mean((delayed(delay) - windows.q)[:, 1:] ** 2)),

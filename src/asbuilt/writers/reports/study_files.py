@@ -95,6 +95,8 @@ def study_document(
     if study.cutoffs is not None:
         document["cutoff_sweep"] = study.cutoffs.as_document()
     document = with_rollouts(document, study.rollouts)
+    if study.refined is not None:
+        document["refined"] = study.refined.as_dict()
     if payload is not None:
         document["payload"] = payload_document(payload)
     return document

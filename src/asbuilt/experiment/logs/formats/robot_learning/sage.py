@@ -47,9 +47,7 @@ def read_sage(path: Path) -> LogTable:
             columns[column] = np.ascontiguousarray(values[:, k])
             known[column] = (quantity, name)
     notes = (f"{before} states before the first command count as commanded like it",)
-    return LogTable(
-        source=str(path), columns=columns, known=known, notes=notes if before else ()
-    )
+    return LogTable(source=str(path), columns=columns, known=known, notes=notes if before else ())
 
 
 def is_sage(path: Path) -> bool:
@@ -66,9 +64,7 @@ def _joint_names(path: Path) -> tuple[str, ...]:
     return names
 
 
-def _lists(
-    path: Path, fields: tuple[str, ...], n_joints: int
-) -> tuple[Array, dict[str, Array]]:
+def _lists(path: Path, fields: tuple[str, ...], n_joints: int) -> tuple[Array, dict[str, Array]]:
     """Return the times and the lists (N, n) of the fields that a file has."""
     check_regular(path, "recording", RecordingError, LARGEST)
     try:
