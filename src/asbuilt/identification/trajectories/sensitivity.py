@@ -106,10 +106,6 @@ class Trajectories:
             own = np.flatnonzero(roots[owner] == root)
             servo = [p + joints, p + n + joints, [p + 2 * n]]
             found.append(Branch(joints, np.concatenate([own, *servo]).astype(np.int64)))
-        assert all(
-            parent == ROOT or roots[parent] == roots[k]
-            for k, parent in enumerate(self.model.parents)
-        )
         return tuple(found)
 
     def simulate(self, robot: SimulatedRobot, windows: Windows, links: Array) -> Motion:
