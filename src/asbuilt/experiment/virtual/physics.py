@@ -172,7 +172,7 @@ class Physics:
 
     def _fastest_decay(self, masses: Array) -> float:
         """Return the largest eigenvalue of M^-1 D [1/s], the fastest decay by viscous friction."""
-        root = np.sqrt(self.compiled.dof_damping[self._order])
+        root = np.sqrt(np.maximum(self.compiled.dof_damping[self._order], 0.0))
         return float(
             np.linalg.eigvalsh(root[:, None] * np.linalg.solve(masses, np.diag(root))).max()
         )
