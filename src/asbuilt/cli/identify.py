@@ -119,7 +119,7 @@ def validate(
 ) -> None:
     """Predict recordings with an identified model, and with CAD beside it."""
     from asbuilt.validation.comparison.comparison import compare
-    from asbuilt.workflow.rollout import roll_out_result, roll_out_robot
+    from asbuilt.workflow.simulation.rollout import roll_out_result, roll_out_robot
     from asbuilt.workflow.validation import validate as validate_result
     from asbuilt.workflow.validation import validate_robot
     from asbuilt.writers.reports.study_files import write_validations

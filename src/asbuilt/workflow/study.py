@@ -43,14 +43,19 @@ from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
 from asbuilt.workflow.cutoff_sweep import CutoffSweep, sweep_cutoffs
 from asbuilt.workflow.options import BLOCKS, StudyOptions
 from asbuilt.workflow.prepare import Prepared, Progress, prepare
-from asbuilt.workflow.refinement import Refined, judged, refine_study, refinement_findings
-from asbuilt.workflow.rollout import (
+from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
+from asbuilt.workflow.simulation.refinement import (
+    Refined,
+    judged,
+    refine_study,
+    refinement_findings,
+)
+from asbuilt.workflow.simulation.rollout import (
     Simulated,
     held_out_parts,
     simulated_rollouts,
     trained_parts,
 )
-from asbuilt.workflow.servo import servo_findings, servo_notes, settle_servo, without_unexplained
 
 
 @dataclass(frozen=True, eq=False, repr=False)

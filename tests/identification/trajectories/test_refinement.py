@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
 from asbuilt.dynamics.drives.selection import DriveSet
 from asbuilt.dynamics.parameters import parameter_values
@@ -15,7 +16,6 @@ from asbuilt.experiment.signal.signal_chain import SignalChain
 from asbuilt.identification.identify import Fit, fit_samples
 from asbuilt.identification.trajectories.refined_fit import RefinedFit, refine_fit
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
-from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
 pytest.importorskip("mujoco")
 DRIVE = DriveSet.parse("armature,viscous,coulomb")
@@ -50,7 +50,8 @@ def test_refinement_recovers_the_truth_within_its_intervals(
     assert len(drives) == 4, "armatures are regrouped with the links of a planar arm"
     assert np.all(np.abs(estimate - truth)[drives] < 4.0 * error[drives] + 0.02 * truth[drives])
     assert np.all(error[drives] < 0.2 * truth[drives] + 0.01)
-    assert refined.servo is not None and refined.servo.delay == pytest.approx(0.006, abs=5e-4)
+    assert refined.servo is not None
+    assert refined.servo.delay == pytest.approx(0.006, abs=5e-4)
     linear = study[0].estimate.beta
     assert np.linalg.norm((estimate - truth)[drives]) < 0.5 * np.linalg.norm(
         (linear - truth)[drives]

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
+from tests.identification.trajectories.test_simulation import samples_of
 
 from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.identification.trajectories.sensitivity import Trajectories
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, robot_as_described
 from asbuilt.identification.trajectories.windows import cut_windows
-from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
-from tests.identification.trajectories.test_simulation import samples_of
 
 pytest.importorskip("mujoco")
 

@@ -7,11 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
 from asbuilt.arrays import Array
 from asbuilt.description.formats.mjcf_text import mjcf_text
+from asbuilt.dynamics.base.base_parameters import find_base_parameters
 from asbuilt.dynamics.drives.position_servo import PositionServo
 from asbuilt.dynamics.drives.selection import DriveSet
+from asbuilt.errors import RecordingError, UsageError
 from asbuilt.experiment.signal.samples import Samples
 from asbuilt.identification.trajectories.drive_signal import DriveSignal
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
@@ -21,9 +24,6 @@ from asbuilt.identification.trajectories.simulated_robot import (
     robot_as_described,
 )
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
-from asbuilt.dynamics.base.base_parameters import find_base_parameters
-from asbuilt.errors import RecordingError, UsageError
-from tests.identification.trajectories.arms import SERVO, recorded_by_mujoco, servo_arm
 
 pytest.importorskip("mujoco")
 assert mjcf_text

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import InertiaError
-from asbuilt.findings import Cure, Finding
+from asbuilt.findings import Cure, Finding, joined
 from asbuilt.identification.trajectories.drive_signal import DrivenBy
 from asbuilt.identification.trajectories.mujoco_engine import simulate_windows
 from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot
 from asbuilt.identification.trajectories.windows import Windows
 from asbuilt.validation.rollout.errors import RolloutErrors, rollout_errors
 from asbuilt.validation.rollout.floor import delayed_command, repeated_windows
+from asbuilt.validation.rollout.outlying import OUTLYING, OutlyingWindow, outlying_windows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,8 +53,14 @@ class Rollout:
         no command was repeated.
     no_physics
         Errors of the delayed command taken for the position; None if torques drive.
+    by_motion
+        Recording, number of windows, errors by CAD and as built.
     why
         Why a robot was not simulated, by `"cad"` or `"as_built"`.
+    outlying
+        Windows in which something acts that the model lacks.
+    regular
+        Errors as built over all other windows; None if none is outlying.
     """
 
     horizon: float
@@ -62,6 +72,8 @@ class Rollout:
     no_physics: RolloutErrors | None
     by_motion: tuple[tuple[str, int, RolloutErrors | None, RolloutErrors | None], ...]
     why: tuple[tuple[str, str], ...] = ()
+    outlying: tuple[OutlyingWindow, ...] = ()
+    regular: RolloutErrors | None = None
 
     @property
     def n_windows(self) -> int:
@@ -83,6 +95,8 @@ class Rollout:
                     ("no_physics", self.no_physics),
                 )
             },
+            "outlying": [each.as_dict() for each in self.outlying],
+            "regular": None if self.regular is None else self.regular.as_dict(),
             "motions": [
                 {
                     "source": source,
@@ -154,7 +168,24 @@ def roll_out(
             for each in motions
         ),
         tuple(why.items()),
+        *_outlying(model, motions),
     )
+
+
+def _outlying(
+    model: RobotModel, motions: Sequence[SimulatedMotion]
+) -> tuple[tuple[OutlyingWindow, ...], RolloutErrors | None]:
+    """Return the outlying windows as built, and the errors of the others."""
+    paths = [each.as_built for each in motions if each.as_built is not None]
+    if len(paths) < len(motions):
+        return (), None
+    cuts = [each.windows for each in motions]
+    found, usual = outlying_windows(cuts, paths, model.joint_names)
+    if not found:
+        return (), None
+    measured = [cut.q[at] for cut, at in zip(cuts, usual, strict=True)]
+    simulated = [path[at] for path, at in zip(paths, usual, strict=True)]
+    return found, rollout_errors(model, measured, simulated)
 
 
 def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
@@ -183,6 +214,7 @@ def rollout_findings(rollouts: Sequence[Rollout]) -> tuple[Finding, ...]:
                     )
                 )
         found += _worse_than_command(rollout, length)
+        found += _contact(rollout, length)
     unique = {(each.code, each.message): each for each in found}
     return tuple(unique.values())
 
@@ -200,6 +232,25 @@ def _worse_than_command(rollout: Rollout, length: str) -> list[Finding]:
             f" simulation as built ({1e3 * plain.rms_all:.3g} against"
             f" {1e3 * built.rms_all:.3g} mrad)",
             Cure("check gains, delay and torque limits of the servo, or refine by trajectories"),
+        )
+    ]
+
+
+def _contact(rollout: Rollout, length: str) -> list[Finding]:
+    """Return a finding that names the outlying windows."""
+    if not rollout.outlying or rollout.regular is None or rollout.as_built is None:
+        return []
+    worst = sorted(rollout.outlying, key=lambda each: -np.nan_to_num(each.rms, nan=np.inf))
+    places = [f"{Path(each.source).name} {each.start:.4g} s ({each.joint})" for each in worst]
+    return [
+        Finding(
+            "rollout_outlying",
+            "warning",
+            f"In {len(worst)} of {rollout.n_windows} windows of {length} the error is beyond"
+            f" {OUTLYING:g} times the median, as under contact, a servo limit or another load:"
+            f" {joined(places, 4)}. Without them it is {1e3 * rollout.regular.rms_all:.3g}"
+            f" instead of {1e3 * rollout.as_built.rms_all:.3g} mrad",
+            Cure("look at these times; exclude contact from the recording"),
         )
     ]
 

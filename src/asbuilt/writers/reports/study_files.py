@@ -28,7 +28,7 @@ from asbuilt.writers.reports.report import write_report
 from asbuilt.writers.tables.drive_tables import motor_side_table
 from asbuilt.writers.tables.mass_table import exported_masses
 from asbuilt.writers.tables.payload_tables import payload_document, payload_table, payload_text
-from asbuilt.writers.tables.rollout_tables import rollout_text, with_rollouts
+from asbuilt.writers.tables.rollout_tables import refined_text, rollout_text, with_rollouts
 from asbuilt.writers.tables.tabular import (
     identify_document,
     prediction_table,
@@ -77,6 +77,8 @@ def study_text(
     parts.append(wrapped(study.comparison.verdict()) + "\n")
     if study.rollouts:
         parts.append(rollout_text(study.result.model, study.rollouts, full=full).lstrip("\n"))
+    if study.refined is not None:
+        parts.append(refined_text(study.refined))
     if payload is not None:
         parts.append(payload_text(payload, full) if full else payload_table(payload).as_text())
     return "\n".join(parts)

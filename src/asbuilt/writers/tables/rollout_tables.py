@@ -13,6 +13,7 @@ from asbuilt.tables import Cell, Column, Shown, Table, significant, wrapped
 from asbuilt.validation.comparison.comparison import recording_name
 from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import Rollout, rollout_findings
+from asbuilt.workflow.simulation.refinement import Refined
 
 TITLE = "Rollout: position error of the simulation from the measured state, driven by the {}"
 
@@ -48,6 +49,18 @@ def rollout_text(
         ]
     )
     return "\n" + "\n".join([*(part.as_text(full) for part in parts), *said])
+
+
+def refined_text(refined: Refined) -> str:
+    """Return a sentence that says what a refinement by trajectories changed."""
+    said = (
+        f"Refined by trajectories of {refined.horizon:g} s in {refined.iterations} steps"
+        f" ({refined.seconds:.3g} s)"
+    )
+    if refined.before is not None and refined.after is not None:
+        before, after = (1e3 * each.rms_all for each in (refined.before, refined.after))
+        said += f": rollout error {before:.3g} before, {after:.3g} after [mrad or mm]"
+    return wrapped(said + ".") + "\n"
 
 
 def rollout_table(model: RobotModel, rollouts: Sequence[Rollout]) -> Table:

@@ -20,7 +20,7 @@ from asbuilt.identification.trajectories.simulated_robot import SimulatedRobot, 
 from asbuilt.identification.trajectories.windows import Windows, cut_windows
 from asbuilt.validation.rollout.errors import RolloutErrors
 from asbuilt.validation.rollout.rollout import roll_out
-from asbuilt.workflow.rollout import Simulated
+from asbuilt.workflow.simulation.rollout import Simulated
 
 USUAL = 0.5
 """Length of the windows [s] unless rollouts are asked for."""
