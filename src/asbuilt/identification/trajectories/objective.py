@@ -230,6 +230,12 @@ class Objective:
         spread = np.linalg.solve(root, to_z.T)
         return np.asarray(spread.T @ spread)
 
+    def drive_errors(self, quadratic: Quadratic) -> Array:
+        """Return the standard errors (n, columns_per_joint) of the drive parameters."""
+        variance = np.diag(np.linalg.inv(quadratic.matrix))
+        of_drives = variance[10 * self.n_links : len(self.start.chi)]
+        return np.sqrt(of_drives).reshape(self.n_links, -1)
+
     def undetermined(self, quadratic: Quadratic) -> tuple[str, ...]:
         """Return the drive and servo parameters that the trajectories hardly determine."""
         names = [*self.prior.names, *(["stiffness"] if self.free_stiffness else [])]

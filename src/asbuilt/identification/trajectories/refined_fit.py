@@ -25,8 +25,6 @@ BELIEF = 10.0
 """Weight of the divergence of links from CAD: about a third of a link, in every direction."""
 MOST_SECONDS = 60.0
 """Time [s] of all windows simulated for a fit; longer recordings give every k-th window."""
-STEP = 2e-3
-"""Longest step [s] of the simulations of a fit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,8 +41,10 @@ class RefinedFit:
         The robots before and after.
     refinement
         How the search ended.
-    free_delay, free_stiffness
-        Which servo parameters were fitted.
+    value_errors
+        Standard errors of the drive parameters, shape (n, columns_per_joint).
+    undetermined
+        Drive and servo parameters that stay near the start.
     delay_error, stiffness_error
         Standard errors of the delay [s] and of the relative stiffness; NaN if not fitted.
     """
@@ -54,6 +54,7 @@ class RefinedFit:
     start: SimulatedRobot
     robot: SimulatedRobot
     refinement: Refinement
+    value_errors: Array
     undetermined: tuple[str, ...]
     delay_error: float
     stiffness_error: float
@@ -65,6 +66,8 @@ def refine_fit(
     servo: PositionServo | None,
     *,
     free_stiffness: bool = False,
+    free_delay: bool = True,
+    belief: float = BELIEF,
     begin: Array | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> RefinedFit:
@@ -80,6 +83,10 @@ def refine_fit(
         The servo if a command drives the simulation, with all gains known or estimated.
     free_stiffness
         Whether a common factor of its stiffnesses is fitted.
+    free_delay
+        Whether its delay is fitted.
+    belief
+        Weight of the divergence of links from CAD.
     begin
         Standard parameters to begin with, (n_standard,); None: those of the fit.
     progress
@@ -102,10 +109,10 @@ def refine_fit(
         fit.information,
         np.sqrt(share) / linear.sigma,
         prior,
-        BELIEF,
+        belief,
         start,
         free_stiffness and servo is not None,
-        servo is not None,
+        free_delay and servo is not None,
     )
     found = refine(objective, start if begin is None else Point(begin, servo), progress=progress)
     covariance = objective.covariance(found.point, found.quadratic)
@@ -152,6 +159,7 @@ def refine_fit(
         before,
         built,
         found,
+        objective.drive_errors(found.quadratic),
         open_names,
         float(np.sqrt(covariance[p + 2 * n, p + 2 * n])) if objective.free_delay else np.nan,
         stiffness,
@@ -159,7 +167,7 @@ def refine_fit(
 
 
 def _thinned(windows: Sequence[Windows]) -> tuple[Windows, ...]:
-    """Return every k-th window, so that together they last `MOST_SECONDS`, with longer steps."""
+    """Return every k-th window, so that together they last `MOST_SECONDS`."""
     total = sum(each.n_windows * each.horizon for each in windows)
     every = max(1, int(np.ceil(total / MOST_SECONDS)))
     count, chosen = 0, list[Windows]()
@@ -167,7 +175,7 @@ def _thinned(windows: Sequence[Windows]) -> tuple[Windows, ...]:
         at = np.arange((-count) % every, each.n_windows, every)
         count += each.n_windows
         if len(at):
-            chosen.append(replace(each.some(at), longest_step=STEP))
+            chosen.append(each.some(at))
     return tuple(chosen)
 
 

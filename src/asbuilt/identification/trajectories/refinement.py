@@ -19,8 +19,8 @@ class Steps:
     `rounds` of weights follow one another, each with at most `most` steps; a round ends when the
     quadratic model promises to lower the cost by less than `settled`, in units of the logarithmic
     likelihood. `damping` is the first relative damping.
-    Windows whose error is beyond `outlying` times the usual one count no more than if it were that
-    (a bounded influence, for contact and servo limits).
+    Windows whose error is beyond `outlying` times the `usual` quantile count no more than if it
+    were that (a bounded influence, for contact and servo limits).
     """
 
     rounds: int = 3
@@ -28,7 +28,8 @@ class Steps:
     settled: float = 0.02
     damping: float = 1e-3
     strongest: float = 1e6
-    outlying: float = 2.0
+    outlying: float = 3.0
+    usual: float = 0.75
 
 
 STEPS = Steps()
@@ -102,7 +103,7 @@ def weights_of(
     variance = np.concatenate([np.mean(error**2, axis=1) for error in errors])
     typical = np.median(variance, axis=0) + np.finfo(float).tiny
     size = [np.sqrt(np.mean(np.mean(error**2, axis=1) / typical, axis=1)) for error in errors]
-    usual = float(np.median(np.concatenate(size)))
+    usual = float(np.quantile(np.concatenate(size), steps.usual))
     share = [
         np.minimum(1.0, (steps.outlying * usual / np.maximum(each, 1e-300)) ** 2) for each in size
     ]

@@ -27,6 +27,8 @@ class Repetition:
 
 
 SAME = Repetition()
+ROUNDING = 1e-3
+"""Share of a period by which times of samples and commands differ by rounding."""
 LONGEST_DELAY = 0.3
 """Longest delay [s] of the command that is tried."""
 
@@ -60,7 +62,7 @@ def _commands(windows: Sequence[Windows]) -> Array:
     """Return the command at the samples of all windows, shape (W, L, n)."""
     parts = []
     for each in windows:
-        times = each.starts[:, None] + each.times
+        times = each.starts[:, None] + each.times + ROUNDING / each.rate
         at = np.searchsorted(each.signal.t, times, side="right") - 1
         parts.append(each.signal.values[np.clip(at, 0, len(each.signal.t) - 1)])
     return np.concatenate(parts)
