@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def bridged(
     for name in names:
         parts[name].append(columns[name][before:])
     whole = {name: np.concatenate(each) for name, each in parts.items()}
-    filled_in = replace(recording, **whole, qdd=None, extra={})
+    filled_in = replace(recording, **cast(Any, whole), qdd=None, extra={})
     return filled_in, np.arange(whole["t"].size), tuple(steps[places].tolist())
 
 
