@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -116,7 +117,8 @@ class RecordingSheet(_Part):
 
     `sign` multiplies the torques (-1 where the log gives the load's torque instead of the drive's),
     `gains` turn them into N m (amperes times N m/A); both are one number or one per joint. `lock`
-    names joints that are not identified, with their positions [rad or m] if these are known.
+    names joints that are not identified, with their positions [rad or m] if these are known. `date`
+    is when the recording began, in UTC unless it names a time zone.
 
     Examples
     --------
@@ -140,6 +142,7 @@ class RecordingSheet(_Part):
         default_factory=dict
     )
     topic: str | None = None
+    date: datetime | None = None
 
     def in_windows(self, t: NDArray[np.float64], start: float) -> NDArray[np.bool_]:
         """Return which times (N,) [s] of a recording that began at `start` lie in a window."""
