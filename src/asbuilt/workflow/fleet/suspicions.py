@@ -9,11 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from asbuilt.arrays import Array
 from asbuilt.errors import AsbuiltError
 from asbuilt.findings import Cure, Finding
 from asbuilt.identification.estimators.least_squares import fit_least_squares
-from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.identification.result.design_values import design_values
 from asbuilt.workflow.fleet.ledger.entry import Entry
 from asbuilt.workflow.fleet.ledger.ledger import Ledger
@@ -72,18 +70,17 @@ def _overlaps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
 
 
 def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
-    """Return a finding for each log that the model of the others does not predict."""
-    if len(entries) < 2:
-        return []
-    parts = [entry.whole for entry in entries]
-    found = []
-    for k, part in enumerate(parts):
-        others = [each for j, each in enumerate(parts) if j != k]
-        ratio = misfit(part, others[0].merge(*others[1:]), entries[k])
-        if ratio > JUMP.ratio:
-            found.append((ratio, entries[k]))
-    if len(entries) == 2:
-        found = found[-1:]
+    """Return a finding for each log that the model of the others does not predict.
+
+    The worst is taken out first, since it spoils the model by which the others are judged.
+    """
+    rest, found = list(entries), []
+    while len(rest) > 1:
+        ratios = [misfit(entry, [each for each in rest if each is not entry]) for entry in rest]
+        worst = len(rest) - 1 if len(rest) == 2 else int(np.argmax(ratios))
+        if ratios[worst] <= JUMP.ratio:
+            break
+        found.append((ratios[worst], rest.pop(worst)))
     return [
         Finding(
             "log_of_another_robot",
@@ -96,12 +93,14 @@ def _jumps(robot_id: str, entries: Sequence[Entry]) -> list[Finding]:
     ]
 
 
-def misfit(part: SquareRootInformation, others: SquareRootInformation, entry: Entry) -> float:
+def misfit(entry: Entry, others: Sequence[Entry]) -> float:
     """Return the weighted RMS torque error of a log by the others' model, in that by its own."""
-    prior = np.nan_to_num(design_values(entry.settings.model, entry.settings.base), nan=0.0)
+    settings, part = entry.settings, entry.whole
+    prior = np.nan_to_num(design_values(settings.model, settings.base), nan=0.0)
+    together = others[0].whole.merge(*(each.whole for each in others[1:]))
     try:
         own = fit_least_squares(part, weights="joint", prior=prior)
-        theirs: Array = fit_least_squares(others, weights="joint", prior=prior).beta
+        theirs = fit_least_squares(together, weights="joint", prior=prior).beta
     except AsbuiltError:
         return 1.0
     weights = own.weights**2

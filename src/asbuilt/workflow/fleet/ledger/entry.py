@@ -19,14 +19,13 @@ from urllib.parse import quote, unquote
 import numpy as np
 import polars as pl
 
-import asbuilt
 from asbuilt.arrays import Array
 from asbuilt.errors import AsbuiltError, ResultError
 from asbuilt.findings import Cure
 from asbuilt.identification.information.rows import TimeBlock
 from asbuilt.identification.information.square_root_information import SquareRootInformation
 from asbuilt.workflow.fleet.ledger.merging import merged_blocks
-from asbuilt.workflow.fleet.ledger.settings import TypeSettings
+from asbuilt.workflow.fleet.ledger.settings import SOFTWARE, TypeSettings
 
 FORMAT_VERSION = 1
 DIGITS = 16
@@ -240,7 +239,7 @@ def _frame(entry: Entry) -> pl.DataFrame:
         "duration": entry.duration,
         "rate": entry.rate,
         "warnings": list(entry.warnings),
-        "software": asbuilt.__version__,
+        "software": SOFTWARE,
         "format_version": FORMAT_VERSION,
     }
     rows |= {key: [value] * len(rows["block"]) for key, value in fixed.items()}

@@ -14,6 +14,7 @@ from asbuilt.findings import Cure, Finding
 from asbuilt.workflow.fleet.ledger.entry import (
     Entry,
     EntryName,
+    content_digest,
     entry_from,
     folder_of,
     robot_of,
@@ -99,18 +100,24 @@ class Ledger:
 
         Dates are `since <= date < until`.
         """
+        found: dict[str, tuple[EntryName, TypeSettings]] = {}
+        for name, settings in self._all_current(robot_id, since, until, types):
+            found.setdefault(name.source, (name, settings))
+        return list(found.values())
+
+    def _all_current(
+        self,
+        robot_id: str,
+        since: datetime | None,
+        until: datetime | None,
+        types: dict[str, TypeSettings] | None,
+    ) -> list[tuple[EntryName, TypeSettings]]:
+        """Return the names of entries of the latest settings; a log may have several."""
         known = self.types() if types is None else types
         by_digest = {each.digest: each for each in known.values()}
-        found: dict[tuple[str, str], tuple[EntryName, TypeSettings]] = {}
         names = self.names(robot_id)
         current = {name.source for name in names if name.settings in by_digest}
         left_out = len({name.source for name in names} - current)
-        for name in names:
-            settings = by_digest.get(name.settings)
-            if settings is None:
-                continue
-            if (since is None or name.date >= since) and (until is None or name.date < until):
-                found.setdefault((name.source, name.settings), (name, settings))
         if left_out:
             self._say(
                 Finding(
@@ -121,7 +128,13 @@ class Ledger:
                     Cure("rebuild the ledger from all logs, these too", call="rebuild_ledger"),
                 )
             )
-        return list(found.values())
+        return [
+            (name, by_digest[name.settings])
+            for name in names
+            if name.settings in by_digest
+            and (since is None or name.date >= since)
+            and (until is None or name.date < until)
+        ]
 
     def read(self, name: EntryName, settings: TypeSettings) -> Entry | None:
         """Return an entry; None if its file is damaged, which is named in `findings`."""
@@ -139,14 +152,25 @@ class Ledger:
         types: dict[str, TypeSettings] | None = None,
     ) -> list[Entry]:
         """Return a robot's sound entries of the latest settings, `since <= date < until`."""
-        read = (self.read(*each) for each in self.current_names(robot_id, since, until, types))
-        return [entry for entry in read if entry is not None]
+        found: dict[str, Entry] = {}
+        for name, settings in self._all_current(robot_id, since, until, types):
+            entry = None if name.source in found else self.read(name, settings)
+            if entry is not None:
+                found[name.source] = entry
+        return list(found.values())
+
+    def is_sound(self, name: EntryName) -> bool:
+        """Return whether the file of an entry has the content that was written."""
+        try:
+            return content_digest(self.store.read(name.path)) == name.content
+        except OSError:
+            return False
 
     def append(self, entry: Entry) -> EntryName:
-        """Write an entry; one that is there already stays as it is."""
-        name, content = entry.name, entry.content
-        if name.path.rpartition("/")[2] not in self.store.names(folder_of(entry.robot_id)):
-            self.store.write(name.path, content)
+        """Write an entry, unless it is there and sound."""
+        name = entry.name
+        if not self.is_sound(name):
+            self.store.write(name.path, entry.content)
         return name
 
     def append_settings(self, settings: TypeSettings) -> TypeSettings:

@@ -7,10 +7,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from importlib.metadata import version as version_of
 from typing import Any
 from urllib.parse import quote
 
-import asbuilt
 from asbuilt.codec import json_text, plain, restored
 from asbuilt.description.formats.document import model_document, model_from_document
 from asbuilt.description.model import RobotModel
@@ -24,6 +24,7 @@ from asbuilt.findings import Cure
 
 FORMAT = "asbuilt fleet settings"
 FORMAT_VERSION = 1
+SOFTWARE = version_of("asbuilt")
 DIGITS = 12
 """Hexadecimal digits of a digest in names."""
 DESCRIBED = ("source", "citation", "notes")
@@ -85,7 +86,7 @@ class TypeSettings:
             {
                 "format": FORMAT,
                 "format_version": FORMAT_VERSION,
-                "software": asbuilt.__version__,
+                "software": SOFTWARE,
                 "robot_type": self.robot_type,
                 "generation": self.generation,
                 "torque_source": self.torque_source,

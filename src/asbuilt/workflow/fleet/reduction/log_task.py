@@ -100,7 +100,8 @@ def reduce_log(task: LogTask) -> LogReport:
         digest = source_hash(task.paths)
         known = ledger.names(task.robot_id)
         for name in known:
-            if name.source == digest[:DIGITS] and name.settings == settings.digest:
+            same = name.source == digest[:DIGITS] and name.settings == settings.digest
+            if same and ledger.is_sound(name):
                 return LogReport(log, task.robot_id, name)
         _check_type(ledger, settings, task.robot_id, known)
         entry, findings = reduced_entry(task, settings, digest)
@@ -200,21 +201,20 @@ def other_settings(task: LogTask, settings: TypeSettings, head: Recording) -> tu
 def block_covariates(head: Recording, information: SquareRootInformation) -> dict[str, Array]:
     """Return the mean of logged temperatures in each block (n_blocks, n), by name.
 
-    A quantity with a column for each joint is that joint's own; one with a single column is that
-    of all joints. Others are left out.
+    A recording sheet names them; one column for all joints is repeated for each.
     """
     found = {}
     n = information.n_joints
     for name, values in head.extra.items():
         columns = values.reshape(len(head.t), -1)
-        if columns.shape[1] not in (1, n) or not any(word in name.lower() for word in COVARIATES):
+        if columns.shape[1] != n or not any(word in name.lower() for word in COVARIATES):
             continue
-        means = np.full((information.n_blocks, columns.shape[1]), np.nan)
+        means = np.full((information.n_blocks, n), np.nan)
         for b, block in enumerate(information.blocks):
             inside = columns[(head.t >= block.start) & (head.t <= block.stop)]
             if len(inside) and np.all(np.isfinite(inside)):
                 means[b] = inside.mean(axis=0)
-        found[name] = np.broadcast_to(means, (information.n_blocks, n)).copy()
+        found[name] = means
     return found
 
 
