@@ -24,6 +24,8 @@ ORPHAN_CHECK = 0.5
 """Seconds between looks at the parent process."""
 PER_WORKER = 4
 """Tasks that wait at each worker, so that none is idle while results are taken."""
+ATTEMPTS = 2
+"""Times that a task is run alone after its process died among others."""
 CONNECTING = 20.0
 """Seconds until a scheduler that does not answer is given up."""
 ONE_THREAD = {
@@ -124,14 +126,18 @@ class Workers:
         if self.renew is not None:
             self.executor = self.renew()
         while self._suspects:
-            task = self._suspects.popleft()
-            future = self.executor.submit(function, task)
-            yield _outcome(task, future) or Outcome(
+            task, outcome = self._suspects.popleft(), None
+            for _ in range(ATTEMPTS):
+                future = self.executor.submit(function, task)
+                outcome = _outcome(task, future)
+                if outcome is not None:
+                    break
+                if self.renew is not None:
+                    self.executor = self.renew()
+            yield outcome or Outcome(
                 task,
-                problem="its worker was killed twice, such as by the system for want of memory",
+                problem=f"its worker was killed {ATTEMPTS} times, such as for want of memory",
             )
-            if self.renew is not None and isinstance(future.exception(), BrokenExecutor):
-                self.executor = self.renew()
 
 
 def _first(tasks: Iterator[Task], count: int) -> Iterator[Task]:

@@ -13,10 +13,11 @@ import numpy as np
 from asbuilt.arrays import Array
 from asbuilt.description.model import RobotModel
 from asbuilt.errors import AsbuiltError, RecordingError
-from asbuilt.experiment.logs.long_recordings import head_of
+from asbuilt.experiment.logs.long_recordings import HEAD, head_of
 from asbuilt.experiment.logs.options import ReadingOptions
 from asbuilt.experiment.logs.readers import find_sheet
 from asbuilt.experiment.logs.recordings import fitted_recordings
+from asbuilt.experiment.quality.checks import check_recording
 from asbuilt.experiment.recording import Recording
 from asbuilt.experiment.signal.preparation import resolve_chain
 from asbuilt.experiment.signal.samples import Samples
@@ -138,14 +139,11 @@ def reduced_entry(
     began, date_from = log_date(
         first, head, task.date, find_sheet(first, task.reading.sheet)[0].date
     )
-    prepared = prepare(
-        settings.model, read, chain=settings.chain, checked=task.checked, tolerated=()
-    )
+    beginning = head.taken(slice(0, HEAD)) if head.n_samples > HEAD else head
+    codes = _checked(settings, beginning) if task.checked else ()
+    prepared = prepare(settings.model, read, chain=settings.chain, checked=False)
     samples = prepared.training[0]
     information = reduced_samples(settings, samples)
-    codes = tuple(
-        dict.fromkeys(found.code for check in prepared.checks for found in check.warnings)
-    )
     entry = Entry(
         robot_id=task.robot_id,
         settings=settings,
@@ -159,7 +157,7 @@ def reduced_entry(
         covariates=block_covariates(head, information),
         warnings=codes,
     )
-    return entry, other_settings(task, settings, head)
+    return entry, other_settings(task, settings, beginning)
 
 
 def reduced_samples(settings: TypeSettings, samples: Samples) -> SquareRootInformation:
@@ -216,6 +214,13 @@ def block_covariates(head: Recording, information: SquareRootInformation) -> dic
                 means[b] = inside.mean(axis=0)
         found[name] = means
     return found
+
+
+def _checked(settings: TypeSettings, beginning: Recording) -> tuple[str, ...]:
+    """Return the codes of warnings of a recording; raise `RecordingError` if it has errors."""
+    check = check_recording(settings.model, beginning)
+    check.raise_errors(but=())
+    return tuple(dict.fromkeys(found.code for found in check.warnings))
 
 
 @lru_cache(maxsize=4)
