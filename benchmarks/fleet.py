@@ -139,7 +139,7 @@ def overhead(tasks: int, scheduler: str | None = None) -> dict[str, float]:
 
 def on_dask(tasks: int) -> dict[str, float]:
     """Return the overhead on a Dask cluster of two processes."""
-    from distributed import LocalCluster
+    from distributed import LocalCluster  # noqa: PLC0415 (slow)
 
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         return overhead(tasks, cluster.scheduler_address)

@@ -57,7 +57,6 @@ from .workflow.controller_model import compare_controller as compare_controller
 from .workflow.cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .workflow.fleet.identification import FleetIdentification as FleetIdentification
 from .workflow.fleet.identification import fleet_identify as fleet_identify
-from .workflow.fleet.ledger.entry import Entry as Entry
 from .workflow.fleet.ledger.ledger import Ledger as Ledger
 from .workflow.fleet.ledger.ledger import open_ledger as open_ledger
 from .workflow.fleet.overview import fleet_overview as fleet_overview

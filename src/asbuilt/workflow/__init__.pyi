@@ -6,7 +6,6 @@ from .cutoff_sweep import CutoffSweep as CutoffSweep
 from .cutoff_sweep import sweep_cutoffs as sweep_cutoffs
 from .fleet.identification import FleetIdentification as FleetIdentification
 from .fleet.identification import fleet_identify as fleet_identify
-from .fleet.ledger.entry import Entry as Entry
 from .fleet.ledger.ledger import Ledger as Ledger
 from .fleet.ledger.ledger import open_ledger as open_ledger
 from .fleet.overview import fleet_overview as fleet_overview

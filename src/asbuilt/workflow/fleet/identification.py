@@ -21,8 +21,9 @@ from asbuilt.workflow.fleet.ledger.ledger import Ledger, open_ledger
 from asbuilt.workflow.options import StudyOptions
 from asbuilt.workflow.study import Study
 
-MOST_BLOCKS = 256
-"""Time blocks of all logs together, as in `identify`; more are merged with their neighbours."""
+MOST_BLOCKS = 96
+"""Time blocks of all logs together; more are merged with their neighbours. Standard errors need
+some dozens, and take a millisecond each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

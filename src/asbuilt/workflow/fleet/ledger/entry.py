@@ -266,10 +266,11 @@ def _entry(frame: pl.DataFrame, settings: TypeSettings) -> Entry:
     row = frame.row(0, named=True)
     if row["settings"] != settings.digest:
         raise ValueError(f"it belongs to the settings {row['settings']}")
-    source = f"{row['log']} ({row['source_sha256'][:DIGITS]})"
-    parts = frame.filter(pl.col("block") >= 0)
-    information = _information(parts, settings, source)
-    return Entry(
+    source, n = f"{row['log']} ({row['source_sha256'][:DIGITS]})", settings.model.n_joints
+    if frame["block"].to_list() != [WHOLE + k // n for k in range(len(frame))]:
+        raise ValueError("its rows are not in order")
+    information = _information(frame[n:], settings, source)
+    entry = Entry(
         robot_id=row["robot_id"],
         settings=settings,
         information=information,
@@ -279,32 +280,37 @@ def _entry(frame: pl.DataFrame, settings: TypeSettings) -> Entry:
         date_from=row["date_from"],
         duration=row["duration"],
         rate=row["rate"],
-        covariates=_stored_covariates(parts, information),
+        covariates=_stored_covariates(frame[n:], information),
         warnings=tuple(row["warnings"]),
     )
+    entry.__dict__["whole"] = _information(frame[:n], settings, source)
+    return entry
 
 
 def _information(frame: pl.DataFrame, settings: TypeSettings, source: str) -> SquareRootInformation:
+    """Rebuild the information of rows that go block by block, and joint by joint in each."""
     joints, support = settings.model.joint_names, settings.plan.support
-    n = len(joints)
-    n_blocks, left = divmod(len(frame), n)
+    n_blocks, left = divmod(len(frame), len(joints))
     if left or frame["joint"].to_list() != [*joints] * n_blocks:
         raise ValueError("its joints are not those of its type")
+    sizes = [(len(columns) + 1) * (len(columns) + 2) // 2 for columns in support]
+    if frame["factor"].list.len().to_list() != sizes * n_blocks:
+        raise ValueError("its factors have other columns than its type")
+    packed = frame["factor"].explode().to_numpy().reshape(n_blocks, -1)
     factors = []
-    for k, columns in enumerate(support):
-        mine = frame[k::n]
+    for columns, part in zip(support, np.split(packed, np.cumsum(sizes)[:-1], axis=1), strict=True):
         q = len(columns) + 1
-        packed = np.array(mine["factor"].to_list(), dtype=np.float64)
         triangles = np.zeros((n_blocks, q, q))
-        triangles[(slice(None), *np.triu_indices(q))] = packed
+        triangles[(slice(None), *np.triu_indices(q))] = part
         factors.append(triangles)
-    first = frame[::n]
-    blocks = tuple(
-        TimeBlock(source, *each) for each in first.select("start", "stop", "n_samples").iter_rows()
-    )
-    torque_sum = frame["torque_sum"].to_numpy().reshape(n_blocks, n).copy()
+    times = frame.select("start", "stop", "n_samples").rows()[:: len(joints)]
     return SquareRootInformation(
-        settings.base, joints, tuple(support), tuple(factors), torque_sum, blocks
+        settings.base,
+        joints,
+        tuple(support),
+        tuple(factors),
+        frame["torque_sum"].to_numpy().reshape(n_blocks, len(joints)).copy(),
+        tuple(TimeBlock(source, *each) for each in times),
     )
 
 
@@ -332,6 +338,8 @@ def joined_entries(entries: Iterable[Entry], most: int) -> SquareRootInformation
     Each log keeps the same number of blocks, one at least.
     """
     listed = list(entries)
-    each = max(1, most // len(listed))
-    parts = [merged_blocks(entry.information, each) for entry in listed]
+    each = most // len(listed)
+    parts = [
+        merged_blocks(entry.information, each) if each > 1 else entry.whole for entry in listed
+    ]
     return parts[0].merge(*parts[1:])
