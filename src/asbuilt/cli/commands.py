@@ -193,7 +193,7 @@ GROUPS: dict[str, dict[str, Entry]] = {
         "demo": Entry(
             "demos.story",
             "Design, record, identify, validate and export on a bundled robot.",
-            ("", "-o demo"),
+            ("", "fleet -o demo"),
             "run_demo",
         ),
         "reproduce": Entry(
